@@ -26,7 +26,7 @@ DRIVER_LIBRARIES = {"libatomic.so.1": "libatomic1"}
 # Browsers that those tests can use, by name of the command; the Debian package is called like the first.
 BROWSERS = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable")
 # What `test --quick` runs: text, programs, plans, passes, diagnostics, and one shot on both backends.
-QUICK = (
+QUICK_TEST_PATTERNS = (
     "tests/syntax/test_syntax_[egp]*.py",
     "tests/program/test_program.py",
     "tests/program/test_program_c*.py",
@@ -39,8 +39,8 @@ QUICK = (
 )
 # What tests start, and the Debian package that brings it.
 TEST_PROGRAMS = {"strace": "strace"}
-INSTALL = "apt-get install -y --no-install-recommends"
-VENV = "python3-venv"
+APT_INSTALL_COMMAND = "apt-get install -y --no-install-recommends"
+VENV_PACKAGE = "python3-venv"
 
 
 def missing_packages(libraries: Mapping[str, str]) -> list[str]:
@@ -63,7 +63,10 @@ def install_system_packages() -> None:
         return
     if not can_install():
         words = " ".join(packages)
-        sys.exit(f"Open3D needs system libraries that are missing here; on Debian or Ubuntu, run as root:\n  {INSTALL} {words}")
+        sys.exit(
+            f"Open3D needs system libraries that are missing here; on Debian or Ubuntu, run as root:\n  "
+            f"{APT_INSTALL_COMMAND} {words}"
+        )
     install(packages)
 
 
@@ -75,7 +78,7 @@ def install_browser() -> None:
     if not packages:
         return
     words = "the tests of the preview's page will be skipped, as something is missing; on Debian, run as root:"
-    words += f"\n  {INSTALL} {' '.join(packages)}"
+    words += f"\n  {APT_INSTALL_COMMAND} {' '.join(packages)}"
     if not can_install() or not is_debian():
         print(words, flush=True)
         return
@@ -95,7 +98,7 @@ def install_test_programs() -> None:
         install(packages)
     else:
         print(f"some tests will fail: they need {' '.join(packages)}; on Debian or Ubuntu, run as root:", flush=True)
-        print(f"  {INSTALL} {' '.join(packages)}", flush=True)
+        print(f"  {APT_INSTALL_COMMAND} {' '.join(packages)}", flush=True)
 
 
 def is_debian() -> bool:
@@ -117,7 +120,7 @@ def install(packages: list[str]) -> None:
     prefix = [] if os.geteuid() == 0 else ["sudo"]
     env = {**os.environ, "DEBIAN_FRONTEND": "noninteractive"}
     subprocess.run([*prefix, "apt-get", "update", "-qq"], check=True, env=env)
-    subprocess.run([*prefix, *INSTALL.split(), *packages], check=True, env=env, stdout=subprocess.DEVNULL)
+    subprocess.run([*prefix, *APT_INSTALL_COMMAND.split(), *packages], check=True, env=env, stdout=subprocess.DEVNULL)
 
 
 def ensure_environment(folder: Path, requirements: list[str]) -> Path:
@@ -131,9 +134,11 @@ def ensure_environment(folder: Path, requirements: list[str]) -> Path:
     stamp.unlink(missing_ok=True)
     # Debian's Python comes without what its `venv` needs.
     if importlib.util.find_spec("ensurepip") is None and is_debian() and can_install():
-        install([VENV])
+        install([VENV_PACKAGE])
     if subprocess.run([sys.executable, "-m", "venv", str(folder)]).returncode:
-        sys.exit(f"cannot create a virtual environment; on Debian or Ubuntu, run as root:\n  {INSTALL} {VENV}")
+        sys.exit(
+            f"cannot create a virtual environment; on Debian or Ubuntu, run as root:\n  {APT_INSTALL_COMMAND} {VENV_PACKAGE}"
+        )
     pip = [str(python), "-m", "pip", "--disable-pip-version-check", "install", "--quiet"]
     subprocess.run([*pip, "--editable", f"{ROOT}[test,quality]", *requirements], check=True)
     # An editable install compiles nothing. Where no bytecode may be written, every command would compile all modules again.
@@ -158,7 +163,11 @@ def run_example(python: Path, out: Path) -> int:
 
 def run_tests(python: Path, quick: bool, arguments: list[str]) -> int:
     """Run the test suite as in CI, with one process per core and each file in one process; or the quick part in one process."""
-    files = [path.relative_to(ROOT).as_posix() for pattern in QUICK for path in sorted(ROOT.glob(pattern))] if quick else []
+    files = (
+        [path.relative_to(ROOT).as_posix() for pattern in QUICK_TEST_PATTERNS for path in sorted(ROOT.glob(pattern))]
+        if quick
+        else []
+    )
     # The quick part is over before more processes have imported what they need.
     parallel = [] if quick else ["-n", "auto", "--dist", "loadfile", "--no-loadscope-reorder"]
     return subprocess.run([str(python), "-m", "pytest", "-q", *parallel, *arguments, *files], cwd=ROOT).returncode

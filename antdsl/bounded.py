@@ -10,11 +10,11 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import IO
 
-_BLOCK = 1 << 20
-_READ = os.O_RDONLY | sum(getattr(os, flag, 0) for flag in ("O_NONBLOCK", "O_CLOEXEC", "O_BINARY", "O_NOCTTY"))
-_LEVELS_BELOW = os.open in os.supports_dir_fd and os.stat in os.supports_dir_fd
+_READ_BLOCK_BYTES = 1 << 20
+_READ_FLAGS = os.O_RDONLY | sum(getattr(os, flag, 0) for flag in ("O_NONBLOCK", "O_CLOEXEC", "O_BINARY", "O_NOCTTY"))
+_CAN_OPEN_BY_LEVEL = os.open in os.supports_dir_fd and os.stat in os.supports_dir_fd
 
-Name = str | os.PathLike[str]
+PathName = str | os.PathLike[str]
 
 
 class NotRegular(OSError):
@@ -36,21 +36,21 @@ class TooLarge(OSError):
         self.size, self.cap = size, cap
 
 
-def real_path(path: Name) -> Path:
+def real_path(path: PathName) -> Path:
     """Return a path with all links resolved. Never raises: a link to itself is resolved as far as possible."""
     return Path(os.path.realpath(path))
 
 
-def open_regular(path: Name, *, follow: bool = True, folder: int | None = None) -> int:
+def open_regular(path: PathName, *, follow: bool = True, folder: int | None = None) -> int:
     """Return a handle on a regular file, to be closed by the caller. `follow`: follow a link at the end of the path. `folder`: an
     open folder that the path is relative to. Raises NotRegular or another OSError.
 
     A file that is not regular is not even opened: opening alone can wake the writer of a pipe, or start a device. If another file
     takes its place in between, O_NONBLOCK prevents waiting, and the type of the handle is checked again."""
-    below = {"dir_fd": folder} if folder is not None and _LEVELS_BELOW else {}
+    below = {"dir_fd": folder} if folder is not None and _CAN_OPEN_BY_LEVEL else {}
     try:
         _require_regular(os.stat(path, follow_symlinks=follow, **below))
-        handle = os.open(path, _READ | (0 if follow else getattr(os, "O_NOFOLLOW", 0)), **below)
+        handle = os.open(path, _READ_FLAGS | (0 if follow else getattr(os, "O_NOFOLLOW", 0)), **below)
     except ValueError:  # a name with a zero character
         raise OSError(errno.EINVAL, "no file can have this name") from None
     try:
@@ -81,7 +81,7 @@ def read_blocks(handle: int, cap: int) -> Iterator[bytes]:
     file passes it. The handle stays open."""
     size_of(handle, cap)
     left = cap + 1
-    while part := os.read(handle, min(left, _BLOCK)):
+    while part := os.read(handle, min(left, _READ_BLOCK_BYTES)):
         left -= len(part)
         if left <= 0:
             raise TooLarge(max(os.fstat(handle).st_size, cap + 1), cap)
@@ -96,12 +96,12 @@ def read_handle(handle: int, cap: int) -> bytes:
         os.close(handle)
 
 
-def read_bounded(path: Name, cap: int, *, follow: bool = True) -> bytes:
+def read_bounded(path: PathName, cap: int, *, follow: bool = True) -> bytes:
     """Return all of a regular file. Raises NotRegular, TooLarge or another OSError. `follow` as in `open_regular`."""
     return read_handle(open_regular(path, follow=follow), cap)
 
 
-def read_start(path: Name, count: int) -> bytes:
+def read_start(path: PathName, count: int) -> bytes:
     """Read the first bytes of a regular file, at most `count`; links are followed. Raises OSError if there is none."""
     handle = open_regular(path)
     try:
@@ -110,7 +110,7 @@ def read_start(path: Name, count: int) -> bytes:
         os.close(handle)
 
 
-def open_bounded(path: Name, cap: int, *, follow: bool = True) -> IO[bytes]:
+def open_bounded(path: PathName, cap: int, *, follow: bool = True) -> IO[bytes]:
     """Open a regular file of at most `cap` bytes for random access. Raises OSError. `follow` as in `open_regular`."""
     handle = open_regular(path, follow=follow)
     try:

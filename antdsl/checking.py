@@ -20,15 +20,15 @@ from antdsl.diagnostics import Report
 from antdsl.diagnostics.transfer import decode_reports, encode_reports
 from antdsl.files import load_sources
 from antdsl.loading import SharedParsedFiles
-from antdsl.pipeline import Choices, check_path
+from antdsl.pipeline import RunChoices, check_path
 from antdsl.program.model import Program
 from antdsl.source import Source, Span
 from antdsl.whole import write_parts
 
 # So few files are checked sooner than a process begins.
-WORTH_SHARING = 12
-MOST_PROCESSES = 8
-MOST_GROUPS = 256  # that a byte can name; what is beyond is checked in the end
+LEAST_FILES_TO_SHARE = 12
+MAX_PROCESSES = 8
+MAX_GROUPS = 256  # that a byte can name; what is beyond is checked in the end
 
 
 @dataclass(slots=True)
@@ -49,7 +49,7 @@ class CheckResult:
 
 def check_all(
     files: Sequence[Path],
-    choices: Choices,
+    choices: RunChoices,
     *,
     strict: bool = False,
     cores: int = 1,
@@ -61,10 +61,10 @@ def check_all(
     result = CheckResult(cpu_seconds=cpu_seconds)
     groups = _group_files(files)
     parsed = SharedParsedFiles()
-    if programs or choices.grants or len(files) < WORTH_SHARING or len(groups) < 3 or cores < 2 or not _can_fork():
+    if programs or choices.grants or len(files) < LEAST_FILES_TO_SHARE or len(groups) < 3 or cores < 2 or not _can_fork():
         _check(files, choices, strict, parsed, result, programs)
     else:
-        _check_in_processes(groups, choices, strict, min(cores, MOST_PROCESSES), parsed, result)
+        _check_in_processes(groups, choices, strict, min(cores, MAX_PROCESSES), parsed, result)
     # Here is what was left over, or was taken by a process that was ended from outside.
     _check([file for file in files if file not in result.reports], choices, strict, parsed, result)
     result.add(CheckResult(sources=load_sources(files, parsed)))
@@ -72,7 +72,7 @@ def check_all(
     return result
 
 
-def check_text(data: bytes, choices: Choices, *, strict: bool = False, cpu_seconds: float = 0.0) -> CheckResult:
+def check_text(data: bytes, choices: RunChoices, *, strict: bool = False, cpu_seconds: float = 0.0) -> CheckResult:
     """Check one program that is not in a file. Its imports are resolved from the working directory."""
     path, parsed, result = Path("<stdin>.ant"), SharedParsedFiles(), CheckResult(cpu_seconds=cpu_seconds)
     source, report = syntax.read_bytes("<stdin>", data)
@@ -88,13 +88,13 @@ def check_text(data: bytes, choices: Choices, *, strict: bool = False, cpu_secon
 
 
 def _check_in_processes(
-    groups: list[list[Path]], choices: Choices, strict: bool, cores: int, parsed: SharedParsedFiles, result: CheckResult
+    groups: list[list[Path]], choices: RunChoices, strict: bool, cores: int, parsed: SharedParsedFiles, result: CheckResult
 ) -> None:
     # The first is checked before the others are shared out: all that is imported and the library are then there once.
     _check(groups[0], choices, strict, parsed, result)
     gc.freeze()  # so that no process copies what it has not changed, only to look for garbage in it
     # A process that is ready takes the next group, the heaviest first: one byte of a pipe is the right to one group.
-    groups = groups[:0:-1][:MOST_GROUPS]
+    groups = groups[:0:-1][:MAX_GROUPS]
     mine, theirs = os.pipe()
     os.write(theirs, bytes(range(len(groups))))
     os.close(theirs)
@@ -114,14 +114,19 @@ def _check_in_processes(
 
 
 def _check_claimed(
-    groups: Sequence[list[Path]], claims: int, choices: Choices, strict: bool, parsed: SharedParsedFiles, result: CheckResult
+    groups: Sequence[list[Path]], claims: int, choices: RunChoices, strict: bool, parsed: SharedParsedFiles, result: CheckResult
 ) -> None:
     while claim := os.read(claims, 1):
         _check(groups[claim[0]], choices, strict, parsed, result)
 
 
 def _check(
-    files: Iterable[Path], choices: Choices, strict: bool, parsed: SharedParsedFiles, result: CheckResult, programs: bool = False
+    files: Iterable[Path],
+    choices: RunChoices,
+    strict: bool,
+    parsed: SharedParsedFiles,
+    result: CheckResult,
+    programs: bool = False,
 ) -> None:
     for file in files:
         try:
@@ -137,8 +142,8 @@ def _overdue_report(file: Path, seconds: float, spent: CpuBudgetSpent) -> Report
     """Return the report of a file that took too long: its place, and the stage of the check that was running."""
     modules = [each.f_globals.get("__name__", "") for each, _ in traceback.walk_tb(spent.__traceback__)]
     stages = [name.split(".")[1] for name in modules if name.startswith("antdsl.") and name != __name__]
-    stage = next((each for each in reversed(stages) if each in _STAGES), "")
-    words = f" while {_STAGES[stage]}" if stage else ""
+    stage = next((each for each in reversed(stages) if each in _STAGE_PHRASES), "")
+    words = f" while {_STAGE_PHRASES[stage]}" if stage else ""
     report = Report()
     message = f"checking this file took more than {seconds:g} s of processor time{words}, and was ended"
     help = "make the file or its meshes smaller, or allow more time with `--cpu-limit`"
@@ -146,7 +151,7 @@ def _overdue_report(file: Path, seconds: float, spent: CpuBudgetSpent) -> Report
     return report
 
 
-_STAGES = {
+_STAGE_PHRASES = {
     "syntax": "its text was parsed",
     "program": "its program was checked",
     "scene": "its scene and meshes were read",
@@ -185,7 +190,7 @@ def _can_fork() -> bool:
 
 
 def _start_child(
-    groups: Sequence[list[Path]], claims: int, choices: Choices, strict: bool, parsed: SharedParsedFiles, cpu_seconds: float
+    groups: Sequence[list[Path]], claims: int, choices: RunChoices, strict: bool, parsed: SharedParsedFiles, cpu_seconds: float
 ) -> tuple[int, int]:
     """Start a child process that checks groups; return its process id and the pipe of its result."""
     ours, theirs = os.pipe()
@@ -210,7 +215,7 @@ def _run_child(
     pipe: int,
     groups: Sequence[list[Path]],
     claims: int,
-    choices: Choices,
+    choices: RunChoices,
     strict: bool,
     parsed: SharedParsedFiles,
     cpu_seconds: float,

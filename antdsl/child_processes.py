@@ -12,9 +12,9 @@ import os
 import sys
 
 # Lists of folders in the environment, from which Python, the system's loader and `exec` take code.
-SEARCH_PATHS = ("PATH", "PYTHONPATH", "LD_LIBRARY_PATH", "DYLD_LIBRARY_PATH", "DYLD_FALLBACK_LIBRARY_PATH")
+SEARCH_PATH_VARIABLES = ("PATH", "PYTHONPATH", "LD_LIBRARY_PATH", "DYLD_LIBRARY_PATH", "DYLD_FALLBACK_LIBRARY_PATH")
 # The folder that has the package `antdsl`: site-packages, or a checkout.
-INSTALLATION = os.path.dirname(os.path.dirname(os.path.abspath(__file__)))
+INSTALLATION_FOLDER = os.path.dirname(os.path.dirname(os.path.abspath(__file__)))
 
 
 def isolate() -> None:
@@ -23,7 +23,7 @@ def isolate() -> None:
     The change lasts for the life of the process: a pool starts its children when tasks come, and libraries start theirs in
     separate threads."""
     relative = _relative_entries(os.environ.get("PYTHONPATH", ""))
-    for name in SEARCH_PATHS:
+    for name in SEARCH_PATH_VARIABLES:
         if value := os.environ.get(name):
             entries = [entry for entry in value.split(os.pathsep) if os.path.isabs(entry)]
             if entries:
@@ -34,8 +34,8 @@ def isolate() -> None:
     # Python has made absolute paths of the relative entries, so they are recognised by what they led to.
     unwanted = {os.path.abspath(entry) for entry in relative} - set(os.environ.get("PYTHONPATH", "").split(os.pathsep))
     sys.path[:] = [entry for entry in sys.path if os.path.isabs(entry) and entry not in unwanted]
-    if INSTALLATION not in sys.path:
-        sys.path.append(INSTALLATION)  # last, so that nothing in a checkout hides a package of that name
+    if INSTALLATION_FOLDER not in sys.path:
+        sys.path.append(INSTALLATION_FOLDER)  # last, so that nothing in a checkout hides a package of that name
 
 
 def module_command(module: str, *arguments: str) -> list[str]:
@@ -47,8 +47,8 @@ def module_environment() -> dict[str, str]:
     """Return the environment of such a command: this process's own, so that the child imports the same antdsl."""
     isolate()
     path = [entry for entry in os.environ.get("PYTHONPATH", "").split(os.pathsep) if entry]
-    if os.path.basename(INSTALLATION) not in ("site-packages", "dist-packages") and INSTALLATION not in path:
-        path.insert(0, INSTALLATION)
+    if os.path.basename(INSTALLATION_FOLDER) not in ("site-packages", "dist-packages") and INSTALLATION_FOLDER not in path:
+        path.insert(0, INSTALLATION_FOLDER)
     return {**os.environ, "PYTHONPATH": os.pathsep.join(path)} if path else dict(os.environ)
 
 

@@ -10,9 +10,11 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 
-_owner = 0  # the process that has a budget, 0 for none
-_end = 0.0  # the processor time of this process at which it is spent; the system's timer adds a tick each time that it is set
-_SOON = 1e-6
+_budget_process = 0  # the process that has a budget, 0 for none
+_budget_end_seconds = (
+    0.0  # the processor time of this process at which it is spent; the system's timer adds a tick each time that it is set
+)
+_SOONEST_SIGNAL_SECONDS = 1e-6
 
 
 class CpuBudgetSpent(BaseException):
@@ -23,7 +25,7 @@ class CpuBudgetSpent(BaseException):
 def cpu_budget(seconds: float) -> Iterator[None]:
     """Raise CpuBudgetSpent inside the context once this process and charged time exceed `seconds` of processor time; 0 is no
     limit. Main thread only, and not on Windows, which lacks such a timer. A running library call finishes first."""
-    global _owner, _end
+    global _budget_process, _budget_end_seconds
     if not seconds or not hasattr(signal, "setitimer") or threading.current_thread() is not threading.main_thread():
         yield
         return
@@ -33,31 +35,31 @@ def cpu_budget(seconds: float) -> Iterator[None]:
 
     previous = signal.signal(signal.SIGPROF, stop)
     signal.setitimer(signal.ITIMER_PROF, seconds)
-    _owner, _end = os.getpid(), time.process_time() + seconds
+    _budget_process, _budget_end_seconds = os.getpid(), time.process_time() + seconds
     try:
         yield
     finally:
-        _owner = 0
+        _budget_process = 0
         signal.setitimer(signal.ITIMER_PROF, 0)
         signal.signal(signal.SIGPROF, previous)
 
 
 def remaining_seconds() -> float:
     """Seconds of the budget that are left; infinite where there is no budget."""
-    return max(_end - time.process_time(), 0.0) if _owner == os.getpid() else math.inf
+    return max(_budget_end_seconds - time.process_time(), 0.0) if _budget_process == os.getpid() else math.inf
 
 
 def charge(seconds: float) -> None:
     """Charge processor time of another process to the budget. Raises CpuBudgetSpent in the main thread if nothing is left."""
-    global _end
-    if _owner != os.getpid():
+    global _budget_end_seconds
+    if _budget_process != os.getpid():
         return
-    _end -= seconds
+    _budget_end_seconds -= seconds
     left = remaining_seconds()
     if left > 0.0:
-        signal.setitimer(signal.ITIMER_PROF, max(left, _SOON))
+        signal.setitimer(signal.ITIMER_PROF, max(left, _SOONEST_SIGNAL_SECONDS))
     elif threading.current_thread() is threading.main_thread():
         signal.setitimer(signal.ITIMER_PROF, 0)
         raise CpuBudgetSpent
     else:
-        signal.setitimer(signal.ITIMER_PROF, _SOON)  # the timer tells the main thread
+        signal.setitimer(signal.ITIMER_PROF, _SOONEST_SIGNAL_SECONDS)  # the timer tells the main thread

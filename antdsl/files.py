@@ -10,7 +10,7 @@ from pathlib import Path
 from antdsl import limits
 from antdsl.bounded import read_start
 from antdsl.diagnostics import Report
-from antdsl.loading import Parsed, display_path
+from antdsl.loading import ParsedFileCache, display_path
 from antdsl.scene.document import decode
 from antdsl.scene.paths import PathRefused, read_named
 from antdsl.source import Source
@@ -54,13 +54,13 @@ def _expand_patterns(paths: Iterable[Path], report: Report) -> Iterator[Path]:
         yield from readable_paths
 
 
-def load_sources(files: Iterable[Path], parsed: Parsed) -> list[Source]:
+def load_sources(files: Iterable[Path], parsed: ParsedFileCache) -> list[Source]:
     """Return the readable texts of checked files: programs as they were parsed, and scenes."""
     texts = [file.source for file, _ in parsed.values() if not file.source.path.startswith("<")]
     for path in files:
         if path.suffix != ".ant":
             try:
-                source, report = decode(read_named(path, limits.SCENE_BYTES), str(path))
+                source, report = decode(read_named(path, limits.MAX_SCENE_BYTES), str(path))
             except PathRefused:
                 continue
             texts += [source] if report.ok else []

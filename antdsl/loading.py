@@ -20,10 +20,10 @@ from antdsl.syntax import nodes
 if TYPE_CHECKING:
     from antdsl.program.model import Program
 
-Parsed = dict[str, tuple[nodes.File, Report]]
+ParsedFileCache = dict[str, tuple[nodes.File, Report]]
 
 
-class SharedParsedFiles(Parsed):
+class SharedParsedFiles(ParsedFileCache):
     """The same for many files that do not change meanwhile. `checked`: results for the same files, as a scene's program is that
     of its file. The names of the libraries that it uses are stored with it."""
 
@@ -54,7 +54,7 @@ class LoadedSources:
     modules: dict[str, nodes.File] = field(default_factory=dict)
     texts: dict[str, str] = field(default_factory=dict)
     report: Report = field(default_factory=Report)
-    parsed: Parsed = field(default_factory=dict)
+    parsed: ParsedFileCache = field(default_factory=dict)
     _library: dict[str, nodes.File | None] = field(default_factory=dict)
     _module_paths: dict[str, Path] = field(default_factory=dict)
     _bytes: int = 0
@@ -137,8 +137,8 @@ class LoadedSources:
         source = file.source
         if not of_library:
             self._bytes += len(source.text)
-            if self._bytes > limits.PROJECT_BYTES:
-                self.report.error("too-large", f"the programs together have more than {limits.PROJECT_BYTES:,} bytes", span)
+            if self._bytes > limits.MAX_PROJECT_BYTES:
+                self.report.error("too-large", f"the programs together have more than {limits.MAX_PROJECT_BYTES:,} bytes", span)
                 return None
         self.texts[name if of_library else self._key(path)] = source.text
         self.report.extend(report)
@@ -149,7 +149,7 @@ class LoadedSources:
             if use.path is None:
                 continue
             text, span = use.path.text, use.path.span
-            if depth > limits.USE_DEPTH or len(self.modules) >= limits.USED_FILES:
+            if depth > limits.MAX_USE_DEPTH or len(self.modules) >= limits.MAX_USED_FILES:
                 self.report.error("too-large", "too many files use each other", span, "bring fewer files in")
                 return
             path = self._locate(text, roots, span)

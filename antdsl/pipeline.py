@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 from antdsl import __version__
 from antdsl.bounded import real_path
 from antdsl.diagnostics import Report
-from antdsl.loading import LoadedSources, Parsed, SharedParsedFiles
+from antdsl.loading import LoadedSources, ParsedFileCache, SharedParsedFiles
 from antdsl.numerics.float_environment import standard_floats
 
 if TYPE_CHECKING:
@@ -21,19 +21,19 @@ if TYPE_CHECKING:
     from antdsl.diagnostics import Diagnostic
     from antdsl.plan.ir import Plan
     from antdsl.program.expectations import SpecChange
-    from antdsl.program.memo import Memo
+    from antdsl.program.memo import CheckMemo
     from antdsl.program.model import Program
     from antdsl.runtime import Options, World
     from antdsl.scene import Scene
     from antdsl.scene.geometry.import_notes import MeshImport
-    from antdsl.scene.setting import Setting
+    from antdsl.scene.setting import WorldSetting
     from antdsl.scene.values import FrameRange
 
 SKIPPED_FOLDERS = frozenset(["node_modules", "__pycache__", "out", "build", "dist", "_data"])
 
 
 @dataclass(frozen=True, slots=True)
-class Choices:
+class RunChoices:
     """What the user of a scene chooses in addition: granted roots, and values that override the scene's own."""
 
     grants: Mapping[str, Path] = field(default_factory=dict)
@@ -51,7 +51,7 @@ class Shot:
     scene: Scene
     program: Program
     plan: Plan
-    setting: Setting
+    setting: WorldSetting
     inputs: Mapping[str, str]
     loaded: LoadedSources
     bodies: Mapping[str, Definition] = field(default_factory=dict)
@@ -62,7 +62,7 @@ class Shot:
 
 
 def compile_files(
-    paths: Iterable[Path | str], *, strict: bool = False, parsed: Parsed | None = None, memo: Memo | None = None
+    paths: Iterable[Path | str], *, strict: bool = False, parsed: ParsedFileCache | None = None, memo: CheckMemo | None = None
 ) -> tuple[Program | None, Report]:
     """Parse and check programs together, with the library and all files that they use.
 
@@ -74,7 +74,7 @@ def compile_files(
     return _check_loaded(loaded, strict, memo)
 
 
-def _check_loaded(loaded: LoadedSources, strict: bool, memo: Memo | None = None) -> tuple[Program | None, Report]:
+def _check_loaded(loaded: LoadedSources, strict: bool, memo: CheckMemo | None = None) -> tuple[Program | None, Report]:
     from antdsl.program import check
 
     report = Report()
@@ -96,7 +96,12 @@ def _check_loaded(loaded: LoadedSources, strict: bool, memo: Memo | None = None)
 
 @standard_floats()
 def open_scene(
-    path: Path | str, choices: Choices | None = None, *, parsed: Parsed | None = None, thorough: bool = True, raw: bool = False
+    path: Path | str,
+    choices: RunChoices | None = None,
+    *,
+    parsed: ParsedFileCache | None = None,
+    thorough: bool = True,
+    raw: bool = False,
 ) -> tuple[Shot | None, Report]:
     """Everything from a scene's file to a shot: read, compile, match, lower, optimise, stage. `parsed` as in `compile_files`,
     `thorough` as in `passes.optimise`; `raw`: the plan as lowered, before any pass."""
@@ -108,7 +113,7 @@ def open_scene(
     from antdsl.scene.overriding import read_overrides, with_changed_fields, with_changed_params
     from antdsl.scene.staging.stage_scene import stage
 
-    choices = choices or Choices()
+    choices = choices or RunChoices()
     scene, program, loaded, report = _read_scene(path, choices, parsed=parsed)
     if scene is None or program is None or not report.ok:
         return None, report
@@ -143,9 +148,9 @@ def _undrawn_things(scene: Scene) -> frozenset[str]:
 
 def _read_scene(
     path: Path,
-    choices: Choices,
+    choices: RunChoices,
     strict: bool = False,
-    parsed: Parsed | None = None,
+    parsed: ParsedFileCache | None = None,
     data: bytes | None = None,
     texts: Mapping[Path, bytes] | None = None,
 ) -> tuple[Scene | None, Program | None, LoadedSources, Report]:
@@ -170,7 +175,10 @@ def _read_scene(
             loaded.add_named(line.source, scene.roots, scene.span("crowd", number, "from"))
     if not scene.model.crowd:
         report.error(
-            "no-crowd", "the scene has no crowd, so there is nothing to simulate", scene.span("antdsl", key=True), _CROWD_HELP
+            "no-crowd",
+            "the scene has no crowd, so there is nothing to simulate",
+            scene.span("antdsl", key=True),
+            _MISSING_CROWD_HELP,
         )
     program, findings = _check_loaded(loaded, strict)
     report.extend(findings)
@@ -193,7 +201,7 @@ def _begin_reading(scene: Scene) -> None:
         client.prepare("usd")
 
 
-_CROWD_HELP = "add `crowd:` and below it `  - {species: NAME, from: FILE.ant, count: 100, place: {on: SURFACE}}`"
+_MISSING_CROWD_HELP = "add `crowd:` and below it `  - {species: NAME, from: FILE.ant, count: 100, place: {on: SURFACE}}`"
 
 
 def simulate(shot: Shot, options: Options | None = None) -> Iterator[World]:
@@ -211,7 +219,7 @@ def simulate(shot: Shot, options: Options | None = None) -> Iterator[World]:
 
 
 def check_scene_text(
-    path: Path, texts: Mapping[Path, bytes], *, parsed: Parsed | None = None
+    path: Path, texts: Mapping[Path, bytes], *, parsed: ParsedFileCache | None = None
 ) -> tuple[Scene | None, Program | None, Report]:
     """Check a scene as in an editor, with its programs and bodies: everything in `check_path` except findings about the meshes of
     its world.
@@ -219,21 +227,26 @@ def check_scene_text(
     `texts` are the scenes that override those on disk: this one, and those that it extends."""
     from antdsl.bodies.crowd_bodies import crowd_bodies
 
-    scene, program, _, report = _read_scene(path, Choices(), parsed=parsed, data=texts[path], texts=texts)
+    scene, program, _, report = _read_scene(path, RunChoices(), parsed=parsed, data=texts[path], texts=texts)
     if scene is not None and program is not None and report.ok:
         report.extend(crowd_bodies(scene, program)[1])
     return scene, program, report
 
 
 def check_path(
-    path: Path, choices: Choices | None = None, *, strict: bool = False, parsed: Parsed | None = None, specs: bool = True
+    path: Path,
+    choices: RunChoices | None = None,
+    *,
+    strict: bool = False,
+    parsed: ParsedFileCache | None = None,
+    specs: bool = True,
 ) -> tuple[Program | None, Report]:
     """Check a file without running it: a program alone, or a scene with its programs and meshes. With one `parsed` for many
     files, findings about a program have one location, whichever file names it. `specs`: also check that the scenes of its specs
     exist."""
     from antdsl.scene.existence_checks import check_spec_scenes
 
-    choices = choices or Choices()
+    choices = choices or RunChoices()
     if path.suffix == ".ant":
         program, report = compile_files([path], strict=strict, parsed=parsed)
         report.extend(check_spec_scenes(program, choices.grants) if specs else ())
@@ -254,7 +267,7 @@ def check_path(
     return program, report
 
 
-def mesh_imports(path: Path, choices: Choices) -> tuple[Mapping[str, MeshImport], str]:
+def mesh_imports(path: Path, choices: RunChoices) -> tuple[Mapping[str, MeshImport], str]:
     """Return by name the import notes of each readable mesh of a scene, whatever else is wrong, and the scene's unit."""
     from antdsl.scene.staging.stage_scene import import_reports
 
@@ -262,7 +275,7 @@ def mesh_imports(path: Path, choices: Choices) -> tuple[Mapping[str, MeshImport]
     return ({}, "mm") if scene is None or program is None else (import_reports(scene, program), scene.model.units)
 
 
-def _attribute_warnings(report: Report, scene: Scene, program: Program, setting: Setting | None) -> list[Diagnostic]:
+def _attribute_warnings(report: Report, scene: Scene, program: Program, setting: WorldSetting | None) -> list[Diagnostic]:
     """Return the warnings about attributes that do not hold in a scene.
 
     These say that an attribute is constant, where the scene sets it for some agents at the start. Or they say that it is never

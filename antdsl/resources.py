@@ -6,13 +6,13 @@ from __future__ import annotations
 import os
 from pathlib import Path
 
-_PACKAGE = Path(__file__).resolve().parent
+_PACKAGE_FOLDER = Path(__file__).resolve().parent
 
 
 def _folder(name: str) -> Path:
     """Return a folder: in `_data` in an installed package, next to the package in a checkout."""
-    packed = _PACKAGE / "_data" / name
-    return packed if packed.is_dir() else _PACKAGE.parent / name
+    packed = _PACKAGE_FOLDER / "_data" / name
+    return packed if packed.is_dir() else _PACKAGE_FOLDER.parent / name
 
 
 def grammar_folder() -> Path:
@@ -48,7 +48,7 @@ def example_file(name: str) -> Path:
 
 def project_file(name: str) -> Path:
     """A file of the project that `antdsl new` writes."""
-    return _PACKAGE / "cli" / "project" / name
+    return _PACKAGE_FOLDER / "cli" / "project" / name
 
 
 def code_page(code: str) -> Path | None:
@@ -59,9 +59,9 @@ def code_page(code: str) -> Path | None:
 
 def page_file(name: str) -> Path:
     """Return a built file of the preview's page: `index.html`, `app.js`, `app.css`."""
-    return _PACKAGE / "preview" / "page" / name
+    return _PACKAGE_FOLDER / "preview" / "page" / name
 
 
 def body_file(name: str) -> Path:
     """Return a file of the bodies that come with antdsl: `bodies.json`, `ant.json`, `ant.glb`."""
-    return _PACKAGE / "bodies" / "data" / name
+    return _PACKAGE_FOLDER / "bodies" / "data" / name

@@ -12,8 +12,8 @@ from antdsl.bounded import read_bounded
 from antdsl.limits import MIB
 from antdsl.resources import behaviours_folder, grammar_folder
 
-_ENDINGS = (".py", ".ll", ".ant", ".json", ".lark")  # what a result may depend on
-_SKIPPED = frozenset(["_data", "page", "web", "__pycache__"])
+_HASHED_SUFFIXES = (".py", ".ll", ".ant", ".json", ".lark")  # what a result may depend on
+_SKIPPED_FOLDERS = frozenset(["_data", "page", "web", "__pycache__"])
 
 
 def has_modules() -> bool:
@@ -27,8 +27,8 @@ def sources() -> str:
     hashed = blake2b(digest_size=12)
     for start in (Path(antdsl.__file__).parent, behaviours_folder(), grammar_folder()):
         for folder, inner, files in os.walk(start):
-            inner[:] = sorted(name for name in inner if name not in _SKIPPED)
-            for name in sorted(name for name in files if name.endswith(_ENDINGS)):
+            inner[:] = sorted(name for name in inner if name not in _SKIPPED_FOLDERS)
+            for name in sorted(name for name in files if name.endswith(_HASHED_SUFFIXES)):
                 path = os.path.join(folder, name)
                 for part in (Path(path).relative_to(start).as_posix().encode(), read_bounded(path, 16 * MIB)):
                     hashed.update(len(part).to_bytes(8, "little"))

@@ -12,7 +12,7 @@ from pathlib import Path
 
 from antdsl.bounded import open_regular, read_handle
 
-_LOCAL_APP_DATA = "f1b32785-6fba-4fcf-9d55-7b8e7f157091"  # the known folder for data of one user on one machine
+_LOCAL_APP_DATA_FOLDER_ID = "f1b32785-6fba-4fcf-9d55-7b8e7f157091"  # the known folder for data of one user on one machine
 
 
 class NotPrivate(PermissionError):
@@ -87,7 +87,7 @@ def _local_app_data() -> Path:
     from uuid import UUID
 
     folder_pointer = ctypes.c_wchar_p()
-    name = (ctypes.c_char * 16).from_buffer_copy(UUID(_LOCAL_APP_DATA).bytes_le)
+    name = (ctypes.c_char * 16).from_buffer_copy(UUID(_LOCAL_APP_DATA_FOLDER_ID).bytes_le)
     failed = ctypes.windll.shell32.SHGetKnownFolderPath(name, 0, None, ctypes.byref(folder_pointer))
     try:
         if failed or not folder_pointer.value:

@@ -19,17 +19,17 @@ from itertools import islice
 from pathlib import Path
 from typing import IO, cast
 
-PART = ".part"
-Parts = Sequence[bytes | memoryview]
-_LONGEST = 40  # characters of a name that are retained, so that no system rejects the new name as too long
-_TRIES = 8
-_NO_SUCH_CALL = (errno.EINVAL, errno.ENOSYS, errno.EOPNOTSUPP)  # of file systems that cannot sync a folder
-_AT_ONCE = 1000  # parts; systems take 1024
-_NEW = os.O_WRONLY | os.O_CREAT | os.O_EXCL | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_BINARY", 0)
-_APPEND = os.O_WRONLY | os.O_APPEND | os.O_CREAT | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_BINARY", 0)
+PART_SUFFIX = ".part"
+BytesParts = Sequence[bytes | memoryview]
+_MAX_NAME_CHARACTERS = 40  # characters of a name that are retained, so that no system rejects the new name as too long
+_MAX_NAME_ATTEMPTS = 8
+_UNSUPPORTED_SYNC_ERRORS = (errno.EINVAL, errno.ENOSYS, errno.EOPNOTSUPP)  # of file systems that cannot sync a folder
+_PARTS_PER_WRITE = 1000  # parts; systems take 1024
+_NEW_FILE_FLAGS = os.O_WRONLY | os.O_CREAT | os.O_EXCL | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_BINARY", 0)
+_APPEND_FLAGS = os.O_WRONLY | os.O_APPEND | os.O_CREAT | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_BINARY", 0)
 
 
-def write_atomically(path: Path, data: bytes | Parts, *, sync: bool = True, mode: int = 0o666) -> None:
+def write_atomically(path: Path, data: bytes | BytesParts, *, sync: bool = True, mode: int = 0o666) -> None:
     """Write a file atomically. `data`: its bytes, or parts to be joined.
 
     A reader, even after a crash, sees the old file or all of the new one. An OSError names `path`; the old file then stays.
@@ -46,7 +46,7 @@ def atomic_file(path: Path, *, sync: bool = True) -> Iterator[IO[bytes]]:
 
 
 @contextmanager
-def atomic_path(path: Path, ending: str = PART, *, sync: bool = True) -> Iterator[Path]:
+def atomic_path(path: Path, ending: str = PART_SUFFIX, *, sync: bool = True) -> Iterator[Path]:
     """As `atomic_file`, with a path, for libraries and programs that open files by name. `ending`: the suffix of the file being
     written, for programs that depend on it."""
     part = new_sibling(path, ending)
@@ -56,7 +56,7 @@ def atomic_path(path: Path, ending: str = PART, *, sync: bool = True) -> Iterato
             sync_file(part)
 
 
-def new_sibling(path: Path, ending: str = PART) -> Path:
+def new_sibling(path: Path, ending: str = PART_SUFFIX) -> Path:
     """Create an empty new file next to a path. Existing files, links or pipes are neither opened, written nor removed. Raises
     OSError if no file can be created."""
     new, handle = _open_new(path, ending, 0o666)
@@ -68,10 +68,12 @@ def _open_new(path: Path, ending: str, mode: int) -> tuple[str, int]:
     """As `new_sibling`, open for writing: return its path and its handle."""
     place, name = os.path.split(path)
     remove_stale(place)
-    for left in reversed(range(_TRIES)):
-        new = os.path.join(place, f".{name[:_LONGEST]}.{_machine_digits()}-{os.getpid():x}-{os.urandom(6).hex()}{ending}")
+    for left in reversed(range(_MAX_NAME_ATTEMPTS)):
+        new = os.path.join(
+            place, f".{name[:_MAX_NAME_CHARACTERS]}.{_machine_digits()}-{os.getpid():x}-{os.urandom(6).hex()}{ending}"
+        )
         try:
-            return new, os.open(new, _NEW, mode)
+            return new, os.open(new, _NEW_FILE_FLAGS, mode)
         except FileExistsError:
             if not left:
                 raise
@@ -82,8 +84,8 @@ def _open_new(path: Path, ending: str, mode: int) -> tuple[str, int]:
 
 
 # The name that `_open_new` gives: which machine, which process, chance.
-_STALE = re.compile(r"\..{1,40}\.([0-9a-f]{8})-([0-9a-f]{1,8})-[0-9a-f]{12}(?:\.\w{1,8})+", re.DOTALL)
-_cleaned: set[tuple[int, str]] = set()
+_PART_NAME_PATTERN = re.compile(r"\..{1,40}\.([0-9a-f]{8})-([0-9a-f]{1,8})-[0-9a-f]{12}(?:\.\w{1,8})+", re.DOTALL)
+_cleaned_folders: set[tuple[int, str]] = set()
 
 
 def remove_stale(folder: str) -> None:
@@ -92,12 +94,12 @@ def remove_stale(folder: str) -> None:
     Only regular files of this user with our name pattern are removed, if their process ran on this machine (in this container)
     and is gone. No clock is used. Does nothing on Windows, where testing for a process is not safe."""
     key = (os.getpid(), os.path.abspath(folder or "."))
-    if key in _cleaned or os.name == "nt":
+    if key in _cleaned_folders or os.name == "nt":
         return
-    _cleaned.add(key)
+    _cleaned_folders.add(key)
     with suppress(OSError), os.scandir(folder or ".") as entries:
         for entry in entries:
-            match = _STALE.fullmatch(entry.name) if entry.name.startswith(".") else None
+            match = _PART_NAME_PATTERN.fullmatch(entry.name) if entry.name.startswith(".") else None
             if match is None or match[1] != _machine_digits() or _is_running(int(match[2], 16)):
                 continue
             with suppress(OSError):
@@ -135,7 +137,7 @@ def _cached_machine_digits(process: int) -> str:
 @contextmanager
 def _open_atomic(path: Path, sync: bool, mode: int) -> Iterator[int]:
     """Yield a handle of a file that replaces `path` at the end."""
-    part, handle = _open_new(path, PART, mode)
+    part, handle = _open_new(path, PART_SUFFIX, mode)
     with _move_into_place(part, path, sync):
         try:
             # The file is emptied before anything is written. Ext4 then treats it as rewritten, and begins writing it to disk on
@@ -151,7 +153,7 @@ def _open_atomic(path: Path, sync: bool, mode: int) -> Iterator[int]:
 def create_complete(path: Path, data: bytes, mode: int = 0o666) -> None:
     """Create a file that has its complete content as soon as it has its name. Raises FileExistsError if the name is taken,
     another OSError if it cannot be written. `mode`: as in `write_atomically`."""
-    part, handle = _open_new(path, PART, mode)
+    part, handle = _open_new(path, PART_SUFFIX, mode)
     try:
         with os.fdopen(handle, "wb") as file:
             file.write(data)
@@ -211,9 +213,9 @@ class AppendedFile:
 
     def __init__(self, path: Path) -> None:
         self._path = path
-        self._handle = os.open(path, _APPEND, 0o666)
+        self._handle = os.open(path, _APPEND_FLAGS, 0o666)
 
-    def write(self, parts: Parts) -> None:
+    def write(self, parts: BytesParts) -> None:
         """Append parts. They are on the disk after the next `sync`; before that, possibly only a beginning of them."""
         with name_failures(self._path):
             write_parts(self._handle, parts)
@@ -227,12 +229,12 @@ class AppendedFile:
         os.close(self._handle)
 
 
-def write_parts(handle: int, parts: Parts) -> None:
+def write_parts(handle: int, parts: BytesParts) -> None:
     """Write parts one after the other into an open file. If the system supports it, one call writes all: allocating one large
     piece takes half the time of many small ones."""
     left = deque(parts)
     while left:
-        batch = list(islice(left, _AT_ONCE))
+        batch = list(islice(left, _PARTS_PER_WRITE))
         written_count = os.writev(handle, batch) if hasattr(os, "writev") else os.write(handle, batch[0])
         while left and written_count >= len(left[0]):
             written_count -= len(left.popleft())
@@ -272,7 +274,7 @@ def sync_folder(folder: Path) -> None:
         with name_failures(folder):
             os.fsync(handle)
     except OSError as problem:
-        if problem.errno not in _NO_SUCH_CALL:
+        if problem.errno not in _UNSUPPORTED_SYNC_ERRORS:
             raise
     finally:
         os.close(handle)

@@ -146,13 +146,13 @@ def _checked(words: tuple[str, ...]) -> str:
     from antdsl.diagnostics.ignoring import apply_ignores
     from antdsl.diagnostics.render import render
     from antdsl.files import load_sources
-    from antdsl.loading import Parsed
-    from antdsl.pipeline import Choices, check_path
+    from antdsl.loading import ParsedFileCache
+    from antdsl.pipeline import RunChoices, check_path
 
     strict = "--strict" in words
     grants = dict(word.split("=") for flag, word in pairwise(words) if flag == "--root")
-    choices = Choices({name: Path(folder) for name, folder in grants.items()})
-    parsed: Parsed = {}
+    choices = RunChoices({name: Path(folder) for name, folder in grants.items()})
+    parsed: ParsedFileCache = {}
     report = check_path(Path(words[-1]), choices, strict=strict, parsed=parsed)[1]
     findings = apply_ignores(report, load_sources([Path(words[-1])], parsed), strict=strict).sorted()
     report = Report([replace(one, severity="error") for one in findings] if strict else findings)
@@ -208,7 +208,7 @@ def index() -> str:
         if section:
             lines += ["", f"## {section[1][:1].upper()}{section[1][1:]}", "", "| code | meaning |", "|---|---|"]
         elif code:
-            meaning = codes.CODES[code[1]].replace("|", "\\|")
+            meaning = codes.CODE_DESCRIPTIONS[code[1]].replace("|", "\\|")
             lines.append(f"| [`{code[1]}`]({code[1]}.md) | {meaning} |")
     return "\n".join(lines) + "\n"
 
@@ -227,13 +227,13 @@ An example is a file in a folder with the files of the smallest example, [exampl
 def main(page_codes: list[str]) -> None:
     import tempfile
 
-    from antdsl.diagnostics.codes import CODES
+    from antdsl.diagnostics.codes import CODE_DESCRIPTIONS
 
     with tempfile.TemporaryDirectory() as folder:
-        for code in page_codes or CODES:
+        for code in page_codes or CODE_DESCRIPTIONS:
             page = PAGES / f"{code}.md"
             if page.exists():
-                page.write_text(written(page, CODES[code], Path(folder, code)), encoding="utf-8")
+                page.write_text(written(page, CODE_DESCRIPTIONS[code], Path(folder, code)), encoding="utf-8")
     (PAGES / "README.md").write_text(index(), encoding="utf-8")
 
 

@@ -33,16 +33,16 @@ def first(name: str) -> Any:
 VERBS = first("antdsl.syntax.verbs")
 VERBS.VERBS["scratch"] = VERBS.Verb("scratch", "arguments", "scratch ground(depth: 1 mm)", "the name of a surface")
 
-from antdsl.program.tables.effects import EFFECTS, Effect  # noqa: E402
-from antdsl.program.tables.rows import Arg, Cost  # noqa: E402
+from antdsl.program.tables.effects import EFFECT_BY_OPERATION, Effect  # noqa: E402
+from antdsl.program.tables.rows import ArgumentRow, UseCost  # noqa: E402
 
-EFFECTS["scratch"] = Effect(
+EFFECT_BY_OPERATION["scratch"] = Effect(
     "scratch",
     "surface",
     (
-        Arg("depth", "length", above=0, called="depth of a scratch", sample="1 mm"),
-        Arg("width", "length", default="2 mm"),
-        Arg("into", "own mm^2", optional=True, called="an area", sample="dust"),
+        ArgumentRow("depth", "length", above=0, called="depth of a scratch", sample="1 mm"),
+        ArgumentRow("width", "length", default="2 mm"),
+        ArgumentRow("into", "own mm^2", optional=True, called="an area", sample="dust"),
     ),
     "effects",
     "scratches a surface",
@@ -51,7 +51,7 @@ EFFECTS["scratch"] = Effect(
     "scratch {of}, {depth} mm deep",
     refused="scratch {of}",
     above_0=True,
-    cost=Cost(30, "scratches {thing}"),
+    cost=UseCost(30, "scratches {thing}"),
 )
 
 from explained import cached, shot_of  # noqa: E402
@@ -80,7 +80,7 @@ def scratched(world: World) -> None:
                 population.now[entry.request.own][entry.rows] += entry.arg(0) * entry.arg(1)
 
 
-phases.SETTLES["scratch"] = scratched
+phases.SETTLER_BY_EFFECT["scratch"] = scratched
 
 PROGRAM = """ant 1
 world { surface ground }

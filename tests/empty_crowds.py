@@ -22,10 +22,10 @@ from test_program import checked
 from antdsl.passes import optimise
 from antdsl.plan import ir
 from antdsl.program.tables import senses
-from antdsl.program.tables.rows import Arg, Builtin
-from antdsl.program.tables.set_senses import GIVES_SET, SET_SENSES
-from antdsl.runtime import FieldStart, Setting
-from antdsl.scene.setting import Painted
+from antdsl.program.tables.rows import ArgumentRow, BuiltinRow
+from antdsl.program.tables.set_senses import SET_RESULT_OPERATIONS, SET_SENSE_BY_OPERATION
+from antdsl.runtime import FieldStart, WorldSetting
+from antdsl.scene.setting import PaintedValues
 
 Size = Literal["sets", "all", "pairs"]
 FRAMES = 12  # at 10 a second
@@ -156,14 +156,14 @@ LIVES = (
 WHO = ("asker", "rabbit", "both", "everybody")
 
 
-def calls(word: Builtin) -> Iterator[str]:
+def calls(word: BuiltinRow) -> Iterator[str]:
     """A word of a set with all that has to be given, with each thing that may, and with all of them."""
     may = [arg for arg in word.args if arg.optional or arg.default is not None]
     for chosen in [[], *([each] for each in may), may]:
         yield f"{word.op}({', '.join(_argument_text(arg) for arg in word.args if arg not in may or arg in chosen)})"
 
 
-def _argument_text(arg: Arg) -> str:
+def _argument_text(arg: ArgumentRow) -> str:
     plain = not arg.optional and arg.type in ("species", "items", "set")
     return ARGUMENTS[arg.type] if plain else f"{arg.name}: {ARGUMENTS[arg.type]}"
 
@@ -171,7 +171,9 @@ def _argument_text(arg: Arg) -> str:
 @cache
 def sets() -> tuple[str, ...]:
     """All sets that can be queried, by the table."""
-    return tuple({call: 0 for op in sorted(GIVES_SET) for word in SET_SENSES[op].rows for call in calls(word)})
+    return tuple(
+        {call: 0 for op in sorted(SET_RESULT_OPERATIONS) for word in SET_SENSE_BY_OPERATION[op].rows for call in calls(word)}
+    )
 
 
 @cache
@@ -194,14 +196,20 @@ def samples() -> tuple[tuple[str, str], ...]:
         ("flow_value", "drift"),
         ("map_value", "damp"),
     ]
-    op_texts += [(op, call) for op, row in SET_SENSES.items() if op not in GIVES_SET for word in row.rows for call in calls(word)]
+    op_texts += [
+        (op, call)
+        for op, row in SET_SENSE_BY_OPERATION.items()
+        if op not in SET_RESULT_OPERATIONS
+        for word in row.rows
+        for call in calls(word)
+    ]
     return tuple((op, written(op, text.replace("path", "way_in"))) for op, text in op_texts)
 
 
 def words() -> set[str]:
     """All senses of the tables by their words; what has no sample has to be in `samples` by hand."""
     every = {word.op for how in ("call", "name", "value") for word in senses.find_words(how)}
-    return every | {op for op in SET_SENSES if op not in GIVES_SET}
+    return every | {op for op in SET_SENSE_BY_OPERATION if op not in SET_RESULT_OPERATIONS}
 
 
 def written(word: str, sample: str) -> str:
@@ -232,7 +240,7 @@ def plan(size: Size = "all") -> ir.Plan:
 KINDS = tuple(kind for kind in random_extremes.Extremes.KINDS if kind != "loose")  # the program names a surface
 
 
-def setting(who: str, life: Life, kind: str = "still", seed: int = 0) -> Setting:
+def setting(who: str, life: Life, kind: str = "still", seed: int = 0) -> WorldSetting:
     """A world with everything; `who` is there as `life` says, the others all the time, eggs with them."""
     extremes = cast(random_extremes.Extremes, SimpleNamespace(kind=kind, seed=seed))
     lives = {name: life if who in (name, "both", "everybody") else Life("always", 3) for name in ("asker", "rabbit")}
@@ -246,6 +254,6 @@ def setting(who: str, life: Life, kind: str = "still", seed: int = 0) -> Setting
     params |= {"egg.hatch": life.again, "egg.asks": float(lives["asker"] is life), "egg.runs": float(lives["rabbit"] is life)}
     params["egg.life"] = life.until if ends else ENDLESS
     base_setting = random_extremes.setting(extremes)
-    plain = {"damp": Painted("ground", np.abs(base_setting.surfaces["ground"].vertices[:, 1]) / 8)}
+    plain = {"damp": PaintedValues("ground", np.abs(base_setting.surfaces["ground"].vertices[:, 1]) / 8)}
     start = {"trail": FieldStart(0.5, (0.0, 0.0, 0.0), 40.0)}
     return replace(base_setting, crowds=crowds, params=params, maps=plain, field_start=start)

@@ -15,7 +15,7 @@ from antdsl.explain import CacheHistory, Explanation, Replay, explain_agents, op
 from antdsl.numerics import randomness
 from antdsl.outputs.cache.cache_reader import Cache, open_cache
 from antdsl.outputs.recording import begin, record
-from antdsl.pipeline import Choices, Shot, open_scene
+from antdsl.pipeline import RunChoices, Shot, open_scene
 from antdsl.runtime import Options, World, bind, state_hash
 from antdsl.runtime.phases import PHASES
 from antdsl.scene.values import FrameRange
@@ -38,7 +38,7 @@ class Fact:
 
 
 def shot_of(scene: Path, last: int, **choices: Any) -> Shot:
-    shot, report = open_scene(scene, Choices(frames=FrameRange(1, last), **choices))
+    shot, report = open_scene(scene, RunChoices(frames=FrameRange(1, last), **choices))
     assert shot is not None, report.sorted()
     return shot
 

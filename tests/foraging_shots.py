@@ -14,9 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl.casting.rays import RayScene
-from antdsl.pipeline import Choices, Shot, open_scene
+from antdsl.pipeline import RunChoices, Shot, open_scene
 from antdsl.runtime import Options, World, bind, step
-from antdsl.scene.setting import Setting
+from antdsl.scene.setting import WorldSetting
 
 EXAMPLE = Path(__file__).resolve().parents[1] / "examples" / "foraging"
 STATES = ("search", "turn_home", "approach", "carry", "set_out", "follow_trail")
@@ -26,7 +26,7 @@ APPLE = (120.0, 0.0, 90.0)
 @cache
 def shot(scene: Path = EXAMPLE / "scene.yaml") -> Shot:
     """A scene, ready to be bound."""
-    opened, report = open_scene(scene, Choices())
+    opened, report = open_scene(scene, RunChoices())
     assert opened is not None and report.ok, [d.message for d in report.sorted()]
     return opened
 
@@ -40,7 +40,7 @@ def setting(
     load: float | None = None,
     scene: Path = EXAMPLE / "scene.yaml",
     **params: float,
-) -> Setting:
+) -> WorldSetting:
     """The example's setting with another crowd, rate, load of all food or parameters (base units)."""
     base_setting = shot(scene).setting
     crowd = base_setting.crowds[0]

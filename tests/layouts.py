@@ -11,17 +11,17 @@ from random_programs import Author
 
 from antdsl.diagnostics.model import Report
 from antdsl.source import Source
-from antdsl.syntax.blocks import Line, cut_lines
+from antdsl.syntax.blocks import SourceLine, cut_lines
 from antdsl.syntax.brackets import pair_brackets
-from antdsl.syntax.scan import Scan, Token, scan
-from antdsl.syntax.words import BODIES
+from antdsl.syntax.scan import ScannedToken, TokenScan, scan
+from antdsl.syntax.words import BODY_RULE_BY_LINE
 
 ROOT = Path(__file__).resolve().parents[1]
 _FOLDERS = ("examples", "behaviours", "tests/programs", "tests/cases/syntax", "tests/cases/plan")
 FILES = sorted(path for folder in _FOLDERS for path in (ROOT / folder).rglob("*.ant"))
 
 
-def scanned(text: str) -> tuple[Scan, list[Token]]:
+def scanned(text: str) -> tuple[TokenScan, list[ScannedToken]]:
     scan_result = scan(Source("t.ant", text), Report())
     tokens = pair_brackets(scan_result)
     assert tokens is not None
@@ -33,12 +33,16 @@ def pieces() -> dict[str, list[str]]:
     """The texts of all lines of the files, with their blocks, by the rule that reads them."""
     texts_by_rule: dict[str, list[str]] = {}
 
-    def walk(text: str, lines: list[Line], rule: str) -> None:
+    def walk(text: str, lines: list[SourceLine], rule: str) -> None:
         for line in lines:
             words = text[line.start : line.end]
             texts_by_rule.setdefault(rule, []).append(words)
             for group in line.groups:
-                inner = "weight" if group.chooses else BODIES.get((rule, words.split()[0])) or BODIES.get((rule, "*"))
+                inner = (
+                    "weight"
+                    if group.chooses
+                    else BODY_RULE_BY_LINE.get((rule, words.split()[0])) or BODY_RULE_BY_LINE.get((rule, "*"))
+                )
                 walk(text, group.lines, inner or "")
 
     for path in FILES:

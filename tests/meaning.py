@@ -11,7 +11,7 @@ from plan_text import WORLD, plan_of
 
 from antdsl.passes import optimise
 from antdsl.plan import ir
-from antdsl.runtime import CrowdData, ItemData, Options, PlaceData, Setting, World, bind, state_hash, step
+from antdsl.runtime import CrowdData, ItemData, Options, PlaceData, World, WorldSetting, bind, state_hash, step
 
 OPTION_SETS = (
     Options(backend="numpy"),
@@ -70,7 +70,7 @@ class RunHistory:
 
 
 def played(
-    plan: ir.Plan, setting: Setting, steps: int, species: str = "a", option_sets: Sequence[Options] = OPTION_SETS,
+    plan: ir.Plan, setting: WorldSetting, steps: int, species: str = "a", option_sets: Sequence[Options] = OPTION_SETS,
     each: Callable[[World], None] | None = None,
 ) -> RunHistory:  # fmt: skip
     """Run a plan in several ways; the hashes of all frames must be the same. `each` looks at every frame of the first way."""
@@ -101,5 +101,5 @@ def play(
 ) -> RunHistory:  # fmt: skip
     """Run a program on the endless plane, ten frames a second, by default with one agent of the species `a`."""
     plan = optimise(plan_of(text, world, **({} if orders is None else {"orders": orders})))
-    setting = Setting(fps=Fraction(fps), crowds=crowds or (crowd(),), **setting_arguments)
+    setting = WorldSetting(fps=Fraction(fps), crowds=crowds or (crowd(),), **setting_arguments)
     return played(plan, setting, steps, species, option_sets, each)

@@ -14,14 +14,14 @@ import plans
 from antdsl.machine_code import machine
 from antdsl.pipeline import open_scene
 from antdsl.plan import ir
-from antdsl.runtime import Options, Setting, bind, state_hash, step
+from antdsl.runtime import Options, WorldSetting, bind, state_hash, step
 
 EXAMPLES = Path(__file__).resolve().parent.parent / "examples"
 FRAMES = 8
 PLAIN = machine.Target("x86_64-unknown-linux-gnu", "x86-64", "")
 
 
-def states(plan: ir.Plan, setting: Setting, backend: str) -> list[str]:
+def states(plan: ir.Plan, setting: WorldSetting, backend: str) -> list[str]:
     """Hashes of all frames."""
     world = bind(plan, setting, Options(backend, wait_for_code=True))  # type: ignore[arg-type]
     hashes = [state_hash(world)]

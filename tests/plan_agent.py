@@ -7,8 +7,8 @@ from collections.abc import Callable
 from typing import Any
 
 from antdsl.plan import ir
-from antdsl.plan.ir import Block, Node
-from antdsl.plan.simplify import ARITHMETIC, COMPARISONS, f32
+from antdsl.plan.ir import Block, PlanNode
+from antdsl.plan.simplify import ARITHMETIC_FUNCTIONS, COMPARISON_FUNCTIONS, f32
 
 KERNELS: dict[str, Callable[..., float]] = {
     "sin": math.sin, "cos": math.cos, "exp": math.exp, "atan2": math.atan2, "pow": math.pow,
@@ -80,7 +80,7 @@ class Agent:
                     of = (s.of,) if s.of else ()
                     self.done.append((s.op, *of, *(None if node is None else self.value(node) for node in s.args)))
 
-    def value(self, node: Node) -> Any:
+    def value(self, node: PlanNode) -> Any:
         """Recomputed at each asking: sharing must not be what makes a plan right."""
         op, attrs = node.op, node.attrs
         if op.startswith("const"):
@@ -99,14 +99,14 @@ class Agent:
             return self.value(node.args[1] if self.value(node.args[0]) else node.args[2])
         if op == "get":
             return self.value(node.args[0])[attrs[0]]
-        values = [self.value(a) for a in node.args if a.rate is not ir.Rate.PAIR and a.kind is not ir.Kind.SET]
+        values = [self.value(a) for a in node.args if a.rate is not ir.UpdateRate.PAIR and a.kind is not ir.ValueKind.SET]
         return self._computed(op, attrs, values)
 
     def _computed(self, op: str, attrs: tuple, values: list[Any]) -> Any:
-        if op in ARITHMETIC:
-            return f32(ARITHMETIC[op](*values))
-        if op in COMPARISONS:
-            return COMPARISONS[op](*values)
+        if op in ARITHMETIC_FUNCTIONS:
+            return f32(ARITHMETIC_FUNCTIONS[op](*values))
+        if op in COMPARISON_FUNCTIONS:
+            return COMPARISON_FUNCTIONS[op](*values)
         if op in KERNELS:
             return f32(KERNELS[op](*values))
         if op in ("and", "or"):

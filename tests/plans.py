@@ -7,8 +7,8 @@ from fractions import Fraction
 import numpy as np
 
 from antdsl.plan import ir
-from antdsl.plan.builder import Builder
-from antdsl.runtime import CrowdData, ItemData, Setting
+from antdsl.plan.builder import PlanBuilder
+from antdsl.runtime import CrowdData, ItemData, WorldSetting
 from antdsl.scene.setting import PlaceData
 
 DEFAULT_ATTRIBUTES = {
@@ -26,15 +26,15 @@ VECTORS = ("position", "velocity", "heading", "up")
 
 def registers(*extra: ir.Register) -> dict[str, ir.Register]:
     """What every species has, and more."""
-    defaults = [ir.Register(f"{v}.{a}", ir.Kind.F32, "attribute") for v in VECTORS for a in "xyz"]
-    defaults += [ir.Register(name, ir.Kind.F32, "attribute", zero) for name, zero in DEFAULT_ATTRIBUTES.items()]
-    defaults.append(ir.Register("max_turn", ir.Kind.F32, "attribute", float("inf")))
-    defaults += [ir.Register(f"push.{a}", ir.Kind.F32, "temp") for a in "xyz"]
+    defaults = [ir.Register(f"{v}.{a}", ir.ValueKind.F32, "attribute") for v in VECTORS for a in "xyz"]
+    defaults += [ir.Register(name, ir.ValueKind.F32, "attribute", zero) for name, zero in DEFAULT_ATTRIBUTES.items()]
+    defaults.append(ir.Register("max_turn", ir.ValueKind.F32, "attribute", float("inf")))
+    defaults += [ir.Register(f"push.{a}", ir.ValueKind.F32, "temp") for a in "xyz"]
     return {r.name: r for r in (*defaults, *extra)}
 
 
 def machine(*states: str) -> tuple[ir.MachinePlan, list[ir.Register]]:
-    kinds = {"state": ir.Kind.I32, "previous": ir.Kind.I32, "next": ir.Kind.I32, "time_in_state": ir.Kind.F32}
+    kinds = {"state": ir.ValueKind.I32, "previous": ir.ValueKind.I32, "next": ir.ValueKind.I32, "time_in_state": ir.ValueKind.F32}
     return ir.MachinePlan("main", states, states, ((1.0, 0.0, 0.0),) * len(states)), [
         ir.Register(f"main.{name}", kind, "memory") for name, kind in kinds.items()
     ]
@@ -44,43 +44,43 @@ class Text:
     """Shorter words for a Builder."""
 
     def __init__(self) -> None:
-        self.b = Builder()
+        self.b = PlanBuilder()
 
-    def __call__(self, op: str, *args: ir.Node | float, attrs: tuple = (), kind: ir.Kind | None = None) -> ir.Node:
+    def __call__(self, op: str, *args: ir.PlanNode | float, attrs: tuple = (), kind: ir.ValueKind | None = None) -> ir.PlanNode:
         return self.b(op, *(self.b.number(a) if isinstance(a, int | float) else a for a in args), attrs=attrs, kind=kind)
 
-    def snap(self, name: str, kind: ir.Kind = ir.Kind.F32) -> ir.Node:
+    def snap(self, name: str, kind: ir.ValueKind = ir.ValueKind.F32) -> ir.PlanNode:
         return self.b("snap", attrs=(name,), kind=kind)
 
-    def load(self, name: str, version: int, kind: ir.Kind = ir.Kind.F32) -> ir.Node:
+    def load(self, name: str, version: int, kind: ir.ValueKind = ir.ValueKind.F32) -> ir.PlanNode:
         return self.b("load", attrs=(name, version), kind=kind)
 
-    def draw(self, site: str, index: int = 0) -> ir.Node:
+    def draw(self, site: str, index: int = 0) -> ir.PlanNode:
         return self.b("draw", attrs=(site, index))
 
-    def get(self, node: ir.Node, index: int) -> ir.Node:
+    def get(self, node: ir.PlanNode, index: int) -> ir.PlanNode:
         return self.b("get", node, attrs=(index,))
 
-    def vector(self, name: str) -> list[ir.Node]:
+    def vector(self, name: str) -> list[ir.PlanNode]:
         return [self.snap(f"{name}.{a}") for a in "xyz"]
 
 
-def block(*statements: ir.Statement) -> ir.Block:
+def block(*statements: ir.PlanStatement) -> ir.Block:
     return ir.Block(statements)
 
 
-def store(name: str, value: ir.Node, infinite: bool = False) -> ir.Store:
+def store(name: str, value: ir.PlanNode, infinite: bool = False) -> ir.Store:
     return ir.Store(name, value, None, infinite)
 
 
-def when(condition: ir.Node, *statements: ir.Statement) -> ir.If:
+def when(condition: ir.PlanNode, *statements: ir.PlanStatement) -> ir.If:
     return ir.If(condition, block(*statements), None)
 
 
 def rich() -> ir.Plan:
     """Ants that search, take food and bring it home, with neighbours, events, births and deaths; and flies that watch them."""
     t = Text()
-    F, B, R, L = ir.Kind.F32, ir.Kind.BOOL, ir.Kind.I32, ir.Kind.I64
+    F, B, R, L = ir.ValueKind.F32, ir.ValueKind.BOOL, ir.ValueKind.I32, ir.ValueKind.I64
     main, bookkeeping = machine("search", "carry")
     ant_registers = registers(
         *bookkeeping,
@@ -232,7 +232,7 @@ def rich() -> ir.Plan:
     )
 
 
-def setting(ants: int = 40, flies: int = 3, **overrides: object) -> Setting:
+def setting(ants: int = 40, flies: int = 3, **overrides: object) -> WorldSetting:
     """The plane, three sources of food, a nest, and a crowd about the middle."""
     items = {
         "food": (
@@ -247,7 +247,7 @@ def setting(ants: int = 40, flies: int = 3, **overrides: object) -> Setting:
         CrowdData("fly", flies, PlaceData(points=np.array([[50.0, 0.0, 0.0], [0.0, 0.0, 50.0], [-20.0, 0.0, 0.0]])), group=1),
     )
     defaults = dict(fps=Fraction(24), seed=11, items=items, crowds=crowds)
-    return Setting(**{**defaults, **overrides})  # type: ignore[arg-type]
+    return WorldSetting(**{**defaults, **overrides})  # type: ignore[arg-type]
 
 
 def bare(
@@ -260,14 +260,14 @@ def bare(
     **plan: object,
 ) -> ir.Plan:
     """One species with some number registers and nothing else to do."""
-    ant_registers = registers(*(ir.Register(name, ir.Kind.F32, "attribute") for name in numbers), *extra_registers)
+    ant_registers = registers(*(ir.Register(name, ir.ValueKind.F32, "attribute") for name in numbers), *extra_registers)
     empty = block()
     ant = ir.SpeciesPlan("ant", ant_registers, (), born or empty, decide or empty, act, blend or empty, (), ())
     defaults: dict = dict(fields={}, items={}, params={}, things={})
     return ir.Plan(species={"ant": ant}, **{**defaults, **plan})
 
 
-def crowd(count: int, radius: float = 40.0, **overrides: object) -> Setting:
+def crowd(count: int, radius: float = 40.0, **overrides: object) -> WorldSetting:
     """So many ants about the origin."""
     crowds = (CrowdData("ant", count, PlaceData(around=(0.0, 0.0, 0.0), radius=radius)),)
-    return Setting(**{**dict(seed=3, crowds=crowds), **overrides})  # type: ignore[arg-type]
+    return WorldSetting(**{**dict(seed=3, crowds=crowds), **overrides})  # type: ignore[arg-type]

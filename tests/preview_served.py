@@ -14,9 +14,9 @@ from websockets.frames import Opcode
 from antdsl.preview.live import Client, QueueFull
 from antdsl.preview.requests import Ask
 from antdsl.preview.serving.addresses import ListeningSockets, listen
-from antdsl.preview.serving.guard import Guard
+from antdsl.preview.serving.guard import RequestGuard
 from antdsl.preview.serving.pages import PageFiles, load_pages
-from antdsl.preview.serving.server import Server
+from antdsl.preview.serving.server import PreviewServer
 
 SECONDS = 20  # that a test may take at most
 
@@ -48,7 +48,7 @@ class Noted:
 @dataclass
 class Served:
     live: Noted
-    guard: Guard
+    guard: RequestGuard
     pages: PageFiles
     listening: ListeningSockets
 
@@ -114,8 +114,8 @@ class Served:
 @asynccontextmanager
 async def served(**live: Any) -> AsyncIterator[Served]:
     listening = listen(port=0)
-    server = Served(Noted(**live), Guard(listening.names), load_pages(), listening)
-    async with asyncio.timeout(SECONDS), Server(server.live, server.guard, server.pages, listening).running():
+    server = Served(Noted(**live), RequestGuard(listening.names), load_pages(), listening)
+    async with asyncio.timeout(SECONDS), PreviewServer(server.live, server.guard, server.pages, listening).running():
         yield server
 
 

@@ -20,12 +20,18 @@ from antdsl.plan import ir, lower, verify
 from antdsl.plan.traverse import blocks, statements
 from antdsl.program import typed
 from antdsl.program.model import Program
-from antdsl.program.tables.effects import EFFECTS
-from antdsl.program.tables.set_senses import GIVES_SET, SET_SENSES
-from antdsl.program.tables.vocabulary import BUILTIN_ATTRIBUTES, BUILTINS, OTHER_OPS, REDUCERS, SIGN_OPS
+from antdsl.program.tables.effects import EFFECT_BY_OPERATION
+from antdsl.program.tables.set_senses import SET_RESULT_OPERATIONS, SET_SENSE_BY_OPERATION
+from antdsl.program.tables.vocabulary import (
+    BUILTIN_ATTRIBUTE_BY_NAME,
+    BUILTINS_BY_NAME,
+    OPERATION_BY_SIGN,
+    OTHER_OPERATIONS,
+    REDUCER_HELP,
+)
 from antdsl.program.traverse import parts
-from antdsl.runtime import FieldStart, MeshData, Setting, World, set_param
-from antdsl.scene.setting import DetailData, Moves, Painted, SolidData, SpreadFlow, Target
+from antdsl.runtime import FieldStart, MeshData, World, WorldSetting, set_param
+from antdsl.scene.setting import DetailData, FlowTarget, GeometryMoves, PaintedValues, SolidData, SpreadFlow
 from antdsl.scene.staging.moves import MeshMoves
 
 ODD = (np.nan, np.inf, -np.inf, 1e30, -1e30, 3.4e38, 1e-40, -1e-45, 1e-30, -0.0, 0.0, 1.0, -1.0, 16777217.0, 2147483648.0)
@@ -190,11 +196,11 @@ def plan_and_program(extremes: Extremes) -> tuple[ir.Plan, Program]:
     return optimise(plan), program
 
 
-def setting(extremes: Extremes, agents: int = 21) -> Setting:
+def setting(extremes: Extremes, agents: int = 21) -> WorldSetting:
     """Hills with a boulder, a hill to dig in, a road, two sources and a nest; for the kind `loose` an endless plane."""
     draw = np.random.default_rng(extremes.seed)
     ground, stones = MeshData(*meshes.terrain(200.0, 12)), MeshData(*meshes.ball(15.0, (40, 5, 10), 6))
-    goal = Target(np.array([[60.0, 0.0, 0.0]]), np.array([8.0]))
+    goal = FlowTarget(np.array([[60.0, 0.0, 0.0]]), np.array([8.0]))
     lay = np.abs(ground.vertices[:, 1]) / 8
     lay[::7] = draw.choice(ODD[3:], len(lay[::7]))
     optional_parts: dict[str, Any] = {}
@@ -202,17 +208,17 @@ def setting(extremes: Extremes, agents: int = 21) -> Setting:
         optional_parts = {
             "surfaces": {"ground": ground},
             "flows": {"drift": SpreadFlow("toward", goal, radius=90.0)},
-            "maps": {"damp": Painted("ground", lay)},
+            "maps": {"damp": PaintedValues("ground", lay)},
             "solids": {"hill": SolidData(MeshData(*meshes.box((-70, -20, -70), (-30, 25, -30))), 4.0)},
             "field_start": {"trail": FieldStart(float(draw.choice([0.5, 1e30, 1e-40, 1e-310])), (0.0, 0.0, 0.0), 40.0)},
         }
     if extremes.kind == "moving":
         poses = np.repeat(np.eye(3, 4)[None], 30, axis=0)
         poses[:, 0, 3] = np.arange(30) * 0.5
-        optional_parts["moves"] = Moves(meshes={"ground": MeshMoves.rigid(poses, len(ground.vertices))})
+        optional_parts["moves"] = GeometryMoves(meshes={"ground": MeshMoves.rigid(poses, len(ground.vertices))})
     if extremes.kind == "detail":
         optional_parts["detail"] = DetailData(np.array([[0.0, 60.0, 0.0]]), 70.0, 90.0)
-    return Setting(
+    return WorldSetting(
         fps=Fraction(10),
         seed=extremes.seed,
         contacts=("off", "soft", "hard")[extremes.seed % 3],
@@ -261,13 +267,13 @@ def one_nan(world: World) -> None:
 def constructs(plan: ir.Plan, program: Program) -> Iterator[str]:
     """What of the language's tables a program has: words and reductions as checked, operations and statements of its plan."""
     for part in parts(program):
-        if isinstance(part, typed.Op):
+        if isinstance(part, typed.OperationExpr):
             yield f"word {part.name}"
-        elif isinstance(part, typed.Reduce):
+        elif isinstance(part, typed.ReduceExpr):
             yield f"reduce {part.how}"
-        elif isinstance(part, typed.SetOf):
+        elif isinstance(part, typed.SetExpr):
             yield f"set {part.source}"
-        elif isinstance(part, typed.Attribute) and part.name in BUILTIN_ATTRIBUTES:
+        elif isinstance(part, typed.AttributeRef) and part.name in BUILTIN_ATTRIBUTE_BY_NAME:
             yield f"given {part.name}"
     for node in plan.nodes:
         yield f"operation {node.op}"
@@ -279,12 +285,12 @@ def constructs(plan: ir.Plan, program: Program) -> Iterator[str]:
 
 def every_construct() -> set[str]:
     """All that `constructs` may tell of, by the tables."""
-    words = {row.op for rows in BUILTINS.values() for row in rows} - set(SET_SENSES)
-    known_constructs = {f"word {op}" for op in words | set(OTHER_OPS) | set(SIGN_OPS.values())}
+    words = {row.op for rows in BUILTINS_BY_NAME.values() for row in rows} - set(SET_SENSE_BY_OPERATION)
+    known_constructs = {f"word {op}" for op in words | set(OTHER_OPERATIONS) | set(OPERATION_BY_SIGN.values())}
     known_constructs |= (
-        {f"reduce {how}" for how in REDUCERS}
-        | {f"set {name}" for name in GIVES_SET}
-        | {f"given {name}" for name in BUILTIN_ATTRIBUTES}
+        {f"reduce {how}" for how in REDUCER_HELP}
+        | {f"set {name}" for name in SET_RESULT_OPERATIONS}
+        | {f"given {name}" for name in BUILTIN_ATTRIBUTE_BY_NAME}
     )
-    known_constructs |= {f"operation {op}" for op in ir.OPS} | {f"effect {op}" for op in EFFECTS}
+    known_constructs |= {f"operation {op}" for op in ir.OPERATION_BY_NAME} | {f"effect {op}" for op in EFFECT_BY_OPERATION}
     return known_constructs | {f"statement {each.__name__}" for each in (ir.If, ir.Store, ir.Claim, ir.Give)}

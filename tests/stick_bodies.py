@@ -12,7 +12,7 @@ import trimesh
 from meshes import Mesh, box, grid
 from numpy.typing import NDArray
 
-from antdsl.pipeline import Choices, Shot, open_scene
+from antdsl.pipeline import RunChoices, Shot, open_scene
 
 Floats = NDArray[np.float64]
 Three = tuple[float, float, float]
@@ -231,7 +231,7 @@ def write_scene(
 
 
 def opened(path: Path) -> Shot:
-    shot, report = open_scene(path, Choices())
+    shot, report = open_scene(path, RunChoices())
     assert shot is not None and report.ok, [d.message for d in report.sorted()]
     return shot
 

@@ -18,15 +18,15 @@ from numpy.typing import NDArray
 from torture_walks import BODY, HAIR, WalkMeasures, above, crowd, parts, shapes, wander, winding
 
 from antdsl.ground.mesh.surface import MeshGround
-from antdsl.ground.mesh.surroundings import LIFT
-from antdsl.ground.protocol import Move
+from antdsl.ground.mesh.surroundings import EYE_HEIGHT_PER_BODY
+from antdsl.ground.protocol import GroundMove
 
 SHAPES = shapes()
 SHEETS = ("pot", "moebius", "rag", "ground")
 TALL = 150.0  # mm: as long as a mesh from a file is made
 EVERY = 25  # steps between two looks at who is in what
 FINE = 1e-9  # mm: nearer to feet than any wall that they have not gone through, and more than float64 rounds; rays need a hair
-SideTest = Callable[[MeshGround, Move], NDArray[np.bool_]]
+SideTest = Callable[[MeshGround, GroundMove], NDArray[np.bool_]]
 
 
 class Rooms:
@@ -61,24 +61,24 @@ class Walls:
     through: set[int] = field(default_factory=set)
 
     @staticmethod
-    def of(closed: list[Mesh], ground: MeshGround, at: Move, near: float) -> Walls:
+    def of(closed: list[Mesh], ground: MeshGround, at: GroundMove, near: float) -> Walls:
         rooms = Rooms(closed)
         return Walls(rooms, rooms.winding(above(ground, at, near)), near)
 
-    def look(self, ground: MeshGround, at: Move) -> None:
+    def look(self, ground: MeshGround, at: GroundMove) -> None:
         parity = self.rooms.parity(above(ground, at))
         self._ask(ground, at, np.flatnonzero((parity != (self.began % 2 == 1)).any(axis=0)))
 
-    def end(self, ground: MeshGround, at: Move) -> None:
+    def end(self, ground: MeshGround, at: GroundMove) -> None:
         self._ask(ground, at, np.arange(len(at.up)))
 
-    def _ask(self, ground: MeshGround, at: Move, rows: NDArray[np.int64]) -> None:
+    def _ask(self, ground: MeshGround, at: GroundMove, rows: NDArray[np.int64]) -> None:
         if rows.size:
             now = self.rooms.winding(above(ground, at.take(rows), self.near))
             self.through |= set(rows[(now != self.began[:, rows]).any(axis=0)].tolist())
 
 
-def start_crowd(ground: MeshGround, mesh: Mesh, closed: list[Mesh], n: int, rng: np.random.Generator) -> Move:
+def start_crowd(ground: MeshGround, mesh: Mesh, closed: list[Mesh], n: int, rng: np.random.Generator) -> GroundMove:
     """A crowd. Where stones are sunk in each other no agent begins in the sunken part of one; nor where feet are in another room
     than the eye above them, which sees the other stones."""
     begin = crowd(ground, [mesh], n if len(closed) < 2 else 3 * n, rng)
@@ -86,7 +86,7 @@ def start_crowd(ground: MeshGround, mesh: Mesh, closed: list[Mesh], n: int, rng:
         free = ~np.any([np.abs(winding(each, above(ground, begin))) > 0.5 for each in closed], axis=0)
         begin = begin.take(np.flatnonzero(free)[:n])
     for each in closed if len(closed) > 1 else []:
-        feet, eye = (np.round(winding(each, above(ground, begin, high))) for high in (HAIR, LIFT * BODY))
+        feet, eye = (np.round(winding(each, above(ground, begin, high))) for high in (HAIR, EYE_HEIGHT_PER_BODY * BODY))
         begin = begin.take(np.flatnonzero(feet == eye))
     return begin
 
@@ -141,7 +141,7 @@ def long_walk(name: str, mesh: Mesh, n: int, steps: int, by_rays: bool = False) 
     return Walked(measures, n, int(through.sum()), int(missed.sum()), seconds)
 
 
-def side(ground: MeshGround, at: Move) -> NDArray[np.bool_]:
+def side(ground: MeshGround, at: GroundMove) -> NDArray[np.bool_]:
     return np.asarray((ground.normal(at.footing) * at.up).sum(axis=1) > 0)
 
 

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from antdsl.casting.faces import nearest_on_triangle
 from antdsl.casting.rays import RayScene
 from antdsl.ground.mesh.surface import MeshGround
-from antdsl.ground.protocol import Footing, Move
+from antdsl.ground.protocol import Footing, GroundMove
 
 EXAMPLE = Path(__file__).resolve().parents[1] / "examples" / "torture"
 BODY = 4.0
@@ -33,7 +33,7 @@ def shapes() -> ModuleType:
     return module
 
 
-def crowd(ground: MeshGround, meshes: list[Mesh], n: int, rng: np.random.Generator) -> Move:
+def crowd(ground: MeshGround, meshes: list[Mesh], n: int, rng: np.random.Generator) -> GroundMove:
     """Agents evenly over all faces, on both sides of them, heading anywhere."""
     corners = np.concatenate([v[f] for v, f in meshes])
     area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
@@ -47,7 +47,9 @@ def crowd(ground: MeshGround, meshes: list[Mesh], n: int, rng: np.random.Generat
     return ground.move(footing, np.zeros((n, 3)), rng.normal(size=(n, 3)), up, BODY)
 
 
-def wander(ground: MeshGround, at: Move, steps: int, rng: np.random.Generator, threads: int = 1) -> Iterator[tuple[Move, Move]]:
+def wander(
+    ground: MeshGround, at: GroundMove, steps: int, rng: np.random.Generator, threads: int = 1
+) -> Iterator[tuple[GroundMove, GroundMove]]:
     """Go on and on, turning at random: all positions before and after."""
     for _ in range(steps):
         heading = at.heading + np.cross(at.up, at.heading) * rng.normal(0, 0.3, (len(at.up), 1))
@@ -58,7 +60,7 @@ def wander(ground: MeshGround, at: Move, steps: int, rng: np.random.Generator, t
         yield previous, at
 
 
-def above(ground: MeshGround, at: Move, high: float = HAIR) -> NDArray[np.float64]:
+def above(ground: MeshGround, at: GroundMove, high: float = HAIR) -> NDArray[np.float64]:
     """Places a hair off the surface, or `high` mm, on the side that all agents are on."""
     normal = ground.normal(at.footing)
     return at.position + normal * np.where((normal * at.up).sum(axis=1) < 0, -high, high)[:, None]
@@ -104,7 +106,7 @@ class WalkMeasures:
     lost: int = 0
     moved: float = 0.0
 
-    def look(self, ground: MeshGround, meshes: list[Mesh], previous: Move, at: Move) -> None:
+    def look(self, ground: MeshGround, meshes: list[Mesh], previous: GroundMove, at: GroundMove) -> None:
         corners = ground.triangles[0][ground.triangles[1][ground.on_faces(at.footing)[0]]]
         written = at.position.astype(np.float32).astype(np.float64)
         away = np.linalg.norm(nearest_on_triangle(written, corners) - written, axis=1)

@@ -10,11 +10,24 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl.ground.mesh.boxes import EDGE, FARTHEST, LEVEL
-from antdsl.ground.mesh.crossings import LEANING, OFF, STEEP
-from antdsl.ground.mesh.stretches import CROSSINGS, GRAIN, HOPS, INWARD, STUCK
+from antdsl.ground.mesh.boxes import EDGE_TOLERANCE, MAX_LENGTHENING, MIN_PLANE_SINE
+from antdsl.ground.mesh.crossings import MAX_SLOPE_RUN, MIN_SQUARED_CUT_SINE, OFF_FACE_TOUCHES
+from antdsl.ground.mesh.stretches import (
+    BORDER_INWARD_SHARE,
+    CROSSINGS_BEFORE_NUDGE,
+    MAX_EDGE_CROSSINGS,
+    MAX_SURFACE_HOPS,
+    NUDGE_FRACTION,
+)
 from antdsl.ground.mesh.surface import MeshGround
-from antdsl.ground.mesh.surroundings import DEPTH, GAP, HIGH, LIFT, STEEPEST, TURNED
+from antdsl.ground.mesh.surroundings import (
+    BORDER_GAP_PER_BODY,
+    BORDER_RAY_DEPTH_PER_BODY,
+    BORDER_RAY_HEIGHT_PER_BODY,
+    EYE_HEIGHT_PER_BODY,
+    MIN_LOOK_AHEAD_FACTOR,
+    MIN_NORMALS_COSINE,
+)
 from antdsl.ground.mesh.topology import NO_LINK
 
 Floats = NDArray[np.float64]
@@ -110,19 +123,26 @@ class Reference:
         """The first face that a way meets, but `own` and those of a `piece`; after what part of it (which may be `further` mm
         more than all), and the place there."""
         size = np.sqrt(step @ step)
-        most = 1 + min(further / max(size, 1e-300), FARTHEST)
+        most = 1 + min(further / max(size, 1e-300), MAX_LENGTHENING)
         end = origin + step * most
         low, high = np.minimum(origin, end), np.maximum(origin, end)
         near = self.near[(self.low[self.near] <= high).all(axis=1) & (self.high[self.near] >= low).all(axis=1)]
         near = near[(near != own) & (self.table.piece[near] != piece)]
         off, across = origin - self.corners[near, 0], self.across[near]
         down = -(across @ step)
-        level = np.abs(down) <= LEVEL * size * self.sides[near]
+        level = np.abs(down) <= MIN_PLANE_SINE * size * self.sides[near]
         with np.errstate(all="ignore"):
             part = (off * across).sum(axis=1) / down
             hit_offset = off + part[:, None] * step
             one, two = (hit_offset * self.second[near]).sum(axis=1), (hit_offset * self.third[near]).sum(axis=1)
-            hit = ~level & (one >= -EDGE) & (two >= -EDGE) & (one + two <= 1 + EDGE) & (part >= 0) & (part <= most)
+            hit = (
+                ~level
+                & (one >= -EDGE_TOLERANCE)
+                & (two >= -EDGE_TOLERANCE)
+                & (one + two <= 1 + EDGE_TOLERANCE)
+                & (part >= 0)
+                & (part <= most)
+            )
         if not hit.any():
             return -1, np.inf, origin
         k = np.flatnonzero(hit)[np.argmin(part[hit])]
@@ -178,9 +198,9 @@ class Reference:
         if w.over != 0 and w.left > 0:
             self._hang(w)
         turn = 0
-        while w.left > 0 and w.over == 0 and turn < CROSSINGS:
-            if turn >= STUCK and turn % STUCK == 0:
-                w.place = w.place * (1 - GRAIN) + self.corners[w.face].mean(axis=0) * GRAIN
+        while w.left > 0 and w.over == 0 and turn < MAX_EDGE_CROSSINGS:
+            if turn >= CROSSINGS_BEFORE_NUDGE and turn % CROSSINGS_BEFORE_NUDGE == 0:
+                w.place = w.place * (1 - NUDGE_FRACTION) + self.corners[w.face].mean(axis=0) * NUDGE_FRACTION
             self._stretch(w)
             turn += 1
         up, weights = self.normal[w.face] * w.side, self.weights(w.face, w.place)
@@ -252,7 +272,7 @@ class Reference:
 
     def _spend(self, w: Walker) -> None:
         w.spent += 1
-        if w.spent >= HOPS:
+        if w.spent >= MAX_SURFACE_HOPS:
             w.left, w.blocked = 0.0, True
 
     def _rise(self, w: Walker, level: float) -> bool:
@@ -287,7 +307,7 @@ class Reference:
         else:
             _, along, across = self.edge(w.face, edge)
             part = float(w.direction @ along)
-            w.direction = (-along if part < 0 else along) - INWARD * across
+            w.direction = (-along if part < 0 else along) - BORDER_INWARD_SHARE * across
             w.left = 0.0 if w.straight else w.left * abs(part)
             w.blocked = True
             self._spend(w)
@@ -318,18 +338,23 @@ class Reference:
             if self._within(other, crossing_place, 4 * touch) and self._leads_through(w, other, begins, crossing_place):
                 leans = -float(up @ n) / (float(n @ w.direction) or 1.0)
                 result.append(
-                    (previous + OFF * touch * float(np.clip(leans, -LEANING, LEANING)), other, previous, crossing_place)
+                    (
+                        previous + OFF_FACE_TOUCHES * touch * float(np.clip(leans, -MAX_SLOPE_RUN, MAX_SLOPE_RUN)),
+                        other,
+                        previous,
+                        crossing_place,
+                    )
                 )
         if not result:
             return None
         _, other, previous, crossing_place = min(result, key=lambda each: each[:2])
         n, towards = self.normal[other], float(self.normal[other] @ w.direction)
         steep = up - (up @ n) * n
-        off = steep * (OFF * touch / max(float(steep @ steep), STEEP))
+        off = steep * (OFF_FACE_TOUCHES * touch / max(float(steep @ steep), MIN_SQUARED_CUT_SINE))
         back = not self.together(own, w.side, other, -1.0 if towards > 0 else 1.0)
         if back or self._tight(other, own, crossing_place, off):
             soonest = min(each[2] for each in result)
-            near = max(soonest - OFF * touch / max(abs(towards), 1 / LEANING), 0.0) if back else 0.0
+            near = max(soonest - OFF_FACE_TOUCHES * touch / max(abs(towards), 1 / MAX_SLOPE_RUN), 0.0) if back else 0.0
             return Landing(own, self.onto(own, w.place + w.direction * near), self.side_of(own, -up), near, shut=True)
         return Landing(other, self.onto(other, crossing_place + off), -1.0 if towards > 0 else 1.0, previous)
 
@@ -359,14 +384,14 @@ class Reference:
             begins = float(self.normal[third] @ (place - self.corners[third, 0]))
             ends = begins + float(self.normal[third] @ off)
             hit = (begins * ends < 0 and abs(begins) > touch) or abs(ends) <= touch
-            if third != own and hit and self._within(third, place, 2 * OFF * touch):
+            if third != own and hit and self._within(third, place, 2 * OFF_FACE_TOUCHES * touch):
                 return True
         return False
 
     def _other(self, w: Walker, length: float) -> Landing | None:
         """Another piece within the way, seen from above the ground; where the own piece lies before it, from a grain above."""
         least = self.scale.least
-        for high in (max(min(LIFT * w.body, w.left / STEEPEST), least), least):
+        for high in (max(min(EYE_HEIGHT_PER_BODY * w.body, w.left / MIN_LOOK_AHEAD_FACTOR), least), least):
             landing, hidden = self._look_ahead(w, length, high)
             if landing is None or not hidden:
                 return landing
@@ -401,24 +426,27 @@ class Reference:
     def beyond(self, own: int, place: Floats, side: float, body: float, edge: int) -> Landing | None:
         """What a way meets that leads up off the own face, out over the border, down beyond it and back towards it."""
         scale, up, out = self.scale, self.normal[own] * side, self.edge(own, edge)[2]
-        body, fine = max(body, scale.least / LIFT) if body == body else scale.least / LIFT, scale.fine
-        gap, high = GAP * body, HIGH * body
+        body, fine = (
+            max(body, scale.least / EYE_HEIGHT_PER_BODY) if body == body else scale.least / EYE_HEIGHT_PER_BODY,
+            scale.fine,
+        )
+        gap, high = BORDER_GAP_PER_BODY * body, BORDER_RAY_HEIGHT_PER_BODY * body
         hair = out * (2 * fine)
         roof, part, _ = self.first(place - hair + up * fine, up * (high - fine), 0.0, own=own)
         if roof >= 0:
             high = (fine + part * (high - fine)) / 2
         if self.first(place + up * high, out * gap, 0.0, own=own)[0] >= 0:
-            high = min(high, LIFT * body)
+            high = min(high, EYE_HEIGHT_PER_BODY * body)
         face, part, hit_place = self.first(place + up * high, out * gap, 0.0, own=own)
         if face >= 0:
             return self._landing_if_led(own, side, face, hit_place, out, part * gap, high, gap)
-        over, fall = place + out * gap, -up * (high + HIGH * body)
+        over, fall = place + out * gap, -up * (high + BORDER_RAY_HEIGHT_PER_BODY * body)
         face, part, hit_place = self.first(over + up * high, fall, 0.0, own=own)
-        lowest = -HIGH * body if face < 0 else high - part * (high + HIGH * body)
+        lowest = -BORDER_RAY_HEIGHT_PER_BODY * body if face < 0 else high - part * (high + BORDER_RAY_HEIGHT_PER_BODY * body)
         if face >= 0 and self._leads(own, side, face, fall):
             face, hit_place, distance, rise, fall = self._nearest(own, place, up, face, lowest, high, gap, fall)
             return self._down(own, side, place, hair, up, face, hit_place, fall, distance, rise, gap)
-        for depth in (GAP * body, DEPTH * body):
+        for depth in (BORDER_GAP_PER_BODY * body, BORDER_RAY_DEPTH_PER_BODY * body):
             if lowest < -depth:
                 face, part, hit_place = self.first(over - up * depth, -2 * gap * out, 0.0, own=own)
                 if face >= 0:
@@ -479,7 +507,7 @@ class Reference:
         """Nothing leads to the other side of what is walked on, nor to what turns back below it as that side does."""
         to_side = self.side_of(face, towards)
         level = float((self.normal[face] * to_side) @ (self.normal[own] * side))
-        return level > TURNED and self.together(own, side, face, to_side)
+        return level > MIN_NORMALS_COSINE and self.together(own, side, face, to_side)
 
 
 def _turned(v: Floats, previous: Floats, following: Floats, direction: Floats) -> Floats:

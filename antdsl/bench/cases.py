@@ -50,10 +50,10 @@ class Case:
 def open_shot(path: Path, agents: int | None, *, frames: int = FRAMES) -> Shot:
     """Return a scene's shot, with its world scaled to another number of agents. Raises CaseError."""
     from antdsl.bench.scaling import scale_setting
-    from antdsl.pipeline import Choices, open_scene
+    from antdsl.pipeline import RunChoices, open_scene
     from antdsl.scene.values import parse_frames
 
-    shot, report = open_scene(path, Choices(frames=parse_frames(f"1..{frames}")))
+    shot, report = open_scene(path, RunChoices(frames=parse_frames(f"1..{frames}")))
     if shot is None:
         raise CaseError(f"`{path}` cannot be opened", report)
     if agents is None or agents == sum(crowd.count for crowd in shot.setting.crowds):

@@ -18,7 +18,7 @@ from antdsl.bench.cases import case_of
 from antdsl.bench.costs import Cost, FullRun, Job, Measurement, SetUp
 from antdsl.bench.ratios import measure_in_turn
 from antdsl.machine_code import machine
-from antdsl.machine_code.object_cache import VARIABLE
+from antdsl.machine_code.object_cache import CACHE_VARIABLE
 from antdsl.numerics import stored_tables
 from antdsl.numerics.host import memory
 from antdsl.pipeline import Shot
@@ -94,7 +94,7 @@ def _untyped_name(name: str) -> Any:
 def _use_empty_code_folder() -> Iterator[None]:
     """Store machine code and mesh tables in an empty folder while the context is open. Those that other runs have cached are not
     searched."""
-    previous_values = {name: os.environ.get(name) for name in (VARIABLE, stored_tables.KIND.variable)}
+    previous_values = {name: os.environ.get(name) for name in (CACHE_VARIABLE, stored_tables.TABLE_STORE.variable)}
     with tempfile.TemporaryDirectory(prefix="antdsl-code-") as folder:
         os.environ |= dict.fromkeys(previous_values, folder)
         ready.release_code()

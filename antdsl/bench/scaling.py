@@ -6,10 +6,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from antdsl.scene.setting import Point, Setting
+from antdsl.scene.setting import PointMm, WorldSetting
 
 
-def scale_setting(setting: Setting, agents: int) -> Setting:
+def scale_setting(setting: WorldSetting, agents: int) -> WorldSetting:
     """Return the setting with `agents` agents in total, with lengths of the world scaled about its origin so that density stays
     equal. Meshes, positions of items and crowds, and curves are scaled. Sizes of agents and items, cells of fields and radii of
     behaviours are not.
@@ -20,7 +20,7 @@ def scale_setting(setting: Setting, agents: int) -> Setting:
     previous_count = sum(crowd.count for crowd in setting.crowds)
     by = (agents / previous_count) ** 0.5
 
-    def point(place: Point) -> Point:
+    def point(place: PointMm) -> PointMm:
         return (place[0] * by, place[1] * by, place[2] * by)
 
     crowds, passed = [], 0
@@ -43,7 +43,7 @@ def scale_setting(setting: Setting, agents: int) -> Setting:
     return replace(setting, crowds=tuple(crowds), surfaces=surfaces, obstacles=obstacles, items=items, curves=curves)
 
 
-def gather_crowds(setting: Setting, share: float) -> Setting:
+def gather_crowds(setting: WorldSetting, share: float) -> WorldSetting:
     """Return the setting with every crowd that has a radius in `share` of its area, around the same point."""
     crowds = tuple(
         replace(crowd, place=replace(crowd.place, radius=crowd.place.radius * share**0.5)) if crowd.place.radius else crowd

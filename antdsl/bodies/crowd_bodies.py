@@ -15,10 +15,10 @@ from antdsl.bodies.agents.leg_chains import legs_data
 from antdsl.bodies.agents.packed import digest
 from antdsl.bodies.files.reading import load_definition
 from antdsl.bodies.library import library_body
-from antdsl.bodies.posed_body import COLLISION, own_layer
+from antdsl.bodies.posed_body import COLLISION_LAYER, own_layer
 from antdsl.diagnostics import Label, Report
 from antdsl.diagnostics.suggestion import nearest_name
-from antdsl.limits import LAYERS_WORN
+from antdsl.limits import MAX_WORN_LAYERS
 from antdsl.program.model import Channel, ClipTest, Look, Machine, Play, Program, Species, Wear
 from antdsl.program.traverse import parts
 from antdsl.scene.library_bodies import BODY_WORDS, body_for_species
@@ -26,7 +26,7 @@ from antdsl.scene.load import Scene
 from antdsl.scene.setting import ClipData, LegsData, RoomData
 from antdsl.source import Span
 
-_MOST_NAMES = 12  # names in a message
+_MAX_LISTED_NAMES = 12  # names in a message
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -123,13 +123,13 @@ def _check_layers(scene: Scene, program: Program, worn: Mapping[str, Definition]
             if body is not None and name not in body.layers:
                 near, known = (
                     nearest_name(name, list(body.layers)),
-                    ", ".join(f"`{each}`" for each in list(body.layers)[:_MOST_NAMES]),
+                    ", ".join(f"`{each}`" for each in list(body.layers)[:_MAX_LISTED_NAMES]),
                 )
                 has = f"it has {known}" if known else "it has no layers"
                 words = f"the body of `{line.species}` has no layer `{name}`"
                 report.error("unknown-name", words, place, f"did you mean `{near}`? {has}" if near else has)
-        if len(named) > LAYERS_WORN:
-            words = f"agents of `{line.species}` may wear {len(named)} layers, and {LAYERS_WORN} at most can be distinguished"
+        if len(named) > MAX_WORN_LAYERS:
+            words = f"agents of `{line.species}` may wear {len(named)} layers, and {MAX_WORN_LAYERS} at most can be distinguished"
             report.error("too-large", words, place, "combine shapes that are worn together in one layer")
 
 
@@ -143,7 +143,7 @@ def clip_data(clip: Clip, body: Definition) -> ClipData:
 def body_room(body: Definition) -> RoomData:
     """Return the collision size of a body: length and width of the box of its layer `collision` in the rest pose. Without that
     layer, the layer that it always shows is used. The length is never less than the width."""
-    layer = body.layers.get(COLLISION) or own_layer(body)
+    layer = body.layers.get(COLLISION_LAYER) or own_layer(body)
     least, most = rest_box(replace(body, layers={layer.name: layer}))
     corners = np.array([[(least, most)[k >> axis & 1][axis] for axis in range(3)] for k in range(8)])
     turned = corners @ body.base_matrix()[:3, :3].T
@@ -181,7 +181,7 @@ def _check_body(species: Species, body: Definition, text: str, place: Span, repo
         if not name or name in names:
             return
         near = nearest_name(name, names)
-        listed = ", ".join(f"`{each}`" for each in names[:_MOST_NAMES]) + (" …" if len(names) > _MOST_NAMES else "")
+        listed = ", ".join(f"`{each}`" for each in names[:_MAX_LISTED_NAMES]) + (" …" if len(names) > _MAX_LISTED_NAMES else "")
         has = f"it has {listed}" if names else f"it has no {what}s"
         help = f"did you mean `{near}`? {has}" if near else has  # more than a word to put in place of the file's path
         lacks.setdefault(f"{what} `{name}`", (help, label))
@@ -234,7 +234,7 @@ def _find_misplaced_marks(species: Species, body: Definition) -> Iterator[tuple[
                 if test.mark in playing.marks:
                     continue
                 has = ", ".join(f"`{each}`" for each in sorted(playing.marks)) or "no marks"
-                others = ", ".join(f"`{each}`" for each in sorted(having[test.mark])[:_MOST_NAMES])
+                others = ", ".join(f"`{each}`" for each in sorted(having[test.mark])[:_MAX_LISTED_NAMES])
                 yield (
                     f"mark `{test.mark}` in clip `{playing.name}`",
                     f"`{playing.name}` has {has}; `{test.mark}` is a mark of {others}",

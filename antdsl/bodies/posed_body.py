@@ -16,24 +16,24 @@ from numpy.typing import NDArray
 from antdsl.bodies.agents.affine import Floats
 from antdsl.bodies.agents.blending import posed
 from antdsl.bodies.agents.boxes import rest_box
-from antdsl.bodies.agents.definition import STATE, Binding, Capture, Definition, Layer, Shape
+from antdsl.bodies.agents.definition import STATE_MATERIAL, Binding, Capture, Definition, Layer, Shape
 from antdsl.bodies.agents.deformers import bound
 from antdsl.bodies.agents.driving import DrivenPose, with_channels, with_looks
-from antdsl.bodies.agents.leg_ik import FeetOfBodies, Legs
+from antdsl.bodies.agents.leg_ik import BodySpaceFeet, LegSolver
 from antdsl.bodies.agents.machine_clips import MachineClips, PlayedClip, playing_of_machines
 from antdsl.bodies.agents.poses import Poses, clip_table, local_transforms
 from antdsl.bodies.agents.varied_bodies import colours_of, with_scales
 from antdsl.bodies.body import vertex_normals
 from antdsl.bodies.skinned_mesh import SkinnedMesh, skinned_mesh
 
-CELLS = 14  # to the length of a body, and at least
-_WIDER = 2.0  # a shape is made again at most
-ACROSS = 3  # to the longest side of a shape
+COARSE_CELLS_PER_BODY_LENGTH = 14  # to the length of a body, and at least
+_CELL_GROWTH = 2.0  # a shape is made again at most
+COARSE_CELLS_PER_SHAPE = 3  # to the longest side of a shape
 
 
-BODY, CLOSE, COLLISION = "body", "close", "collision"  # layers
-NOTHING = DrivenPose()
-_GOLDEN = (5**0.5 - 1) / 2  # multiples of it are spread evenly over a turn
+BODY_LAYER, CLOSE_LAYER, COLLISION_LAYER = "body", "close", "collision"  # layers
+NO_DRIVEN_POSE = DrivenPose()
+_GOLDEN_RATIO_FRACTION = (5**0.5 - 1) / 2  # multiples of it are spread evenly over a turn
 
 
 class PosedBody:
@@ -75,29 +75,33 @@ class PosedBody:
     @cached_property
     def reach(self) -> float:
         """Return the distance of the farthest point of the rest pose's box from the origin, in body lengths."""
-        drawn = Layer(BODY, tuple(b for b in self._bindings if not b.deformer), tuple(b for b in self._bindings if b.deformer))
-        low, high = rest_box(replace(self._definition, layers={BODY: drawn}))
+        drawn = Layer(
+            BODY_LAYER, tuple(b for b in self._bindings if not b.deformer), tuple(b for b in self._bindings if b.deformer)
+        )
+        low, high = rest_box(replace(self._definition, layers={BODY_LAYER: drawn}))
         return float(np.linalg.norm(np.maximum(np.abs(low), np.abs(high)))) / self._whole.length
 
     @cached_property
     def fine(self) -> PosedBody:
         """Return the version for agents that are large in a picture: with the layer `close`, if it exists."""
-        close = self._whole.layers.get(CLOSE)
+        close = self._whole.layers.get(CLOSE_LAYER)
         if close is None:
             return self
-        layers = {name: layer for name, layer in self._whole.layers.items() if name != CLOSE}
-        return PosedBody(replace(self._whole, layers=layers | {BODY: replace(close, name=BODY)}), self.clips, self.layers)
+        layers = {name: layer for name, layer in self._whole.layers.items() if name != CLOSE_LAYER}
+        return PosedBody(
+            replace(self._whole, layers=layers | {BODY_LAYER: replace(close, name=BODY_LAYER)}), self.clips, self.layers
+        )
 
     @cached_property
     def coarse(self) -> PosedBody:
         """Return the version with fewer triangles, for agents that are small in a picture. If there is a layer `close`, the layer
         `body` is coarse enough as it is."""
-        return self if CLOSE in self._whole.layers else PosedBody(coarse_definition(self._whole), self.clips, self.layers)
+        return self if CLOSE_LAYER in self._whole.layers else PosedBody(coarse_definition(self._whole), self.clips, self.layers)
 
     @cached_property
     def distant(self) -> PosedBody:
         """Return the version with the fewest triangles, for agents of a few pixels."""
-        layers = {name: layer for name, layer in self._whole.layers.items() if name != CLOSE}
+        layers = {name: layer for name, layer in self._whole.layers.items() if name != CLOSE_LAYER}
         drawn = _needed_shapes(self._whole, {binding.shape for layer in layers.values() for binding in _layer_bindings(layer)})
         return PosedBody(coarse_definition(replace(self._whole, layers=layers, shapes=drawn)), self.clips, self.layers)
 
@@ -107,7 +111,7 @@ class PosedBody:
         clip = self._whole.clips.get(self._whole.idle)
         if clip is None or clip.duration <= 0:
             return ()
-        turns = (np.asarray(ids, np.float64) * _GOLDEN + seconds / clip.duration) % 1.0
+        turns = (np.asarray(ids, np.float64) * _GOLDEN_RATIO_FRACTION + seconds / clip.duration) % 1.0
         ones, none = np.ones(len(turns), np.float32), np.zeros(len(turns), np.float32)
         number = np.full(len(turns), len(self.clips), np.int16)
         return (MachineClips(number, turns.astype(np.float32), ones, np.full(len(turns), -1, np.int16), none, none, none),)
@@ -131,9 +135,9 @@ class PosedBody:
         return taken
 
     @cached_property
-    def legs(self) -> Legs | None:
+    def legs(self) -> LegSolver | None:
         """Return the legs that place its feet; None for a body without legs."""
-        return Legs(self._whole) if self._whole.legs else None
+        return LegSolver(self._whole) if self._whole.legs else None
 
     @property
     def definition(self) -> Definition:
@@ -158,10 +162,10 @@ class PosedBody:
         self,
         machines: Sequence[MachineClips],
         count: int,
-        feet: FeetOfBodies | None = None,
+        feet: BodySpaceFeet | None = None,
         threads: int = 1,
         *,
-        driven: DrivenPose = NOTHING,
+        driven: DrivenPose = NO_DRIVEN_POSE,
         local: bool = False,
     ) -> Poses:
         """Return transforms and channels of `count` agents, in the definition's space; `local` adds local ones. Agents play what
@@ -180,10 +184,10 @@ class PosedBody:
         self,
         machines: Sequence[MachineClips],
         count: int,
-        feet: FeetOfBodies | None = None,
+        feet: BodySpaceFeet | None = None,
         threads: int = 1,
         *,
-        driven: DrivenPose = NOTHING,
+        driven: DrivenPose = NO_DRIVEN_POSE,
     ) -> tuple[Floats, Floats]:
         """Vertices and unit normals float32[n, v, 3] of the same agents, in body lengths."""
         points, normals = self.shape_points(self.poses(machines, count, feet, threads, driven=driven))
@@ -202,8 +206,8 @@ class PosedBody:
 def own_layer(definition: Definition) -> Layer:
     """Return the layer that a body always shows; without one, a layer that has no shapes."""
     layers = definition.layers
-    worn = [layer for name, layer in layers.items() if name != COLLISION]
-    return layers.get(BODY) or next(iter(worn), Layer(BODY))
+    worn = [layer for name, layer in layers.items() if name != COLLISION_LAYER]
+    return layers.get(BODY_LAYER) or next(iter(worn), Layer(BODY_LAYER))
 
 
 def _needed_shapes(definition: Definition, names: Iterable[str]) -> dict[str, Shape]:
@@ -246,7 +250,7 @@ def _split_by_material(
     pairs = shape.faces.astype(np.int64) * len(names) + material[:, None]
     kinds, faces = np.unique(pairs, return_inverse=True)
     point, of = kinds // len(names), kinds % len(names)
-    known = [None if name == STATE else colours.get(name) for name in names]
+    known = [None if name == STATE_MATERIAL else colours.get(name) for name in names]
     own = np.array([(0.0, 0.0, 0.0) if each is None else each for each in known], np.float32)[of]
     tint = np.array([each is None for each in known], np.float32)[of]
     return point, faces.reshape(-1, 3).astype(np.int32), own, tint, np.array(names)[of]
@@ -254,7 +258,7 @@ def _split_by_material(
 
 def coarse_definition(definition: Definition) -> Definition:
     """Return the definition with fewer points. Shapes still follow joints by its deformers, but are no longer blended."""
-    cell = definition.length / CELLS
+    cell = definition.length / COARSE_CELLS_PER_BODY_LENGTH
     shapes = {name: coarse_shape(shape, cell) for name, shape in definition.shapes.items()}
     layers = {
         name: Layer(name, layer.static, tuple(_without_blending(each) for each in layer.deforming))
@@ -269,7 +273,7 @@ def coarse_shape(shape: Shape, cell: float) -> Shape:
     thinner."""
     if not len(shape.points):
         return shape
-    size = min(cell, float(np.ptp(shape.points, axis=0).max()) / ACROSS) or cell
+    size = min(cell, float(np.ptp(shape.points, axis=0).max()) / COARSE_CELLS_PER_SHAPE) or cell
     cells = np.floor(shape.points.astype(np.float64) / size).astype(np.int64)
     _, first, of, counts = np.unique(cells, axis=0, return_index=True, return_inverse=True, return_counts=True)
     of = of.reshape(-1)
@@ -281,7 +285,7 @@ def coarse_shape(shape: Shape, cell: float) -> Shape:
     points, original_points = mean(shape.points), shape.points.astype(np.float64)
     low, high, width = original_points.min(axis=0), original_points.max(axis=0), np.ptp(points, axis=0)
     wider = np.where(width > 0, (high - low) / np.where(width > 0, width, 1), 1)
-    points = low + (points - points.min(axis=0)) * np.minimum(wider, _WIDER)
+    points = low + (points - points.min(axis=0)) * np.minimum(wider, _CELL_GROWTH)
     normals = None
     if shape.normals is not None:
         turned = mean(shape.normals)

@@ -10,13 +10,13 @@ from functools import cache, lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-Mesh = tuple[NDArray[np.float64], NDArray[np.int32]]
+MeshArrays = tuple[NDArray[np.float64], NDArray[np.int32]]
 
 
-Painted = tuple[NDArray[np.float64], NDArray[np.int32], NDArray[np.float32]]  # vertices, faces, display colour per vertex
+ColouredMesh = tuple[NDArray[np.float64], NDArray[np.int32], NDArray[np.float32]]  # vertices, faces, display colour per vertex
 
 
-def _apple() -> Painted:
+def _apple() -> ColouredMesh:
     vertices, faces = sphere(4)
     flat = np.hypot(vertices[:, 0], vertices[:, 2])
     turn = np.arctan2(vertices[:, 2], vertices[:, 0])
@@ -38,7 +38,7 @@ def _apple() -> Painted:
     return points, triangles, shade.astype(np.float32)
 
 
-def _ring() -> Painted:
+def _ring() -> ColouredMesh:
     """A glazed ring: outer radius 1, tube 0.38, icing on the upper half with a wavy border, and sprinkles."""
     around, across = 48, 20
     u = np.arange(around) * 2 * np.pi / around
@@ -55,7 +55,7 @@ def _ring() -> Painted:
     c, d = (a + across) % (around * across), (b + across) % (around * across)
     faces = np.concatenate([np.stack([a, b, d], 1), np.stack([a, d, c], 1)]).astype(np.int32)
     dough, icing = np.array([0.80, 0.56, 0.30]), np.array([0.93, 0.52, 0.64])
-    parts: list[Mesh] = [(points, faces)]
+    parts: list[MeshArrays] = [(points, faces)]
     shades = [dough + (icing - dough) * iced]
     draw = np.random.Generator(np.random.Philox(51))
     hues = np.array([(0.98, 0.96, 0.92), (0.97, 0.83, 0.25), (0.36, 0.68, 0.86), (0.45, 0.76, 0.42), (0.85, 0.26, 0.24)])
@@ -79,7 +79,7 @@ def _ring() -> Painted:
     return vertices, triangles, np.concatenate(shades).astype(np.float32)
 
 
-def _mound() -> Painted:
+def _mound() -> ColouredMesh:
     """Return a low ring of loose soil with a dark hole, as ants pile it up around a nest entrance. It is lower than an ant, so
     that none is buried."""
     rings, around = 22, 40
@@ -103,7 +103,7 @@ def _mound() -> Painted:
     return points, faces, np.clip((dark + (soil - dark) * depth) * tone, 0, 1).astype(np.float32)
 
 
-def _crumb() -> Painted:
+def _crumb() -> ColouredMesh:
     """A crumb of bread: broken faces, pores, and crust on one side."""
     vertices, faces = sphere(5)
     draw = np.random.Generator(np.random.Philox(71))
@@ -123,7 +123,7 @@ def _crumb() -> Painted:
     return points, faces, np.clip(inside + (brown - inside) * crust, 0, 1).astype(np.float32)
 
 
-def _cube() -> Painted:
+def _cube() -> ColouredMesh:
     """Return a lump of sugar: a grainy block with worn edges."""
     vertices, faces = sphere(5)
     norm = (np.abs(vertices) ** 9).sum(axis=1) ** (1 / 9)
@@ -134,13 +134,13 @@ def _cube() -> Painted:
     return points, faces, np.clip(tone[:, None] * np.array([1.0, 0.985, 0.95]), 0, 1).astype(np.float32)
 
 
-def _ball() -> Painted:
+def _ball() -> ColouredMesh:
     vertices, faces = sphere(3)
     vertices[:, 1] += 0.85
     return vertices, faces, np.full((len(vertices), 3), (0.86, 0.80, 0.62), np.float32)
 
 
-PLACED: dict[str, Callable[[], Painted]] = {
+ITEM_SHAPES: dict[str, Callable[[], ColouredMesh]] = {
     "apple": _apple,
     "ring": _ring,
     "crumb": _crumb,
@@ -150,7 +150,7 @@ PLACED: dict[str, Callable[[], Painted]] = {
 }
 
 # Words in an item's name that tell its shape; the first that is found decides.
-_WORDS: tuple[tuple[str, str], ...] = (
+_SHAPE_WORDS: tuple[tuple[str, str], ...] = (
     ("apple", "apple"),
     ("fruit", "apple"),
     ("donut", "ring"),
@@ -171,9 +171,9 @@ _WORDS: tuple[tuple[str, str], ...] = (
 
 
 @cache
-def placed(shape: str) -> Painted:
+def placed(shape: str) -> ColouredMesh:
     """Vertices, faces and display colours 0..1 of the named shape."""
-    arrays = PLACED[shape]()
+    arrays = ITEM_SHAPES[shape]()
     for array in arrays:
         array.setflags(write=False)
     return arrays
@@ -181,11 +181,11 @@ def placed(shape: str) -> Painted:
 
 def item_shape(kind: str, name: str) -> str:
     """Return the shape that suits items of a `kind` (`food`, `nest`) with this `name` (`apple`)."""
-    return next((shape for text in (name, kind) for word, shape in _WORDS if word in text.lower()), "sphere")
+    return next((shape for text in (name, kind) for word, shape in _SHAPE_WORDS if word in text.lower()), "sphere")
 
 
 @lru_cache(maxsize=8)
-def _icosphere(detail: int) -> Mesh:
+def _icosphere(detail: int) -> MeshArrays:
     import trimesh
 
     mesh = trimesh.creation.icosphere(subdivisions=detail, radius=1.0)
@@ -195,7 +195,7 @@ def _icosphere(detail: int) -> Mesh:
     return vertices, faces
 
 
-def sphere(detail: int = 2) -> Mesh:
+def sphere(detail: int = 2) -> MeshArrays:
     """Unit sphere of 20 · 4^detail triangles around the origin."""
     vertices, faces = _icosphere(detail)
     return vertices.copy(), faces.copy()
@@ -218,7 +218,7 @@ def wave_noise(
     return total
 
 
-def stone(seed: int, radii: tuple[float, float, float], *, detail: int = 2, roughness: float = 0.16) -> Mesh:
+def stone(seed: int, radii: tuple[float, float, float], *, detail: int = 2, roughness: float = 0.16) -> MeshArrays:
     """An irregular stone around the origin with about these half axes: a sphere cut flat by planes, then dented by noise."""
     vertices, faces = sphere(detail)
     draw = np.random.Generator(np.random.Philox(seed))
@@ -231,7 +231,7 @@ def stone(seed: int, radii: tuple[float, float, float], *, detail: int = 2, roug
     return vertices * radius[:, None] * np.asarray(radii, np.float64), faces
 
 
-def sheet(x: NDArray[np.float64], z: NDArray[np.float64]) -> Mesh:
+def sheet(x: NDArray[np.float64], z: NDArray[np.float64]) -> MeshArrays:
     """Flat grid over the lines `x` (a,) and `z` (b,) at y = 0: a · b vertices, the z index runs fastest, faces look up."""
     a, b = len(x), len(z)
     grid = np.stack(np.meshgrid(x, z, indexing="ij"), axis=-1).reshape(-1, 2)
@@ -245,7 +245,7 @@ def sheet(x: NDArray[np.float64], z: NDArray[np.float64]) -> Mesh:
     return vertices, np.concatenate([first, second], axis=1).reshape(-1, 3).astype(np.int32)
 
 
-def join_meshes(parts: list[Mesh]) -> Mesh:
+def join_meshes(parts: list[MeshArrays]) -> MeshArrays:
     """One mesh of several."""
     starts = np.cumsum([0] + [len(vertices) for vertices, _ in parts])
     vertices = np.concatenate([vertices for vertices, _ in parts])

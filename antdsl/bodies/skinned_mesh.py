@@ -12,13 +12,13 @@ from numpy.typing import NDArray
 from antdsl.bodies.agents.affine import Floats
 from antdsl.bodies.agents.blend_shapes import attribute_difference, blend_shapes, knots_of, match_points, shares_of
 from antdsl.bodies.agents.definition import Binding, Capture, Clip, Definition, Rig, Shape
-from antdsl.bodies.agents.deformers import SKINNING, deformer_steps
+from antdsl.bodies.agents.deformers import SKINNING_DEFORMERS, deformer_steps
 from antdsl.bodies.agents.transforms import world_matrices
 
-MOST_JOINTS = 4  # that a vertex follows
+MAX_JOINTS_PER_VERTEX = 4  # that a vertex follows
 NO_JOINT = -1  # of a bone that stays where it is in the space of the agent
-_ALIKE = 1e-4  # matrices that differ by no more of their largest entry are one bone
-_FLAT = 1e-9  # the determinant of what cannot be inverted
+_EQUAL_MATRIX_TOLERANCE = 1e-4  # matrices that differ by no more of their largest entry are one bone
+_SINGULAR_DETERMINANT = 1e-9  # the determinant of what cannot be inverted
 Matrix = NDArray[np.float64]
 
 
@@ -43,10 +43,10 @@ def skinned_mesh(definition: Definition, bindings: Sequence[Binding], taken: NDA
     A static shape follows its joint only. For a point that follows more than four joints, the four with the largest weights
     remain. Deformers other than linear skinning are not applied: dual quaternions become linear, and blend shapes stay at their
     base. `blend_targets` has the differences from that base."""
-    bone_table = _Bones(definition)
+    bone_table = _BoneTable(definition)
     parts = [(_skinned_part if _is_skinned(each) else _static_part)(definition, each, bone_table) for each in bindings]
     none = np.zeros((0, 3), np.float32)
-    fours = np.zeros((0, MOST_JOINTS), np.float32)
+    fours = np.zeros((0, MAX_JOINTS_PER_VERTEX), np.float32)
     return SkinnedMesh(
         np.concatenate([none, *(each.points for each in parts)]).astype(np.float32)[taken],
         np.concatenate([none, *(each.normals for each in parts)]).astype(np.float32)[taken],
@@ -58,14 +58,14 @@ def skinned_mesh(definition: Definition, bindings: Sequence[Binding], taken: NDA
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Part:
+class _MeshPart:
     points: NDArray[np.floating]
     normals: NDArray[np.floating]
     bones: NDArray[np.int32]
     weights: NDArray[np.float32]
 
 
-class _Bones:
+class _BoneTable:
     """The bones that were requested so far, each once."""
 
     def __init__(self, definition: Definition) -> None:
@@ -75,7 +75,9 @@ class _Bones:
 
     def number(self, joint: int, inverse: Matrix) -> int:
         for number, (other, known) in enumerate(zip(self.joints, self.inverses, strict=True)):
-            if other == joint and np.abs(known - inverse).max() <= _ALIKE * max(1.0, float(np.abs(inverse[:, :3]).max())):
+            if other == joint and np.abs(known - inverse).max() <= _EQUAL_MATRIX_TOLERANCE * max(
+                1.0, float(np.abs(inverse[:, :3]).max())
+            ):
                 return number
         self.joints.append(joint)
         self.inverses.append(inverse)
@@ -83,31 +85,31 @@ class _Bones:
 
 
 def _is_skinned(binding: Binding) -> bool:
-    return bool(binding.deformer) and any(step in SKINNING for step in deformer_steps(binding.deformer))
+    return bool(binding.deformer) and any(step in SKINNING_DEFORMERS for step in deformer_steps(binding.deformer))
 
 
-def _static_part(definition: Definition, binding: Binding, bone_table: _Bones) -> _Part:
+def _static_part(definition: Definition, binding: Binding, bone_table: _BoneTable) -> _MeshPart:
     """Return a static shape of a joint, moved to its place in the rest pose. It then shares the bone of shapes skinned to that
     joint."""
     shape = definition.shapes[binding.shape]
     points, normals = shape.points.astype(np.float64), _normals(shape).astype(np.float64)
-    bones = np.zeros((len(points), MOST_JOINTS), np.int32)
-    weights = np.zeros((len(points), MOST_JOINTS), np.float32)
+    bones = np.zeros((len(points), MAX_JOINTS_PER_VERTEX), np.int32)
+    weights = np.zeros((len(points), MAX_JOINTS_PER_VERTEX), np.float32)
     weights[:, 0] = 1
     joint, inverse = NO_JOINT, np.eye(4)
     if binding.transform:
         joint = definition.rig.joint(binding.transform)
         rest = bone_table.rest[joint]
-        if abs(np.linalg.det(rest[:3, :3])) > _FLAT:
+        if abs(np.linalg.det(rest[:3, :3])) > _SINGULAR_DETERMINANT:
             inverse = np.linalg.inv(rest)
             points = points @ rest[:3, :3].T + rest[:3, 3]
             normals = normals @ inverse[:3, :3]
             normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-20)
     bones[:] = bone_table.number(joint, inverse)
-    return _Part(points, normals, bones, weights)
+    return _MeshPart(points, normals, bones, weights)
 
 
-def _skinned_part(definition: Definition, binding: Binding, bone_table: _Bones) -> _Part:
+def _skinned_part(definition: Definition, binding: Binding, bone_table: _BoneTable) -> _MeshPart:
     """Return a shape in which each point follows its own joints."""
     shape = definition.shapes[binding.shape]
     capture = shape.capture
@@ -117,16 +119,16 @@ def _skinned_part(definition: Definition, binding: Binding, bone_table: _Bones) 
         [bone_table.number(definition.rig.joint(name), capture.inverse[k]) for k, name in enumerate(capture.names)], np.int32
     )
     joints, weights = _strongest_joints(capture)
-    return _Part(shape.points, _normals(shape), number[joints], weights)
+    return _MeshPart(shape.points, _normals(shape), number[joints], weights)
 
 
 def _strongest_joints(capture: Capture) -> tuple[NDArray[np.int32], NDArray[np.float32]]:
     """Return the joints with the largest weights of each point, and their weights."""
     joints, weights = capture.joints, capture.weights
-    if joints.shape[1] < MOST_JOINTS:
-        wide = ((0, 0), (0, MOST_JOINTS - joints.shape[1]))
+    if joints.shape[1] < MAX_JOINTS_PER_VERTEX:
+        wide = ((0, 0), (0, MAX_JOINTS_PER_VERTEX - joints.shape[1]))
         return np.pad(joints, wide).astype(np.int32), np.pad(weights, wide).astype(np.float32)
-    most = np.argsort(-weights, axis=1, kind="stable")[:, :MOST_JOINTS]
+    most = np.argsort(-weights, axis=1, kind="stable")[:, :MAX_JOINTS_PER_VERTEX]
     top_weights = np.take_along_axis(weights, most, axis=1)
     total = top_weights.sum(axis=1, keepdims=True)
     return np.take_along_axis(joints, most, axis=1).astype(np.int32), (top_weights / np.where(total > 0, total, 1)).astype(
@@ -161,7 +163,7 @@ def blend_targets(
         shape, chain = definition.shapes[binding.shape], deformer_steps(binding.deformer) if binding.deformer else ()
         if shape.blend is None or chain[:1] != (blend_shapes,):
             continue
-        carried = binding.transform and not any(step in SKINNING for step in chain)
+        carried = binding.transform and not any(step in SKINNING_DEFORMERS for step in chain)
         turn = rest[definition.rig.joint(binding.transform)][:3, :3] if carried else np.eye(3)
         for target, rows, offsets in _offsets(definition, shape, turn):
             target_offsets = offsets_by_target.setdefault(target, np.zeros((int(starts[-1]), 6), np.float32))

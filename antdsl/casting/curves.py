@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from antdsl.casting.nearby import Vectors
 from antdsl.numerics.vector_rows import unit
 
-_SAMPLES = 4096
-_NEAR = 6  # samples looked at first: settles all but those who stand far from a bend
+_MAX_SAMPLES = 4096
+_NEAREST_SAMPLES = 6  # samples looked at first: settles all but those who stand far from a bend
 
 
 @dataclass(frozen=True, slots=True)
@@ -28,7 +28,7 @@ class CurvePoints:
     tz: NDArray[np.float32]
 
 
-class Curve:
+class SampledCurve:
     """A polyline float64[n,3] (mm), n >= 1, resampled into pieces of equal length, at most `spacing` mm (the sample count is
     limited).
 
@@ -72,7 +72,7 @@ class Curve:
 
     def _nearest_on_segments(self, place: Vectors) -> tuple[Vectors, Vectors]:
         """Return the nearest point and tangent, from the segments with samples near enough to contain it."""
-        few = min(_NEAR, len(self.samples))
+        few = min(_NEAREST_SAMPLES, len(self.samples))
         gap, sample = self._tree.query(place, k=list(range(1, few + 1)))
         best = self._nearest_segment(place, sample)
         # A segment nearer than the nearest sample has an end within half a piece more.
@@ -110,7 +110,7 @@ def resample(points: Vectors, spacing: float) -> Vectors:
     points, at = points[keep], np.concatenate(([0.0], np.cumsum(step[step > 0])))
     if len(points) == 1:
         return points
-    pieces = int(min(max(np.ceil(at[-1] / spacing - 1e-9), 1), _SAMPLES))
+    pieces = int(min(max(np.ceil(at[-1] / spacing - 1e-9), 1), _MAX_SAMPLES))
     where = np.linspace(0.0, at[-1], pieces + 1)
     even = np.stack([np.interp(where, at, points[:, axis]) for axis in range(3)], axis=1)
     even[0], even[-1] = points[0], points[-1]

@@ -16,12 +16,12 @@ from antdsl.machine_code.kernels import F32, F64, I64, Array1, independent, inli
 from antdsl.numerics import parallel, stored_tables
 from antdsl.numerics.vector_rows import dot
 
-_CELLS = 250_000  # a table that stays in the processor's cache beside all else of a step
-_LISTED = 4_000_000  # cells of triangles, one in several counted as often
-_MEASURED = 150_000  # cells: about 2 microseconds each
+_TARGET_CELLS = 250_000  # a table that stays in the processor's cache beside all else of a step
+_MAX_LISTED_CELLS = 4_000_000  # cells of triangles, one in several counted as often
+_MAX_REFINED_CELLS = 150_000  # cells: about 2 microseconds each
 
-Columns = tuple[Array1[F32], Array1[F32], Array1[F32]]
-Columns64 = tuple[Array1[F64], Array1[F64], Array1[F64]]
+PointColumns = tuple[Array1[F32], Array1[F32], Array1[F32]]
+PointColumns64 = tuple[Array1[F64], Array1[F64], Array1[F64]]
 Cells = tuple[Array1[F64], Array1[F64], Array1[I64], F64]  # where they begin and end, how many along each axis, and how wide
 
 
@@ -29,7 +29,7 @@ class DistanceGrid:
     """Lower bounds of the distance to a set of triangles, from their corners float64[m,3,3] (mm). `lasting`: whether another run
     may need the same bounds, so that they are stored."""
 
-    def __init__(self, corners: NDArray[np.float64], cells: int = _CELLS, lasting: bool = True) -> None:
+    def __init__(self, corners: NDArray[np.float64], cells: int = _TARGET_CELLS, lasting: bool = True) -> None:
         self._low = corners.min(axis=(0, 1)) if len(corners) else np.zeros(3)
         extent = (corners.max(axis=(0, 1)) if len(corners) else np.zeros(3)) - self._low
         self._width = triangle_width(corners, cell_width(extent, cells))
@@ -57,7 +57,7 @@ class DistanceGrid:
 
         Skipped where measuring would take longer than it saves a crowd in a few hundred steps."""
         near = np.flatnonzero(self._least < 2 * self._width)
-        if near.size > _MEASURED:
+        if near.size > _MAX_REFINED_CELLS:
             return
         cells = np.stack(np.unravel_index(near, tuple(self._size)), axis=1)
         measured_distances = distance(self._low + (cells + 0.5) * self._width)
@@ -78,7 +78,7 @@ class DistanceGrid:
             self._least,
             least_distances,
         )
-        parallel.in_parts(work, len(x), threads, parallel.LIGHT)
+        parallel.in_parts(work, len(x), threads, parallel.MIN_LIGHT_ITEMS_PER_THREAD)
         return least_distances
 
 
@@ -99,7 +99,7 @@ def _lower_bound(cells: Cells, least: Array1[F32], px: F64, py: F64, pz: F64) ->
 
 @kernel
 def write_lower_bounds(
-    positions: Columns, cells: Cells, least: Array1[F32], least_distances: Array1[F32], begin: I64, end: I64
+    positions: PointColumns, cells: Cells, least: Array1[F32], least_distances: Array1[F32], begin: I64, end: I64
 ) -> None:
     """Write the distances of the positions in rows `begin` to `end` (exclusive)."""
     x, y, z = positions
@@ -109,7 +109,7 @@ def write_lower_bounds(
 
 @kernel
 def write_lower_bounds64(
-    positions: Columns64, cells: Cells, least: Array1[F32], least_distances: Array1[F32], begin: I64, end: I64
+    positions: PointColumns64, cells: Cells, least: Array1[F32], least_distances: Array1[F32], begin: I64, end: I64
 ) -> None:
     """The same of places in float64."""
     x, y, z = positions
@@ -150,7 +150,7 @@ def triangle_width(corners: NDArray[np.float64], width: float) -> float:
     seconds."""
     lengths, area = sides_and_area(corners)
     around = float(lengths.sum())
-    while 3 * area / width**2 + 2 * around / width > _LISTED + 8.0 * len(corners):
+    while 3 * area / width**2 + 2 * around / width > _MAX_LISTED_CELLS + 8.0 * len(corners):
         width *= 1.25
     return width
 

@@ -7,7 +7,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl.casting.tolerances import CLOSED
+from antdsl.casting.tolerances import EDGE_WEIGHT_TOLERANCE
 from antdsl.machine_code.kernels import BOOL, F64, I64, Array1, Array2, Array3, Strided2, inlined, kernel
 from antdsl.numerics.kernel_vectors import Vec3, minus
 from antdsl.numerics.kernel_vectors import dot as dot_of
@@ -16,15 +16,19 @@ from antdsl.numerics.vector_rows import dot, unit
 Floats = NDArray[np.float64]
 Index = NDArray[np.int64]
 
-HAIR = 1e-6  # of the largest coordinate: several times what float32 makes of a corner, of a ray, and of where they meet
-WIDE = 16.0  # hairs by which faces are wider for rays: even one that passes a side at 4 degrees finds them, whatever it rounds
-_RIM = 20.0  # hairs: nearer to a side than this, the faces at its end are queried too
-AHEAD = 40.0  # hairs behind a face that is named: where another one may be the first that is hit
-_TABLES = 200_000  # faces: above this number, the tables of each face are computed on demand
-_SHARP = 1 / 128  # 1 + cosine of two sides' outward directions: below it their corner is moved no further out
+HAIR_PER_COORDINATE = (
+    1e-6  # of the largest coordinate: several times what float32 makes of a corner, of a ray, and of where they meet
+)
+WIDENED_HAIRS = (
+    16.0  # hairs by which faces are wider for rays: even one that passes a side at 4 degrees finds them, whatever it rounds
+)
+_RIM_HAIRS = 20.0  # hairs: nearer to a side than this, the faces at its end are queried too
+RETEST_HAIRS = 40.0  # hairs behind a face that is named: where another one may be the first that is hit
+_MAX_PRECOMPUTED_FACES = 200_000  # faces: above this number, the tables of each face are computed on demand
+_SHARP_CORNER_LIMIT = 1 / 128  # 1 + cosine of two sides' outward directions: below it their corner is moved no further out
 
 # Planes and rims of faces; the place of each corner by number, where the faces at each place begin, and these faces.
-Table = tuple[Array3[F64], Array1[F64], Array1[I64], Array1[I64], Array1[I64]]
+FaceTable = tuple[Array3[F64], Array1[F64], Array1[I64], Array1[I64], Array1[I64]]
 
 
 class Faces:
@@ -33,8 +37,8 @@ class Faces:
 
     def __init__(self, corners: Floats, brief: bool = False, largest: float | None = None) -> None:
         self.corners = corners
-        self.hair = HAIR * (float(np.abs(corners).max(initial=0.0)) if largest is None else largest)
-        self._brief = brief or len(corners) > _TABLES
+        self.hair = HAIR_PER_COORDINATE * (float(np.abs(corners).max(initial=0.0)) if largest is None else largest)
+        self._brief = brief or len(corners) > _MAX_PRECOMPUTED_FACES
         self._normals: Floats | None = None
         self._planes: tuple[Floats, Floats] | None = None
         self._meeting: tuple[Index, Index, Index] | None = None
@@ -47,7 +51,9 @@ class Faces:
         ab, bc, ca = (np.cross(unit(side), normal) for side in (b - a, c - b, a - c))
         moved = []
         for corner, one, two in ((a, ca, ab), (b, ab, bc), (c, bc, ca)):
-            moved.append(corner + (one + two) * (WIDE * self.hair / np.maximum(1.0 + dot(one, two), _SHARP))[:, None])
+            moved.append(
+                corner + (one + two) * (WIDENED_HAIRS * self.hair / np.maximum(1.0 + dot(one, two), _SHARP_CORNER_LIMIT))[:, None]
+            )
         return np.stack(moved, axis=1).reshape(-1, 3).astype(np.float32)
 
     def normals(self, face: Index) -> Floats:
@@ -75,7 +81,7 @@ class Faces:
         one, two = rows[:, 1, :3], rows[:, 2, :3]
         both = one + two
         steepest = np.maximum(np.maximum(dot(one, one), dot(two, two)), dot(both, both))
-        return rows, _RIM * self.hair * np.sqrt(steepest)
+        return rows, _RIM_HAIRS * self.hair * np.sqrt(steepest)
 
     def cross_planes(
         self, face: Index, origin: Floats, displacement: Floats
@@ -91,7 +97,7 @@ class Faces:
             weights = at + t[:, None] * to
             weights[:, 0] = (1.0 - weights[:, 1]) - weights[:, 2]
             least = np.minimum(np.minimum(weights[:, 0], weights[:, 1]), weights[:, 2])
-            return t, weights, (least >= -CLOSED) & (np.abs(t) < np.inf), ~(np.abs(least) > rim)
+            return t, weights, (least >= -EDGE_WEIGHT_TOLERANCE) & (np.abs(t) < np.inf), ~(np.abs(least) > rim)
 
     def check_hits(
         self, named: Index, origin: Floats, displacement: Floats, at: NDArray[np.floating]
@@ -103,7 +109,9 @@ class Faces:
         if tables is not None:
             n = len(named)
             fractions, hair, weights, hit = np.empty(n), np.empty(n), np.empty((n, 3)), np.empty(n, np.bool_)
-            hits(tables, self.hair, AHEAD, at.astype(np.float64), origin, displacement, named, fractions, weights, hit, hair)
+            hits(
+                tables, self.hair, RETEST_HAIRS, at.astype(np.float64), origin, displacement, named, fractions, weights, hit, hair
+            )
             return fractions, weights, hit, hair
         hair = self.hair / np.sqrt(
             (displacement[:, 0] * displacement[:, 0] + displacement[:, 1] * displacement[:, 1])
@@ -116,7 +124,7 @@ class Faces:
             which, other = self.faces_at_corner(named[unsure], weights[unsure])
             row = unsure[which]
             t, other_weights, inside, _ = self.cross_planes(other, origin[row], displacement[row])
-            near = (t <= at[row] + AHEAD * hair[row]) | (other == named[row])
+            near = (t <= at[row] + RETEST_HAIRS * hair[row]) | (other == named[row])
             good = np.flatnonzero(inside & near & (t > hair[row]))
             order = good[np.lexsort((other[good], t[good], row[good]))]
             first = order[np.concatenate(([True], row[order[1:]] != row[order[:-1]]))] if order.size else order
@@ -245,7 +253,7 @@ def _nearest_on_sides(points: Floats, corners: Floats) -> Floats:
 
 @kernel
 def hits(
-    table: Table,
+    table: FaceTable,
     hair: F64,
     ahead: F64,
     at: Array1[F64],
@@ -266,7 +274,7 @@ def hits(
         h = hair / np.sqrt((x * x + y * y) + z * z)
         face = named[i]
         t, (w0, w1, w2), least = _cross_plane(planes, face, a, b, c, x, y, z)
-        short[i], fractions[i], hit[i] = h, t, least >= -CLOSED and abs(t) < np.inf and t > h
+        short[i], fractions[i], hit[i] = h, t, least >= -EDGE_WEIGHT_TOLERANCE and abs(t) < np.inf and t > h
         weights[i, 0], weights[i, 1], weights[i, 2] = w0, w1, w2
         if not abs(least) > rims[face]:
             hit[i] = False
@@ -274,7 +282,7 @@ def hits(
             most = at[i] + ahead * h
             for k in range(first[place], first[place + 1]):
                 t, (w0, w1, w2), least = _cross_plane(planes, faces[k], a, b, c, x, y, z)
-                good = least >= -CLOSED and abs(t) < np.inf and t > h and (t <= most or faces[k] == face)
+                good = least >= -EDGE_WEIGHT_TOLERANCE and abs(t) < np.inf and t > h and (t <= most or faces[k] == face)
                 if good and (not hit[i] or t < fractions[i]):
                     named[i], fractions[i], hit[i] = faces[k], t, True
                     weights[i, 0], weights[i, 1], weights[i, 2] = w0, w1, w2
@@ -282,7 +290,7 @@ def hits(
 
 @kernel
 def nearest(
-    table: Table, corners: Array3[F64], points: Strided2[F64], face: Array1[I64], place: Array2[F64], square: Array1[F64]
+    table: FaceTable, corners: Array3[F64], points: Strided2[F64], face: Array1[I64], place: Array2[F64], square: Array1[F64]
 ) -> None:
     """As `Faces.nearest`, into the last three arrays; `face` holds what Open3D names."""
     planes, rims, weld, first, faces = table

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 T = TypeVar("T", np.bool_, np.int32)
 
-_FARTHEST = 1 << 29  # cells squared: more than any grid is long, and the sum of two is an int32
+_MAX_SQUARED_CELLS = 1 << 29  # cells squared: more than any grid is long, and the sum of two is an int32
 
 
 def greatest_around(grid: NDArray[T], rings: int) -> NDArray[T]:
@@ -44,7 +44,7 @@ def distances_to_blocked(free: NDArray[np.bool_]) -> NDArray[np.float64]:
 
     Works along one axis after the other: the minimum over each cell's line of the squared value there plus the squared distance
     along the line."""
-    square = np.where(free, np.int32(_FARTHEST), np.int32(0))
+    square = np.where(free, np.int32(_MAX_SQUARED_CELLS), np.int32(0))
     for axis in np.argsort(free.shape, kind="stable"):  # after the shortest few cells are far from all
         line = np.moveaxis(square, axis, 0)
         nearest = line.copy()

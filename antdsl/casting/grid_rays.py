@@ -5,30 +5,37 @@ from __future__ import annotations
 import numpy as np
 
 from antdsl.casting.faces import evaluate_direction, evaluate_point
-from antdsl.casting.tolerances import CLOSED, FAR_OFF, FURTHER, LONGEST, NOTHING, SHORTEST
+from antdsl.casting.tolerances import (
+    EDGE_WEIGHT_TOLERANCE,
+    FACE_BEYOND_GRID,
+    MAX_RAY_CUBES,
+    MIN_VECTOR_LENGTH,
+    NO_FACE,
+    ROUNDING_BOUND,
+)
 from antdsl.machine_code.kernels import called, fetch_ahead, inlined, kernel, nearest_integer, scratch
 from antdsl.machine_code.kernels.types import BOOL, F32, F64, I32, I64, Array1, Array2, Array3, Strided2
 from antdsl.numerics.kernel_vectors import Vec3, Vec3F32, minus, of
 
 # As `TriangleGrid.tables`.
-Grid = tuple[Array1[F64], Array1[I64], Array1[I32], Array1[I32], Array2[F32], Array3[F64], Array3[F64], Array2[F64]]
-Three = tuple[Array1[F32], Array1[F32], Array1[F32]]
-Four = tuple[Array1[F32], Array1[F32], Array1[F32], Array1[F32]]
-FeelResults = tuple[Array1[BOOL], Array1[F32], Array1[F32], Array1[F32], Array1[F32]]
-Seven = tuple[Array1[F32], Array1[F32], Array1[F32], Array1[F32], Array1[F32], Array1[F32], Array1[F32]]
-ONE, SLACK, TINY = np.float32(1), np.float32(FAR_OFF), np.float32(SHORTEST)
-AHEAD = 16  # rays or points with faces prefetched together
-_STILL = 1e-12  # cubes: a ray that goes no farther along an axis stays in its layer
+GridTables = tuple[Array1[F64], Array1[I64], Array1[I32], Array1[I32], Array2[F32], Array3[F64], Array3[F64], Array2[F64]]
+ThreeColumns = tuple[Array1[F32], Array1[F32], Array1[F32]]
+FourColumns = tuple[Array1[F32], Array1[F32], Array1[F32], Array1[F32]]
+FeelerResults = tuple[Array1[BOOL], Array1[F32], Array1[F32], Array1[F32], Array1[F32]]
+SevenColumns = tuple[Array1[F32], Array1[F32], Array1[F32], Array1[F32], Array1[F32], Array1[F32], Array1[F32]]
+FLOAT32_ONE, ROUNDING_SLACK, SHORTEST_VECTOR = np.float32(1), np.float32(ROUNDING_BOUND), np.float32(MIN_VECTOR_LENGTH)
+PREFETCH_GROUP_SIZE = 16  # rays or points with faces prefetched together
+_MIN_AXIS_CUBES = 1e-12  # cubes: a ray that goes no farther along an axis stays in its layer
 
 
 @kernel
 def first_hits(
-    grid: Grid, origin: Strided2[F64], displacement: Strided2[F64], t: Array1[F64], face: Array1[I64], begin: I64, end: I64
+    grid: GridTables, origin: Strided2[F64], displacement: Strided2[F64], t: Array1[F64], face: Array1[I64], begin: I64, end: I64
 ) -> None:
     """As `TriangleGrid.first`, into `t` and `face`, for rays `begin` to `end` (exclusive)."""
-    cells = scratch(2 * AHEAD, I64)
-    for low in range(begin, end, AHEAD):
-        high = min(low + AHEAD, end)
+    cells = scratch(2 * PREFETCH_GROUP_SIZE, I64)
+    for low in range(begin, end, PREFETCH_GROUP_SIZE):
+        high = min(low + PREFETCH_GROUP_SIZE, end)
         _prefetch_faces(grid, origin, (0.0, 0.0, 0.0), displacement, cells, low, high)
         for i in range(low, high):
             t[i], face[i] = first_hit(
@@ -38,7 +45,7 @@ def first_hits(
 
 @kernel
 def trace_normals(
-    grid: Grid,
+    grid: GridTables,
     origin: Strided2[F64],
     displacement: Strided2[F64],
     normals: Array2[F64],
@@ -53,15 +60,15 @@ def trace_normals(
     number of rays beyond the grid's reach."""
     shape, count, left = grid[0], 0, 0
     zero = shape[6], shape[7], shape[8]
-    cells, faces, many = scratch(2 * AHEAD, I64), scratch(AHEAD, I64), normals.shape[1]
-    for low in range(begin, end, AHEAD):
-        high = min(low + AHEAD, end)
+    cells, faces, many = scratch(2 * PREFETCH_GROUP_SIZE, I64), scratch(PREFETCH_GROUP_SIZE, I64), normals.shape[1]
+    for low in range(begin, end, PREFETCH_GROUP_SIZE):
+        high = min(low + PREFETCH_GROUP_SIZE, end)
         _prefetch_faces(grid, origin, zero, displacement, cells, low, high)
         hit = 0
         for i in range(low, high):
             a = minus((origin[i, 0], origin[i, 1], origin[i, 2]), zero)
             t, face = first_hit(grid, a, (displacement[i, 0], displacement[i, 1], displacement[i, 2]))
-            left += 1 if face == FURTHER else 0
+            left += 1 if face == FACE_BEYOND_GRID else 0
             if face >= 0:
                 k = begin + count + hit
                 which[k], results[0, k], faces[hit] = i, t, face
@@ -80,7 +87,7 @@ def trace_normals(
 
 @inlined
 def _prefetch_faces(
-    grid: Grid, origin: Strided2[F64], zero: Vec3, displacement: Strided2[F64], cells: Array1[I64], low: I64, high: I64
+    grid: GridTables, origin: Strided2[F64], zero: Vec3, displacement: Strided2[F64], cells: Array1[I64], low: I64, high: I64
 ) -> None:
     """Prefetch the faces near both ends of rays `low` to `high` (exclusive); origins are relative to `zero`."""
     for i in range(low, high):
@@ -90,14 +97,14 @@ def _prefetch_faces(
 
 
 @kernel
-def cast_feelers(grid: Grid, rays: Seven, results: Array2[F32]) -> I64:
+def cast_feelers(grid: GridTables, rays: SevenColumns, results: Array2[F32]) -> I64:
     """As `TriangleGrid.feelers`, into the last array: distance and normal. The distance is NaN for feelers that the grid cannot
     resolve; returns their number."""
     x, y, z, dx, dy, dz, reach = rays
     count = 0
     for i in range(reach.size):
         n, face = cast_feeler(grid, (x[i], y[i], z[i]), (dx[i], dy[i], dz[i]), reach[i])
-        if face == FURTHER:
+        if face == FACE_BEYOND_GRID:
             count += 1
         results[0, i] = np.float32(n[3])
         results[1, i], results[2, i], results[3, i] = np.float32(n[0]), np.float32(n[1]), np.float32(n[2])
@@ -106,7 +113,13 @@ def cast_feelers(grid: Grid, rays: Seven, results: Array2[F32]) -> I64:
 
 @kernel
 def feel_askers(
-    grid: Grid, positions: Four, asking: Array1[BOOL], directions: Four, results: FeelResults, begin: I64, end: I64
+    grid: GridTables,
+    positions: FourColumns,
+    asking: Array1[BOOL],
+    directions: FourColumns,
+    results: FeelerResults,
+    begin: I64,
+    end: I64,
 ) -> I64:
     """As `TriangleGrid.felt`, for agents `begin` to `end` (exclusive), into the last arrays. The distance is NaN for feelers that
     the grid cannot resolve; returns their number."""
@@ -118,13 +131,13 @@ def feel_askers(
         if not asking[i]:
             continue
         far = reach[i]
-        if not (far > 0 and far < np.inf and clear[i] <= far * (ONE + SLACK) + SLACK):
+        if not (far > 0 and far < np.inf and clear[i] <= far * (FLOAT32_ONE + ROUNDING_SLACK) + ROUNDING_SLACK):
             continue
         size = np.sqrt((wx[i] * wx[i] + wy[i] * wy[i]) + wz[i] * wz[i])
-        if not (size > TINY and size < np.inf):
+        if not (size > SHORTEST_VECTOR and size < np.inf):
             continue
         n, face = cast_feeler(grid, (x[i], y[i], z[i]), (wx[i] / size, wy[i] / size, wz[i] / size), far)
-        if face == FURTHER:
+        if face == FACE_BEYOND_GRID:
             count += 1
             t[i] = np.float32(n[3])
         elif face >= 0:
@@ -134,7 +147,7 @@ def feel_askers(
 
 
 @called
-def cast_feeler(grid: Grid, p: Vec3F32, d: Vec3F32, reach: F32) -> tuple[tuple[F64, F64, F64, F64], I64]:
+def cast_feeler(grid: GridTables, p: Vec3F32, d: Vec3F32, reach: F32) -> tuple[tuple[F64, F64, F64, F64], I64]:
     """Return the hit of a feeler, and the face. The hit contains the unit normal towards the feeler's origin, and the distance in
     mm (inf = no hit, NaN = the grid cannot answer)."""
     shape, normals = grid[0], grid[7]
@@ -143,7 +156,7 @@ def cast_feeler(grid: Grid, p: Vec3F32, d: Vec3F32, reach: F32) -> tuple[tuple[F
     w = np.float64(d[0]) * far, np.float64(d[1]) * far, np.float64(d[2]) * far
     t, face = first_hit(grid, a, w)
     if face < 0:
-        return (0.0, 0.0, 0.0, np.nan if face == FURTHER else np.inf), face
+        return (0.0, 0.0, 0.0, np.nan if face == FACE_BEYOND_GRID else np.inf), face
     x, y, z = normals[face, 0], normals[face, 1], normals[face, 2]
     if (x * w[0] + y * w[1]) + z * w[2] > 0:
         x, y, z = -x, -y, -z
@@ -151,33 +164,33 @@ def cast_feeler(grid: Grid, p: Vec3F32, d: Vec3F32, reach: F32) -> tuple[tuple[F
 
 
 @called
-def first_hit(grid: Grid, a: Vec3, w: Vec3) -> tuple[F64, I64]:
+def first_hit(grid: GridTables, a: Vec3, w: Vec3) -> tuple[F64, I64]:
     """Return the part of its length after which a ray meets its first face, and the face."""
     shape, size, first, listed, bound, planes = grid[0], grid[1], grid[2], grid[3], grid[4], grid[5]
     part = 1.0 / shape[3]
     px, py, pz = (a[0] - shape[0]) * part, (a[1] - shape[1]) * part, (a[2] - shape[2]) * part
     dx, dy, dz = w[0] * part, w[1] * part, w[2] * part
     long = (abs(dx) + abs(dy)) + abs(dz)
-    if long > LONGEST:
-        return np.inf, FURTHER
-    if not (abs(px) + abs(py) + abs(pz) < np.inf and long <= LONGEST):
-        return np.inf, NOTHING
+    if long > MAX_RAY_CUBES:
+        return np.inf, FACE_BEYOND_GRID
+    if not (abs(px) + abs(py) + abs(pz) < np.inf and long <= MAX_RAY_CUBES):
+        return np.inf, NO_FACE
     # A ray that stays in a layer has its borders infinitely far away, and none that is outside enters it.
-    mx, my, mz = abs(dx) > _STILL, abs(dy) > _STILL, abs(dz) > _STILL
+    mx, my, mz = abs(dx) > _MIN_AXIS_CUBES, abs(dy) > _MIN_AXIS_CUBES, abs(dz) > _MIN_AXIS_CUBES
     ix, iy, iz = 1.0 / dx if mx else np.inf, 1.0 / dy if my else np.inf, 1.0 / dz if mz else np.inf
     bx, ex = _axis_interval(px, ix, mx, np.float64(size[0]))
     by, ey = _axis_interval(py, iy, my, np.float64(size[1]))
     bz, ez = _axis_interval(pz, iz, mz, np.float64(size[2]))
     begin, end = max(max(max(bx, by), bz), 0.0), min(min(min(ex, ey), ez), 1.0)
     if begin > end:
-        return np.inf, NOTHING
+        return np.inf, NO_FACE
     x = min(max(np.int64(np.floor(px + dx * begin)), 0), size[0] - 1)
     y = min(max(np.int64(np.floor(py + dy * begin)), 0), size[1] - 1)
     z = min(max(np.int64(np.floor(pz + dz * begin)), 0), size[2] - 1)
     ux, uy, uz = 1 if dx > 0 else 0, 1 if dy > 0 else 0, 1 if dz > 0 else 0
     square = (w[0] * w[0] + w[1] * w[1]) + w[2] * w[2]
     h, over, off = shape[5] / np.sqrt(square), 1.0 / square, shape[4]
-    best, face, most = np.inf, NOTHING, 1.0
+    best, face, most = np.inf, NO_FACE, 1.0
     while x >= 0 and x < size[0] and y >= 0 and y < size[1] and z >= 0 and z < size[2]:
         cell = (x * size[1] + y) * size[2] + z
         for k in range(first[cell], first[cell + 1]):
@@ -198,7 +211,12 @@ def first_hit(grid: Grid, a: Vec3, w: Vec3) -> tuple[F64, I64]:
             if t > h and t <= most:
                 w1 = evaluate_point(planes, f, 1, a[0], a[1], a[2]) + t * evaluate_direction(planes, f, 1, w[0], w[1], w[2])
                 w2 = evaluate_point(planes, f, 2, a[0], a[1], a[2]) + t * evaluate_direction(planes, f, 2, w[0], w[1], w[2])
-                if (1.0 - w1) - w2 >= -CLOSED and w1 >= -CLOSED and w2 >= -CLOSED and (t < best or f < face):
+                if (
+                    (1.0 - w1) - w2 >= -EDGE_WEIGHT_TOLERANCE
+                    and w1 >= -EDGE_WEIGHT_TOLERANCE
+                    and w2 >= -EDGE_WEIGHT_TOLERANCE
+                    and (t < best or f < face)
+                ):
                     best, face, most = t, f, t
         # Where the ray leaves the cube: what it meets before is listed in it.
         tx = (np.float64(x + ux) - px) * ix if mx else np.inf
@@ -218,7 +236,13 @@ def first_hit(grid: Grid, a: Vec3, w: Vec3) -> tuple[F64, I64]:
 
 @inlined
 def prefetch_rays(
-    grid: Grid, origins: Array2[F64], zero: Vec3, displacements: Array2[F64], rays: Array1[I64], cells: Array1[I64], count: I64
+    grid: GridTables,
+    origins: Array2[F64],
+    zero: Vec3,
+    displacements: Array2[F64],
+    rays: Array1[I64],
+    cells: Array1[I64],
+    count: I64,
 ) -> None:
     """Prefetch the faces near both ends of the rays with numbers in `rays`. Origins and ways (3, k) are relative to `zero`."""
     for n in range(count):
@@ -227,21 +251,21 @@ def prefetch_rays(
 
 
 @inlined
-def _list_end_cubes(grid: Grid, a: Vec3, w: Vec3, cells: Array1[I64], n: I64) -> None:
+def _list_end_cubes(grid: GridTables, a: Vec3, w: Vec3, cells: Array1[I64], n: I64) -> None:
     """Write the cubes at both ends of ray `n` of a batch into `cells`."""
     cells[2 * n] = _prefetch_cube(grid, a)
     cells[2 * n + 1] = _prefetch_cube(grid, (a[0] + w[0], a[1] + w[1], a[2] + w[2]))
 
 
 @inlined
-def _prefetch_lists(grid: Grid, cells: Array1[I64], count: I64) -> None:
+def _prefetch_lists(grid: GridTables, cells: Array1[I64], count: I64) -> None:
     """Prefetch the first faces of the cubes of `count` rays."""
     for n in range(2 * count):
         _prefetch_list(grid, cells[n])
 
 
 @inlined
-def _prefetch_cube(grid: Grid, a: Vec3) -> I64:
+def _prefetch_cube(grid: GridTables, a: Vec3) -> I64:
     """Return the cube of a position, or the nearest one of the grid. Prefetch the start of its list."""
     shape, size, first = grid[0], grid[1], grid[2]
     part = 1.0 / shape[3]
@@ -254,7 +278,7 @@ def _prefetch_cube(grid: Grid, a: Vec3) -> I64:
 
 
 @inlined
-def _prefetch_list(grid: Grid, cell: I64) -> None:
+def _prefetch_list(grid: GridTables, cell: I64) -> None:
     """Prefetch the first faces of a cube: two fit in a cache line."""
     first, listed, bound = grid[2], grid[3], grid[4]
     k: I64 = first[cell]

@@ -13,18 +13,18 @@ from numpy.typing import NDArray
 
 from antdsl.casting.distance_grid import DistanceGrid
 from antdsl.casting.faces import Faces
-from antdsl.casting.tolerances import TOUCHING
+from antdsl.casting.tolerances import TOUCHING_DISTANCE_MM
 from antdsl.casting.triangle_grid import Arrays, Tables, TriangleGrid
-from antdsl.numerics.vectors import Columns
+from antdsl.numerics.vectors import VectorComponents
 
 Vectors = NDArray[np.float64]
 Index = NDArray[np.int64]
 
-Ask = tuple[NDArray[np.bool_], Arrays, Arrays]  # who of n asks, operands and results of n each
+FeelerQuery = tuple[NDArray[np.bool_], Arrays, Arrays]  # who of n asks, operands and results of n each
 
-END = 1.1  # of a ray: Open3D looks as far, which is more than it errs by unless the ray is a hair long
-_CROWD = 2_000  # simultaneous queries from which finer distances pay
-_BRIEF_CELLS = 1000
+RAY_LENGTH_FACTOR = 1.1  # of a ray: Open3D looks as far, which is more than it errs by unless the ray is a hair long
+_MIN_POINTS_TO_REFINE = 2_000  # simultaneous queries from which finer distances pay
+_SHORT_LIVED_GRID_CELLS = 1000
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,7 +38,7 @@ class FeelerHits:
     nz: NDArray[np.float32]
 
 
-def list_askers(asks: Sequence[Ask]) -> list[tuple[int, NDArray[np.intp]]]:
+def list_askers(asks: Sequence[FeelerQuery]) -> list[tuple[int, NDArray[np.intp]]]:
     """Return the rows of all requests, with the number of each request."""
     return [(number, np.flatnonzero(asking)) for number, (asking, *_) in enumerate(asks)]
 
@@ -81,16 +81,20 @@ class ProximityQueries:
             return np.full(len(x), np.inf, np.float32)
         if self._grid is None:
             self._grid = self._distance_grid()
-        if len(x) >= _CROWD and not self._refined and not self._brief:
+        if len(x) >= _MIN_POINTS_TO_REFINE and not self._refined and not self._brief:
             self._refined = True
             self._grid.refine(self._bound_distances)
         return self._grid.lower_bounds(x, y, z, threads)
 
     def _distance_grid(self) -> DistanceGrid:
         corners = self._faces.corners + self.origin
-        return DistanceGrid(corners, _BRIEF_CELLS, False) if self._brief else DistanceGrid(corners, lasting=self._lasting)
+        return (
+            DistanceGrid(corners, _SHORT_LIVED_GRID_CELLS, False) if self._brief else DistanceGrid(corners, lasting=self._lasting)
+        )
 
-    def cast_feelers(self, positions: Columns, directions: Columns, reach: NDArray[Any] | float, threads: int = 1) -> FeelerHits:
+    def cast_feelers(
+        self, positions: VectorComponents, directions: VectorComponents, reach: NDArray[Any] | float, threads: int = 1
+    ) -> FeelerHits:
         """Return the hits within `reach` (mm, one or float[n]) of positions (x y z) along unit directions (x y z), all 1-D arrays
         of one length.
 
@@ -112,7 +116,7 @@ class ProximityQueries:
             t, normal = self._cast_rays(rays, reach, threads)
         return FeelerHits(t < np.inf, t, *normal)
 
-    def feel_batch(self, positions: Arrays, asks: Sequence[Ask], threads: int = 1) -> list[tuple[int, NDArray[np.intp]]]:
+    def feel_batch(self, positions: Arrays, asks: Sequence[FeelerQuery], threads: int = 1) -> list[tuple[int, NDArray[np.intp]]]:
         """As `feelers`, for several requests together, each by some of n agents. `positions`: x y z and the distance free of
         faces, [n] each. Each request has ways (x y z) of any length and their reach, [n] each, and result arrays: hit, distance
         and normal (x y z), [n] each. Results must be initialised to no hit; all arrays are contiguous float32. Returns, with the
@@ -172,7 +176,7 @@ class ProximityQueries:
                 self._grid = self._distance_grid()
             candidates = np.flatnonzero(self._grid.lower_bounds(x, y, z) <= reach)
             points = np.stack([x[candidates], y[candidates], z[candidates]], axis=1).astype(np.float64)
-            _, _, place, distance = self.closest(points, threads, reach[candidates] * END)
+            _, _, place, distance = self.closest(points, threads, reach[candidates] * RAY_LENGTH_FACTOR)
             hit_rows = np.flatnonzero(distance.astype(np.float32) <= reach[candidates])
             away = (points[hit_rows] - place[hit_rows]) / np.maximum(distance[hit_rows], 1e-12)[:, None]
             t[candidates[hit_rows]] = distance[hit_rows]
@@ -206,8 +210,8 @@ class ProximityQueries:
         normal = self._faces.normals(face + self._first_face[mesh])
         away = points - place
         side = np.where((away[:, 0] * normal[:, 0] + away[:, 1] * normal[:, 1]) + away[:, 2] * normal[:, 2] < 0, -1.0, 1.0)
-        touching = distance < TOUCHING
-        out = np.where(touching[:, None], normal, away * (side / np.maximum(distance, TOUCHING))[:, None])
+        touching = distance < TOUCHING_DISTANCE_MM
+        out = np.where(touching[:, None], normal, away * (side / np.maximum(distance, TOUCHING_DISTANCE_MM))[:, None])
         return (distance * side).astype(np.float32), np.ascontiguousarray(out.T, np.float32)
 
     def _select_reachable(self, rays: Arrays, reach: NDArray[Any]) -> NDArray[np.int64]:

@@ -6,17 +6,23 @@ from __future__ import annotations
 import numpy as np
 
 from antdsl.casting.faces import nearest_on, squared_length
-from antdsl.casting.grid_rays import Grid, Three
-from antdsl.casting.tolerances import BEYOND, FURTHER, RINGS, TOUCHING, UNSURE
+from antdsl.casting.grid_rays import GridTables, ThreeColumns
+from antdsl.casting.tolerances import (
+    FACE_BEYOND_GRID,
+    MAX_SEARCH_RINGS,
+    NEAREST_BEYOND_RANGE,
+    NEAREST_UNKNOWN,
+    TOUCHING_DISTANCE_MM,
+)
 from antdsl.machine_code.kernels import called, fetch_ahead, inlined, kernel, nearest_integer
 from antdsl.machine_code.kernels.types import BOOL, F32, F64, I64, Array1, Array2, Strided2
 from antdsl.numerics.kernel_vectors import Vec3, Vec3F32, minus
 
-_FETCHED = 12  # prefetched faces of a row of cubes
+_PREFETCHED_FACES = 12  # prefetched faces of a row of cubes
 
 
 @kernel
-def signed_distances(grid: Grid, positions: Three, results: Array2[F32], begin: I64, end: I64) -> I64:
+def signed_distances(grid: GridTables, positions: ThreeColumns, results: Array2[F32], begin: I64, end: I64) -> I64:
     """As `TriangleGrid.apart` for positions `begin` to `end` (exclusive), into `results`: signed distance and direction out. The
     distance is NaN where the grid cannot tell; returns the number of these."""
     x, y, z = positions
@@ -29,14 +35,14 @@ def signed_distances(grid: Grid, positions: Three, results: Array2[F32], begin: 
 
 
 @inlined
-def signed_distance(grid: Grid, place: Vec3F32, within: F64) -> tuple[F32, Vec3F32]:
+def signed_distance(grid: GridTables, place: Vec3F32, within: F64) -> tuple[F32, Vec3F32]:
     """As `apart`, for one position: its signed distance to the faces and the direction out. The distance is NaN where the grid
     cannot tell, and infinite where it is more than `within` mm."""
     shape, normals = grid[0], grid[7]
     p = np.float64(place[0]), np.float64(place[1]), np.float64(place[2])
     a = p[0] - shape[6], p[1] - shape[7], p[2] - shape[8]
     square, face, q = nearest_face(grid, a, within)
-    if face == UNSURE:
+    if face == NEAREST_UNKNOWN:
         square, face, q = nearest_face(grid, a, np.inf)
     gap, x, y, z = np.float32(np.nan), np.float32(0), np.float32(0), np.float32(0)
     if face >= 0:
@@ -45,18 +51,18 @@ def signed_distance(grid: Grid, place: Vec3F32, within: F64) -> tuple[F32, Vec3F
         away = p[0] - (q[0] + shape[6]), p[1] - (q[1] + shape[7]), p[2] - (q[2] + shape[8])
         side = -1.0 if (away[0] * n[0] + away[1] * n[1]) + away[2] * n[2] < 0 else 1.0
         gap = np.float32(distance * side)
-        part = side / max(distance, TOUCHING)
-        if distance < TOUCHING:
+        part = side / max(distance, TOUCHING_DISTANCE_MM)
+        if distance < TOUCHING_DISTANCE_MM:
             x, y, z = np.float32(n[0]), np.float32(n[1]), np.float32(n[2])
         else:
             x, y, z = np.float32(away[0] * part), np.float32(away[1] * part), np.float32(away[2] * part)
-    elif face == BEYOND:
+    elif face == NEAREST_BEYOND_RANGE:
         gap = np.float32(np.inf)
     return gap, (x, y, z)
 
 
 @kernel
-def nearest_points(grid: Grid, points: Strided2[F64], place: Array2[F64], square: Array1[F64], face: Array1[I64]) -> None:
+def nearest_points(grid: GridTables, points: Strided2[F64], place: Array2[F64], square: Array1[F64], face: Array1[I64]) -> None:
     """As `TriangleGrid.nearest`, into the last three arrays."""
     for i in range(face.size):
         p = (points[i, 0], points[i, 1], points[i, 2])
@@ -65,7 +71,7 @@ def nearest_points(grid: Grid, points: Strided2[F64], place: Array2[F64], square
 
 
 @inlined
-def prefetch_around(grid: Grid, place: Vec3F32, rows: Array1[I64], k: I64) -> None:
+def prefetch_around(grid: GridTables, place: Vec3F32, rows: Array1[I64], k: I64) -> None:
     """Prefetch the list starts of the cubes around a position. Write these cubes, in nine rows of three, to `rows` from index 9
     `k` on."""
     shape, size, first = grid[0], grid[1], grid[2]
@@ -82,13 +88,13 @@ def prefetch_around(grid: Grid, place: Vec3F32, rows: Array1[I64], k: I64) -> No
 
 
 @inlined
-def prefetch_lists(grid: Grid, rows: Array1[I64], count: I64) -> None:
+def prefetch_lists(grid: GridTables, rows: Array1[I64], count: I64) -> None:
     """Prefetch the first faces of `count` rows of three cubes."""
     first, listed, bound = grid[2], grid[3], grid[4]
     last = first.size - 1
     for n in range(count):
         begin, end = first[rows[n]], first[min(rows[n] + 3, last)]
-        for k in range(begin, min(end, begin + _FETCHED), 2):
+        for k in range(begin, min(end, begin + _PREFETCHED_FACES), 2):
             fetch_ahead(bound, 8 * k)
         if begin < end:
             fetch_ahead(listed, begin)
@@ -100,7 +106,7 @@ def _layer_index(at: F64, low: F64, part: F64, size: I64) -> I64:
 
 
 @called
-def nearest_face(grid: Grid, p: Vec3, within: F64) -> tuple[F64, I64, Vec3]:
+def nearest_face(grid: GridTables, p: Vec3, within: F64) -> tuple[F64, I64, Vec3]:
     """Return the squared distance to a point's nearest face, that face, and the nearest position on it. If that is farther than
     `within` (mm), the face may be BEYOND (the point is in front of it) or UNSURE.
 
@@ -110,15 +116,19 @@ def nearest_face(grid: Grid, p: Vec3, within: F64) -> tuple[F64, I64, Vec3]:
     width, off = shape[3], shape[4]
     part = 1.0 / width
     ax, ay, az = (p[0] - shape[0]) * part, (p[1] - shape[1]) * part, (p[2] - shape[2]) * part
-    best, face, place, least = np.inf, FURTHER, p, np.inf
+    best, face, place, least = np.inf, FACE_BEYOND_GRID, p, np.inf
     # How far the nearest that has the place before it is at most, and both; how far faces on either side matter.
     ahead, until, before_it, behind_it = np.inf, np.inf, within + off, np.inf
-    latest, second, third = FURTHER, FURTHER, FURTHER  # faces queried last: neighbouring cubes contain them too
+    latest, second, third = (
+        FACE_BEYOND_GRID,
+        FACE_BEYOND_GRID,
+        FACE_BEYOND_GRID,
+    )  # faces queried last: neighbouring cubes contain them too
     if not (_is_near_grid(ax, size[0]) and _is_near_grid(ay, size[1]) and _is_near_grid(az, size[2])):
         return best, face, place
     mx, my, mz = _clamped_index(ax, size[0]), _clamped_index(ay, size[1]), _clamped_index(az, size[2])
     ring, looking = 0, True
-    while looking and ring <= RINGS:
+    while looking and ring <= MAX_SEARCH_RINGS:
         low, high = max(mz - ring, 0), min(mz + ring, size[2] - 1)
         for x in range(max(mx - ring, 0), min(mx + ring, size[0] - 1) + 1):
             for y in range(max(my - ring, 0), min(my + ring, size[1] - 1) + 1):
@@ -159,9 +169,9 @@ def nearest_face(grid: Grid, p: Vec3, within: F64) -> tuple[F64, I64, Vec3]:
         looking = not until <= known * known
         ring += 1
     if within < np.inf and (looking or best > within * within):
-        return np.inf, BEYOND if until < best and not looking else UNSURE, p
+        return np.inf, NEAREST_BEYOND_RANGE if until < best and not looking else NEAREST_UNKNOWN, p
     if looking:
-        best, face, place = np.inf, FURTHER, p
+        best, face, place = np.inf, FACE_BEYOND_GRID, p
     return best, face, place
 
 
@@ -188,7 +198,7 @@ def _is_farther(away: F64, above: F64, square: F64, least: F64) -> BOOL:
 
 @inlined
 def _is_near_grid(at: F64, size: I64) -> BOOL:
-    return at >= -RINGS and at <= size + RINGS
+    return at >= -MAX_SEARCH_RINGS and at <= size + MAX_SEARCH_RINGS
 
 
 @inlined

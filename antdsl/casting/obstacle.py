@@ -8,9 +8,9 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl.casting.nearby import Ask, FeelerHits
+from antdsl.casting.nearby import FeelerHits, FeelerQuery
 from antdsl.casting.triangle_grid import Arrays
-from antdsl.numerics.vectors import Columns
+from antdsl.numerics.vectors import VectorComponents
 
 
 class Obstacle(Protocol):
@@ -20,10 +20,12 @@ class Obstacle(Protocol):
     def clearance(self, x: NDArray[Any], y: NDArray[Any], z: NDArray[Any], threads: int = 1) -> NDArray[np.float32]:
         """Return a distance (float32[n]) within which positions have no surface; 0 when near."""
 
-    def cast_feelers(self, positions: Columns, directions: Columns, reach: NDArray[Any] | float, threads: int = 1) -> FeelerHits:
+    def cast_feelers(
+        self, positions: VectorComponents, directions: VectorComponents, reach: NDArray[Any] | float, threads: int = 1
+    ) -> FeelerHits:
         """Return what lies within `reach` (one or float[n]) of positions (x y z) along unit directions (x y z)."""
 
-    def feel_batch(self, positions: Arrays, asks: Sequence[Ask], threads: int = 1) -> list[tuple[int, NDArray[np.intp]]]:
+    def feel_batch(self, positions: Arrays, asks: Sequence[FeelerQuery], threads: int = 1) -> list[tuple[int, NDArray[np.intp]]]:
         """Write what feelers touch, for several requests together, each by some of n agents. `positions`: x y z, and the distance
         (mm) free of surface. Each request has ways (x y z) of any length and their reach, and result arrays: hit, distance and
         normal (x y z), initialised to no hit. Returns, with the number of each request, the rows that still need `feelers`."""

@@ -9,7 +9,7 @@ from importlib.util import find_spec
 from types import ModuleType
 from typing import Any
 
-_PLOTS = "open3d.visualization.draw_plotly"
+_PLOTLY_MODULE = "open3d.visualization.draw_plotly"
 
 
 class _DeferredModule(ModuleType):
@@ -34,7 +34,7 @@ def open3d() -> Any:
     Its plotting parts are not imported: they need a web server and an HTTP client (dash, requests), take half of the time and
     bind a socket."""
     if "open3d" not in sys.modules:
-        sys.modules.setdefault(_PLOTS, _DeferredModule(_PLOTS))
+        sys.modules.setdefault(_PLOTLY_MODULE, _DeferredModule(_PLOTLY_MODULE))
     try:
         import open3d
     except (ImportError, OSError) as problem:

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from antdsl.casting.open3d_module import open3d
 
-_CHUNK = 1 << 17  # rays at once
+_RAYS_PER_CHUNK = 1 << 17  # rays at once
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -45,8 +45,8 @@ class PictureRays:
         n = len(direction)
         t, face = np.full(n, np.inf, np.float32), np.full(n, -1, np.int32)
         u, v, normal = np.zeros(n, np.float32), np.zeros(n, np.float32), np.zeros((n, 3), np.float32)
-        for start in range(0, n if self.faces else 0, _CHUNK):
-            own = slice(start, min(start + _CHUNK, n))
+        for start in range(0, n if self.faces else 0, _RAYS_PER_CHUNK):
+            own = slice(start, min(start + _RAYS_PER_CHUNK, n))
             answer = self._scene.cast_rays(_tensor(self._prepare_rays(origin, direction, own)), nthreads=threads)
             t[own] = answer["t_hit"].numpy()
             named = answer["primitive_ids"].numpy()
@@ -63,8 +63,8 @@ class PictureRays:
         """Whether anything lies on each ray before `far` lengths of its direction."""
         n = len(direction)
         is_occluded = np.zeros(n, np.bool_)
-        for start in range(0, n if self.faces else 0, _CHUNK):
-            own = slice(start, min(start + _CHUNK, n))
+        for start in range(0, n if self.faces else 0, _RAYS_PER_CHUNK):
+            own = slice(start, min(start + _RAYS_PER_CHUNK, n))
             rays = _tensor(self._prepare_rays(origin, direction, own))
             is_occluded[own] = self._scene.test_occlusions(rays, tnear=0.0, tfar=far, nthreads=threads).numpy()
         return is_occluded

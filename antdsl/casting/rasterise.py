@@ -7,13 +7,15 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
-_PIECE = 1 << 15  # triangles handled at once
-_TESTED = 1 << 13  # pairs of a triangle and a cell tested at once: what the test computes of them stays in the processor's cache
-_SLACK = 1e-9  # cells
+_TRIANGLES_PER_CHUNK = 1 << 15  # triangles handled at once
+_PAIRS_PER_CHUNK = (
+    1 << 13
+)  # pairs of a triangle and a cell tested at once: what the test computes of them stays in the processor's cache
+_CELL_SLACK = 1e-9  # cells
 _OTHER_AXES = ((1, 2), (2, 0), (0, 1))
-_LARGEST = 2.0  # extent in cells above which a triangle is cut in four
-_NUMBERS = float(1 << 62)
-_THIN = 64.0  # cells along a triangle for each that it touches, from where on it is sliced
+_MAX_TRIANGLE_CELLS = 2.0  # extent in cells above which a triangle is cut in four
+_MAX_CELL_NUMBER = float(1 << 62)
+_THIN_TRIANGLE_RATIO = 64.0  # cells along a triangle for each that it touches, from where on it is sliced
 
 
 def triangle_cells(
@@ -25,8 +27,10 @@ def triangle_cells(
     come more than once for a large triangle. With `exact` false, all cells of a small box around each part come. With a `margin`
     (cells), cells within that distance of a triangle come too. Triangle against box: Akenine-Möller, Fast 3D Triangle-Box Overlap
     Testing, 2001, p. 2-4."""
-    for a in range(0, len(corners), _PIECE):
-        yield from _touched_cells(corners[a : a + _PIECE], np.arange(a, min(a + _PIECE, len(corners))), exact, margin)
+    for a in range(0, len(corners), _TRIANGLES_PER_CHUNK):
+        yield from _touched_cells(
+            corners[a : a + _TRIANGLES_PER_CHUNK], np.arange(a, min(a + _TRIANGLES_PER_CHUNK, len(corners))), exact, margin
+        )
 
 
 def _touched_cells(
@@ -40,7 +44,7 @@ def _touched_cells(
     while todo:
         tri, name = todo.pop()
         low, high = _bounds(tri)
-        large = (high - low).max(axis=1) > _LARGEST
+        large = (high - low).max(axis=1) > _MAX_TRIANGLE_CELLS
         small = ~large
         if small.any():
             yield _box_cells(tri[small], name[small], exact, margin)
@@ -50,8 +54,8 @@ def _touched_cells(
         thin = _are_thin(tri)
         if not thin.all():
             quarters, names = _quarter(tri[~thin]), np.tile(name[~thin], 4)
-            for a in range(0, len(quarters), _PIECE):
-                todo.append((quarters[a : a + _PIECE], names[a : a + _PIECE]))
+            for a in range(0, len(quarters), _TRIANGLES_PER_CHUNK):
+                todo.append((quarters[a : a + _TRIANGLES_PER_CHUNK], names[a : a + _TRIANGLES_PER_CHUNK]))
         if thin.any():
             for slices, which in _slice_triangles(tri[thin]):
                 for pairs in _touched_cells(slices, name[thin][which], exact, margin):
@@ -66,7 +70,7 @@ def _drop_repeats(cells: NDArray[np.int64], name: NDArray[np.int64]) -> tuple[ND
     for axis in range(3):
         span = int(cells[:, axis].max(initial=least[axis]) - least[axis]) + 1
         key, key_count = key * span + (cells[:, axis] - least[axis]), key_count * span
-    if key_count >= _NUMBERS:
+    if key_count >= _MAX_CELL_NUMBER:
         return cells, name
     first_rows = np.unique(key, return_index=True)[1]
     return cells[first_rows], name[first_rows]
@@ -77,7 +81,7 @@ def _are_thin(tri: NDArray[np.float64]) -> NDArray[np.bool_]:
     sides = [tri[:, (k + 1) % 3] - tri[:, k] for k in range(3)]
     square = np.max([(side * side).sum(axis=1) for side in sides], axis=0)
     across = np.cross(sides[0], sides[1])
-    thin: NDArray[np.bool_] = square > _THIN * (np.sqrt((across * across).sum(axis=1)) + np.sqrt(square))
+    thin: NDArray[np.bool_] = square > _THIN_TRIANGLE_RATIO * (np.sqrt((across * across).sum(axis=1)) + np.sqrt(square))
     return thin
 
 
@@ -94,10 +98,10 @@ def _slice_triangles(tri: NDArray[np.float64]) -> Iterator[tuple[NDArray[np.floa
     tip, foot, apex = np.concatenate([start, end]), np.tile(foot, (2, 1)), np.tile(apex, (2, 1))
     height = np.sqrt(((apex - foot) ** 2).sum(axis=1))
     length = np.sqrt(((foot - tip) ** 2).sum(axis=1))
-    count = np.ceil(length / np.maximum(height, _LARGEST - height)).astype(np.int64)
+    count = np.ceil(length / np.maximum(height, _MAX_TRIANGLE_CELLS - height)).astype(np.int64)
     stop = np.cumsum(count)
-    for a in range(0, int(stop[-1]), _PIECE // 2):
-        step = np.arange(a, min(a + _PIECE // 2, int(stop[-1])))
+    for a in range(0, int(stop[-1]), _TRIANGLES_PER_CHUNK // 2):
+        step = np.arange(a, min(a + _TRIANGLES_PER_CHUNK // 2, int(stop[-1])))
         half = np.searchsorted(stop, step, "right")
         near = (step - (stop[half] - count[half])) / count[half]
         far = (step + 1 - (stop[half] - count[half])) / count[half]
@@ -138,7 +142,7 @@ def _box_cells(
         cells[:, axis] += offsets
     if exact:
         flat = np.ascontiguousarray(tri.reshape(-1, 9).T)
-        parts = [slice(at, at + _TESTED) for at in range(0, len(which), _TESTED)]
+        parts = [slice(at, at + _PAIRS_PER_CHUNK) for at in range(0, len(which), _PAIRS_PER_CHUNK)]
         touched = np.concatenate([_is_touching(flat, which[part], cells[part], 0.5 + margin) for part in parts])
         cells, which = cells[touched], which[touched]
     return cells, name[which]
@@ -152,11 +156,11 @@ def _is_touching(tri: NDArray[np.float64], which: NDArray[np.int64], cells: NDAr
     e = [[w - u for u, w in zip(v[one], v[other], strict=True)] for one, other in ((0, 1), (1, 2), (2, 0))]
     normal = [e[0][p] * e[1][q] - e[0][q] * e[1][p] for p, q in _OTHER_AXES]
     away = np.abs(normal[0] * v[0][0] + normal[1] * v[0][1] + normal[2] * v[0][2])
-    touch: NDArray[np.bool_] = away <= half * (np.abs(normal[0]) + np.abs(normal[1]) + np.abs(normal[2])) + _SLACK
+    touch: NDArray[np.bool_] = away <= half * (np.abs(normal[0]) + np.abs(normal[1]) + np.abs(normal[2])) + _CELL_SLACK
     for edge in e:
         length = [np.abs(part) for part in edge]
         for p, q in _OTHER_AXES:
-            reach = half * (length[p] + length[q]) + _SLACK
+            reach = half * (length[p] + length[q]) + _CELL_SLACK
             at = [edge[p] * w[q] - edge[q] * w[p] for w in v]
             touch &= np.minimum(np.minimum(at[0], at[1]), at[2]) <= reach
             touch &= np.maximum(np.maximum(at[0], at[1]), at[2]) >= -reach

@@ -17,10 +17,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl.casting.faces import nearest_on
-from antdsl.casting.grid_rays import Grid
-from antdsl.casting.tolerances import NOTHING, UNSURE
+from antdsl.casting.grid_rays import GridTables
+from antdsl.casting.tolerances import NEAREST_UNKNOWN, NO_FACE
 from antdsl.machine_code.kernels import called, fetch_ahead, inlined, kernel, load_consecutive, nearest_integer
-from antdsl.machine_code.kernels.types import BOOL, F32, F64, I32, I64, Array1, Array2, Array3
+from antdsl.machine_code.kernels.types import BOOL, F32, F64, I32, I64, Array1, Array2
 from antdsl.numerics import parallel, stored_tables
 from antdsl.numerics.kernel_vectors import Vec3, cross, dot, minus, plus
 
@@ -41,7 +41,7 @@ _ROUNDING = 1 + 1e-5  # more than float32 makes of a square
 _FACES = 512  # for which a thread pays
 
 
-def find_rings(faces: Faces, grid: Grid, lasting: bool, threads: int = 1) -> Arrays:
+def find_rings(faces: Faces, grid: GridTables, lasting: bool, threads: int = 1) -> Arrays:
     """A row of two cache lines for each face, as three views: its three planes, float64[16 m]; at LINK the face across each side,
     opposite of each corner, -1 for none, int32[32 m]; and at BALL middle and square of the radius, which is 0 where the ring is
     open or not flat, float32[32 m]. `lasting`: whether another run may request the same."""
@@ -54,7 +54,7 @@ def find_rings(faces: Faces, grid: Grid, lasting: bool, threads: int = 1) -> Arr
     return rows.ravel(), links.ravel(), balls.ravel()
 
 
-def _rings(faces: Faces, grid: Grid, threads: int) -> stored_tables.Tables:
+def _rings(faces: Faces, grid: GridTables, threads: int) -> stored_tables.Tables:
     tables = faces.tables()
     assert tables is not None
     weld, first, listed = tables[2:]
@@ -87,7 +87,7 @@ def _links(weld: NDArray[np.int64]) -> NDArray[np.int32]:
 
 
 @kernel
-def _find_balls(grid: Grid, corners: Corners, balls: Array2[F32], begin: I64, end: I64) -> None:
+def _find_balls(grid: GridTables, corners: Corners, balls: Array2[F32], begin: I64, end: I64) -> None:
     """Write the balls of faces from `begin` to before `end`. `corners`: as `Faces.tables`, and which have no open side."""
     points, weld = grid[6], corners[0]
     for f in range(begin, end):
@@ -102,7 +102,7 @@ def _find_balls(grid: Grid, corners: Corners, balls: Array2[F32], begin: I64, en
 
 
 @called
-def _is_flat(grid: Grid, corners: Corners, f: I64, middle: Vec3) -> BOOL:
+def _is_flat(grid: GridTables, corners: Corners, f: I64, middle: Vec3) -> BOOL:
     """Whether the ring of a face is closed, and its rim goes once around the middle, seen along the normal."""
     points, normals = grid[6], grid[7]
     weld, first, listed, closed = corners
@@ -134,7 +134,7 @@ def _is_flat(grid: Grid, corners: Corners, f: I64, middle: Vec3) -> BOOL:
 
 
 @called
-def _clearance(grid: Grid, weld: Array1[I64], f: I64, middle: Vec3) -> F64:
+def _clearance(grid: GridTables, weld: Array1[I64], f: I64, middle: Vec3) -> F64:
     """How far a place is from all faces but the ring of face `f`, or from the end of the cubes next to its own."""
     shape, size, first, listed, bound, corners = grid[0], grid[1], grid[2], grid[3], grid[4], grid[6]
     width, least = shape[3], np.inf
@@ -174,12 +174,12 @@ def fetch_start(rings: Rings, face: I64) -> None:
 
 
 @inlined
-def walked_hit(grid: Grid, rings: Rings, start: I64, a: Vec3, w: Vec3) -> tuple[F64, I64]:
+def walked_hit(grid: GridTables, rings: Rings, start: I64, a: Vec3, w: Vec3) -> tuple[F64, I64]:
     """As `first_hit`, by a walk from the face below the origin, which is near `start`; UNSURE where a walk cannot answer."""
     links, balls = rings[1], rings[2]
     f = _below(rings, start, a)
     if f < 0 or not _is_near(balls, f, a):
-        return np.inf, UNSURE
+        return np.inf, NEAREST_UNKNOWN
     plane, _, _ = _planes(rings, f)
     up = plane[0], plane[1], plane[2]
     h = grid[0][5] / np.sqrt(dot(w, w))
@@ -207,13 +207,13 @@ def walked_hit(grid: Grid, rings: Rings, start: I64, a: Vec3, w: Vec3) -> tuple[
         w0, w1, w2 = a0 + out * d0, a1 + out * d1, a2 + out * d2
         if out == 1.0:
             if min(min(w0, w1), w2) >= _SURE and _is_near(balls, f, plus(a, w)):
-                return np.inf, NOTHING
+                return np.inf, NO_FACE
             break
         if max(max(min(w0, w1), min(w1, w2)), min(w2, w0)) < _SURE:
             break
         g = links[ROW * g + LINK + _least_of(w0, w1, w2)]
         count += 1
-    return np.inf, UNSURE
+    return np.inf, NEAREST_UNKNOWN
 
 
 @inlined

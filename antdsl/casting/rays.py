@@ -12,25 +12,25 @@ from numpy.typing import NDArray
 
 from antdsl.casting.distance_grid import DistanceGrid
 from antdsl.casting.faces import Faces, nearest_on_triangle
-from antdsl.casting.nearby import END, Index, ProximityQueries, Vectors
+from antdsl.casting.nearby import RAY_LENGTH_FACTOR, Index, ProximityQueries, Vectors
 from antdsl.casting.open3d_module import open3d, require_open3d
 from antdsl.casting.ray_walks import Arrays, find_rings
-from antdsl.casting.tolerances import FURTHER, NOTHING
+from antdsl.casting.tolerances import FACE_BEYOND_GRID, NO_FACE
 from antdsl.casting.triangle_grid import TriangleGrid
 
-Mesh = tuple[Vectors, NDArray[np.int32]]
+MeshArrays = tuple[Vectors, NDArray[np.int32]]
 RayHits = tuple[Index, Vectors, Index, Vectors]
 
-_CHUNK = 1 << 16  # rays at once
-_AGAIN = 16  # faces that a ray may pass by at less than a hair
+_RAYS_PER_CHUNK = 1 << 16  # rays at once
+_MAX_RECASTS = 16  # faces that a ray may pass by at less than a hair
 _NUDGE_HAIRS = 8.0  # hairs further away from the nearest face: from there one that is as near is nearer
-_FEW = 128  # rays: up to this number, one cast to the end of the scene is faster than two queries
-_FARTHEST = 1e15  # mm: from much farther off, Open3D names no nearest face, because its squares are float32
-FAR = 2000.0  # mm; nearer to zero float32 is a ten-thousandth of a millimetre at worst
+_MAX_RAYS_CAST_ONCE = 128  # rays: up to this number, one cast to the end of the scene is faster than two queries
+_MAX_NEAREST_DISTANCE_MM = 1e15  # mm: from much farther off, Open3D names no nearest face, because its squares are float32
+FAR_FROM_ORIGIN_MM = 2000.0  # mm; nearer to zero float32 is a ten-thousandth of a millimetre at worst
 
 
 @dataclass(frozen=True, slots=True)
-class Hits:
+class RayHitArrays:
     """The hits of rays. `t` is in lengths of the direction (inf = nothing); `mesh` and `face` are -1 for nothing.
 
     `u v` are the weights of the face's second and third corner. `normal` float32[n,3] is the face's unit normal, turned towards
@@ -74,13 +74,13 @@ class RayScene(ProximityQueries):
         self._fill([(vertices, faces)])
 
     @classmethod
-    def of(cls, meshes: Sequence[Mesh]) -> RayScene:
+    def of(cls, meshes: Sequence[MeshArrays]) -> RayScene:
         """A scene of several meshes; `Hits.mesh` counts them from 0."""
         scene = cls.__new__(cls)
         scene._fill(meshes)
         return scene
 
-    def _fill(self, meshes: Sequence[Mesh]) -> None:
+    def _fill(self, meshes: Sequence[MeshArrays]) -> None:
         arrays = [(np.asarray(v, np.float64).reshape(-1, 3), np.asarray(f, np.int32).reshape(-1, 3)) for v, f in meshes]
         counts = np.array([len(f) for _, f in arrays], np.int64)
         corners = np.concatenate([np.empty((0, 3, 3)), *(v[f] for v, f in arrays)])
@@ -88,7 +88,7 @@ class RayScene(ProximityQueries):
         self._mesh_of_face = np.repeat(np.arange(len(arrays), dtype=np.int32), counts)
         middle = (corners.min(axis=(0, 1)) + corners.max(axis=(0, 1))) / 2 if corners.size else np.zeros(3)
         # Whole metres, and none at all near zero: one more stone at the rim moves no bit of a ray at the others.
-        self.origin = np.round(middle / 1000.0) * 1000.0 if np.abs(middle).max() > FAR else np.zeros(3)
+        self.origin = np.round(middle / 1000.0) * 1000.0 if np.abs(middle).max() > FAR_FROM_ORIGIN_MM else np.zeros(3)
         self._faces = Faces(corners - self.origin, self._brief, self._largest)
         self._empty = not len(corners)
         if not self._empty:
@@ -120,13 +120,13 @@ class RayScene(ProximityQueries):
 
     # ---- rays
 
-    def cast(self, origin: Vectors, direction: Vectors, threads: int = 1) -> Hits:
+    def cast(self, origin: Vectors, direction: Vectors, threads: int = 1) -> RayHitArrays:
         """First hit of each ray from `origin` [n,3] along `direction` [n,3] (any length)."""
         n = len(origin)
         t, mesh, local = np.full(n, np.inf), np.full(n, -1, np.int32), np.full(n, -1, np.int32)
         weights, normal = np.zeros((n, 3)), np.zeros((n, 3), np.float32)
-        for start in range(0, n, _CHUNK):
-            rays = slice(start, start + _CHUNK)
+        for start in range(0, n, _RAYS_PER_CHUNK):
+            rays = slice(start, start + _RAYS_PER_CHUNK)
             directions = np.ascontiguousarray(direction[rays], np.float64)
             hit_rows, fractions, face, at = self._first_hits(
                 np.asarray(origin[rays], np.float64) - self.origin, directions, np.inf, threads
@@ -134,7 +134,7 @@ class RayScene(ProximityQueries):
             rows = start + hit_rows
             t[rows], weights[rows], normal[rows] = fractions, at, self._facing_normals(face, directions[hit_rows])
             mesh[rows], local[rows] = self._mesh_and_face(face)
-        return Hits(t, mesh, local, weights[:, 1], weights[:, 2], normal)
+        return RayHitArrays(t, mesh, local, weights[:, 1], weights[:, 2], normal)
 
     def cast_within(
         self, origin: Vectors, step: Vectors, threads: int = 1, most_hit: bool = False
@@ -179,9 +179,9 @@ class RayScene(ProximityQueries):
         if grid is None:
             return self._first_hits(origin, displacement, 1.0, threads, most_hit)[:3]
         t, face = grid.first(origin, displacement, threads)
-        further = np.flatnonzero(face == FURTHER)
+        further = np.flatnonzero(face == FACE_BEYOND_GRID)
         if further.size:
-            face[further] = NOTHING
+            face[further] = NO_FACE
             rows, part, named, _ = self._first_hits(origin[further], displacement[further], 1.0, threads, most_hit)
             t[further[rows]], face[further[rows]] = part, named
         hit_rows = np.flatnonzero(face >= 0)
@@ -200,16 +200,16 @@ class RayScene(ProximityQueries):
         rows, a, w = np.arange(len(origin)), origin, displacement
         begin: Vectors | None = None
         batches: list[RayHits] = []
-        for _ in range(_AGAIN):
+        for _ in range(_MAX_RECASTS):
             if not rows.size:
                 break
             rays = np.empty((len(rows), 6), np.float32)
             rays[:, :3] = a if begin is None else a + w * begin[:, None]
             rays[:, 3:] = w
-            many = len(rows) > _FEW and not most_hit
+            many = len(rows) > _MAX_RAYS_CAST_ONCE and not most_hit
             if most < np.inf and many:
                 # A ray that hits nothing costs the whole scene's length unless it has an end, which only occlusions know.
-                maybe = self._occluded(rays, most * END, threads).nonzero()[0]
+                maybe = self._occluded(rays, most * RAY_LENGTH_FACTOR, threads).nonzero()[0]
                 rows, rays = rows.take(maybe), rays.take(maybe, axis=0)
                 a, w = a.take(maybe, axis=0), w.take(maybe, axis=0)
                 begin = None if begin is None else begin[maybe]
@@ -217,7 +217,7 @@ class RayScene(ProximityQueries):
                 break
             part, named = self._open3d_hits(rays, threads)
             if most < np.inf and not many:  # a ray is occluded before the end exactly if its first hit lies before the end
-                named[part > np.float32(most * END)] = -1
+                named[part > np.float32(most * RAY_LENGTH_FACTOR)] = -1
             at: NDArray[Any] = part if begin is None else begin + part
             if named.min() < 0:
                 named_rows = np.flatnonzero(named >= 0)
@@ -306,7 +306,7 @@ class RayScene(ProximityQueries):
         else:
             place, square, face = grid.nearest(local)
             distance = np.sqrt(square)
-            rows = np.flatnonzero(face == FURTHER)
+            rows = np.flatnonzero(face == FACE_BEYOND_GRID)
             if rows.size:
                 most = np.broadcast_to(np.asarray(within), (n,))[rows]
                 place[rows], distance[rows], face[rows] = self._closest(local[rows], threads, most)
@@ -339,7 +339,9 @@ class RayScene(ProximityQueries):
         """Return the face that Open3D reports as nearest to points relative to the scene's origin."""
         if self._exact is None:
             self._exact = self._scene if self._brief else self._build_scene(self._faces.corners.reshape(-1, 3).astype(np.float32))
-        near = np.fmin(np.fmax(points, -_FARTHEST), _FARTHEST).astype(np.float32)  # NaN is nowhere, and has a nearest face too
+        near = np.fmin(np.fmax(points, -_MAX_NEAREST_DISTANCE_MM), _MAX_NEAREST_DISTANCE_MM).astype(
+            np.float32
+        )  # NaN is nowhere, and has a nearest face too
         answer = self._exact.compute_closest_points(self._tensor(near), nthreads=threads)
         face: Index = answer["primitive_ids"].numpy().astype(np.int64)
         return face

@@ -16,24 +16,24 @@ from antdsl.casting import grid_rays, nearest_faces
 from antdsl.casting.distance_grid import cell_width, sides_and_area
 from antdsl.casting.faces import Faces
 from antdsl.casting.rasterise import triangle_cells
-from antdsl.casting.tolerances import LONGEST, RINGS
+from antdsl.casting.tolerances import MAX_RAY_CUBES, MAX_SEARCH_RINGS
 from antdsl.numerics import parallel, stored_tables
 from antdsl.numerics.vector_rows import dot
 
 Floats = NDArray[np.float64]
 Index = NDArray[np.int64]
-Singles = NDArray[np.float32]
-Columns = tuple[Singles, Singles, Singles]
+Float32Array = NDArray[np.float32]
+PointColumns = tuple[Float32Array, Float32Array, Float32Array]
 Arrays = tuple[NDArray[Any], ...]
-Tables = tuple[Floats, Index, NDArray[np.int32], NDArray[np.int32], Singles, Floats, Floats, Floats]
+Tables = tuple[Floats, Index, NDArray[np.int32], NDArray[np.int32], Float32Array, Floats, Floats, Floats]
 
-_FACE_EDGES = 1.0  # cube's edge, in mean edges of faces
-_CELLS = 400_000
-_LISTED = 4_000_000  # faces in cubes, one in several counted as often
-_CROWDED = 48.0  # faces in the cube of a face, on average: from there on a tree asks about fewer
-_RAYS = 128  # rays or places for which a thread pays
-_MARGIN = 1e-6  # cubes: further than rounding and `CLOSED` move a place off a face
-_THIN = 1e-8  # sine of the corner of a face, below which its plane is noise and rays go through it
+_CUBE_WIDTH_IN_FACE_EDGES = 1.0  # cube's edge, in mean edges of faces
+_MAX_CUBES = 400_000
+_MAX_LISTED_FACES = 4_000_000  # faces in cubes, one in several counted as often
+_CROWDED_CUBE_FACES = 48.0  # faces in the cube of a face, on average: from there on a tree asks about fewer
+_RAYS_PER_THREAD = 128  # rays or places for which a thread pays
+_CUBE_MARGIN = 1e-6  # cubes: further than rounding and `CLOSED` move a place off a face
+_THIN_CORNER_SINE = 1e-8  # sine of the corner of a face, below which its plane is noise and rays go through it
 
 
 class TriangleGrid:
@@ -53,7 +53,9 @@ class TriangleGrid:
         lists = stored_tables.get_or_compute("triangle grid", count, (corners, width), work)
         first, listed = lists["first"], lists["listed"]
         normals = faces.normals(np.arange(len(corners)))
-        off = 1e-6 * (float(np.abs(corners).max()) + (LONGEST + RINGS) * width)  # several times what float32 makes of it
+        off = 1e-6 * (
+            float(np.abs(corners).max()) + (MAX_RAY_CUBES + MAX_SEARCH_RINGS) * width
+        )  # several times what float32 makes of it
         self.tables: Tables = (
             np.array([*low, width, off, faces.hair, *origin]),  # the grid's lowest corner and the world's place of its zero
             size,
@@ -76,7 +78,7 @@ class TriangleGrid:
         if tables is None or width is None:
             return None
         grid = TriangleGrid(faces, tables[0], width, origin, lasting)
-        return grid if grid.crowded <= _CROWDED else None
+        return grid if grid.crowded <= _CROWDED_CUBE_FACES else None
 
     # ---- rays
 
@@ -86,7 +88,7 @@ class TriangleGrid:
         rays that are too long."""
         t, face = np.empty(len(origin)), np.empty(len(origin), np.int64)
         work = partial(grid_rays.first_hits, self.tables, origin, displacement, t, face)
-        parallel.in_parts(work, len(origin), threads, _RAYS)
+        parallel.in_parts(work, len(origin), threads, _RAYS_PER_THREAD)
         return t, face
 
     def trace_normals(
@@ -97,11 +99,11 @@ class TriangleGrid:
         that the grid cannot resolve."""
         which, results = np.empty(len(origin), np.int64), np.empty((4, len(origin)))
         work = partial(grid_rays.trace_normals, self.tables, origin, displacement, normals, named, which, results)
-        parts = parallel.in_parts(work, len(origin), threads, _RAYS)
+        parts = parallel.in_parts(work, len(origin), threads, _RAYS_PER_THREAD)
         which, results = parallel.join_parts(parts, which, results)
         return (which, results[0], results[1:]), sum([left for _, _, left in parts])
 
-    def cast_feelers(self, place: Columns, direction: Columns, reach: Singles) -> tuple[Singles, int]:
+    def cast_feelers(self, place: PointColumns, direction: PointColumns, reach: Float32Array) -> tuple[Float32Array, int]:
         """Return the hits of feelers as long as `reach`, from positions along unit directions, float32 columns in the world. The
         result is float32[4,n]: distance (inf = no hit, NaN = the grid cannot answer) and unit normal towards the feeler's origin.
         Return also the number of feelers that it cannot answer."""
@@ -119,12 +121,12 @@ class TriangleGrid:
 
     # ---- nearest faces
 
-    def signed_distances(self, place: Columns, threads: int = 1) -> tuple[Singles, int]:
+    def signed_distances(self, place: PointColumns, threads: int = 1) -> tuple[Float32Array, int]:
         """Return the signed distance (mm) to the faces and the unit direction out, float32[4,n]. It is negative behind the
         nearest face and NaN where the grid cannot tell. Also returns how many rows are NaN."""
         results = np.empty((4, len(place[0])), np.float32)
         work = partial(nearest_faces.signed_distances, self.tables, _contiguous(*place), results)
-        return results, sum(parallel.in_parts(work, len(place[0]), threads, _RAYS))
+        return results, sum(parallel.in_parts(work, len(place[0]), threads, _RAYS_PER_THREAD))
 
     def nearest(self, points: Floats) -> tuple[Floats, Floats, Index]:
         """Return the position nearest to each point [n,3], its squared distance and its face; FURTHER if no face is near enough
@@ -134,7 +136,7 @@ class TriangleGrid:
         return place, square, face
 
 
-def _contiguous(*columns: Singles) -> tuple[Singles, ...]:
+def _contiguous(*columns: Float32Array) -> tuple[Float32Array, ...]:
     """The same in one piece."""
     return tuple([np.ascontiguousarray(each) for each in columns])
 
@@ -143,7 +145,7 @@ def _list_cube_faces(corners: Floats, low: Floats, size: Index, width: float) ->
     """Return the start of each cube's faces in a list, and that list of face numbers, for a grid of `size` cubes from its lowest
     corner."""
     count, keys = len(corners), [np.empty(0, np.int64)]
-    for cell, face in triangle_cells((corners - low) / width, margin=_MARGIN):
+    for cell, face in triangle_cells((corners - low) / width, margin=_CUBE_MARGIN):
         cell = np.minimum(np.maximum(cell, 0), size - 1)
         keys.append(((cell[:, 0] * size[1] + cell[:, 1]) * size[2] + cell[:, 2]) * count + face)
     cells, listed = np.divmod(np.unique(np.concatenate(keys)), count)
@@ -160,18 +162,18 @@ def _cube_width(corners: Floats) -> float | None:
     lengths, area = sides_and_area(corners)
     around = lengths.sum()
     extent = corners.max(axis=(0, 1)) - corners.min(axis=(0, 1))
-    width = max(float(lengths.mean()) * _FACE_EDGES, cell_width(extent, _CELLS))
+    width = max(float(lengths.mean()) * _CUBE_WIDTH_IN_FACE_EDGES, cell_width(extent, _MAX_CUBES))
     if not 0 < width < np.inf:
         return None
     # A face touches cubes by its area, its sides and its corners.
     for _ in range(40):
-        if 3 * area / width**2 + 2 * around / width + 8.0 * len(corners) <= _LISTED:
+        if 3 * area / width**2 + 2 * around / width + 8.0 * len(corners) <= _MAX_LISTED_FACES:
             return width
         width *= 1.25
     return None
 
 
-def _face_bounds(corners: Floats, normals: Floats) -> Singles:
+def _face_bounds(corners: Floats, normals: Floats) -> Float32Array:
     """Return planes (unit normal and -distance from the origin) and bounding balls (centre, in the plane, and radius) of faces,
     float32[m,8]."""
     plane = np.concatenate([normals, -dot(normals, corners[:, 0])[:, None]], axis=1)
@@ -185,7 +187,7 @@ def _drop_thin_planes(corners: Floats, planes: Floats) -> Floats:
     """Return planes [m,3,4], set to zero for faces that are too thin to define one."""
     one, two = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
     size = dot(planes[:, 0, :3], planes[:, 0, :3])
-    thin = ~(size > _THIN * _THIN * (dot(one, one) * dot(two, two)))
+    thin = ~(size > _THIN_CORNER_SINE * _THIN_CORNER_SINE * (dot(one, one) * dot(two, two)))
     if not thin.any():
         return planes
     sound: Floats = planes.copy()

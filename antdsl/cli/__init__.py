@@ -62,7 +62,7 @@ def _first_sentence(command: Any) -> str:
     return text.partition(". ")[0].rstrip(".") + "."
 
 
-class Command(NamedTuple):
+class CommandEntry(NamedTuple):
     """A command: its name, its function, the heading that the help lists it under, and an example of its use."""
 
     name: str
@@ -71,28 +71,30 @@ class Command(NamedTuple):
     example: str
 
 
-WRITE, SIMULATE, RESULTS, INSIDE = "Write programs", "Simulate", "Use results", "Look inside"
+WRITE_HEADING, SIMULATE_HEADING, RESULTS_HEADING, INSIDE_HEADING = "Write programs", "Simulate", "Use results", "Look inside"
 # In the order of a first project: from a new folder to results.
 COMMANDS = (
-    Command("new", new.new, WRITE, "antdsl new walkers"),
-    Command("check", check.check, WRITE, "antdsl check --strict"),
-    Command("fmt", fmt.fmt, WRITE, "antdsl fmt ."),
-    Command("run", run.run, SIMULATE, "antdsl run scene.yaml --frames 1..48 --out walk"),
-    Command("preview", preview.preview, SIMULATE, "antdsl preview scene.yaml"),
-    Command("test", test.test, SIMULATE, "antdsl test ."),
-    Command("sweep", sweep.sweep, SIMULATE, "antdsl sweep scene.yaml --seeds 8 --vary walker.pace=20mm/s,40mm/s --out swept"),
-    Command("render", render.render, RESULTS, "antdsl render walk --frame 48 --out walk.png"),
-    Command("edit", edit.edit, RESULTS, "antdsl edit walk --smooth orient:5"),
-    Command("export", export.export, RESULTS, "antdsl export walk --to walk.usdc"),
-    Command("jobs", jobs.jobs, SIMULATE, "antdsl jobs scene.yaml --chunk 24 --to openjd/scene.yaml"),
-    Command("info", info.info, RESULTS, "antdsl info walk"),
-    Command("body", body.body, INSIDE, "antdsl body ant"),
-    Command("explain", explain.explain, RESULTS, "antdsl explain walk --agent 17 --frame 48"),
-    Command("graph", graph.graph, WRITE, "antdsl graph walker.ant --out states.svg"),
-    Command("plan", plan.plan, INSIDE, "antdsl plan walker.ant"),
-    Command("bench", bench.bench, INSIDE, "antdsl bench foraging --agents 15000"),
-    Command("doctor", doctor.doctor, INSIDE, "antdsl doctor"),
-    Command("lsp", lsp.lsp, WRITE, "antdsl lsp"),
+    CommandEntry("new", new.new, WRITE_HEADING, "antdsl new walkers"),
+    CommandEntry("check", check.check, WRITE_HEADING, "antdsl check --strict"),
+    CommandEntry("fmt", fmt.fmt, WRITE_HEADING, "antdsl fmt ."),
+    CommandEntry("run", run.run, SIMULATE_HEADING, "antdsl run scene.yaml --frames 1..48 --out walk"),
+    CommandEntry("preview", preview.preview, SIMULATE_HEADING, "antdsl preview scene.yaml"),
+    CommandEntry("test", test.test, SIMULATE_HEADING, "antdsl test ."),
+    CommandEntry(
+        "sweep", sweep.sweep, SIMULATE_HEADING, "antdsl sweep scene.yaml --seeds 8 --vary walker.pace=20mm/s,40mm/s --out swept"
+    ),
+    CommandEntry("render", render.render, RESULTS_HEADING, "antdsl render walk --frame 48 --out walk.png"),
+    CommandEntry("edit", edit.edit, RESULTS_HEADING, "antdsl edit walk --smooth orient:5"),
+    CommandEntry("export", export.export, RESULTS_HEADING, "antdsl export walk --to walk.usdc"),
+    CommandEntry("jobs", jobs.jobs, SIMULATE_HEADING, "antdsl jobs scene.yaml --chunk 24 --to openjd/scene.yaml"),
+    CommandEntry("info", info.info, RESULTS_HEADING, "antdsl info walk"),
+    CommandEntry("body", body.body, INSIDE_HEADING, "antdsl body ant"),
+    CommandEntry("explain", explain.explain, RESULTS_HEADING, "antdsl explain walk --agent 17 --frame 48"),
+    CommandEntry("graph", graph.graph, WRITE_HEADING, "antdsl graph walker.ant --out states.svg"),
+    CommandEntry("plan", plan.plan, INSIDE_HEADING, "antdsl plan walker.ant"),
+    CommandEntry("bench", bench.bench, INSIDE_HEADING, "antdsl bench foraging --agents 15000"),
+    CommandEntry("doctor", doctor.doctor, INSIDE_HEADING, "antdsl doctor"),
+    CommandEntry("lsp", lsp.lsp, WRITE_HEADING, "antdsl lsp"),
 )
 
 app = typer.Typer(
@@ -220,9 +222,9 @@ def _command() -> int:
             end = failure_error(cause)
             print(end.message, end.hint, sep="\n", file=sys.stderr)
             return end.code
-        from antdsl.machine_code.machine import NoMachineCode
+        from antdsl.machine_code.machine import MachineCodeUnavailable
 
-        if isinstance(problem, NoMachineCode):
+        if isinstance(problem, MachineCodeUnavailable):
             print(f"error: simulation needs machine code: {problem}", file=sys.stderr)
             return ExitCode.INPUT_OUTPUT
         import traceback

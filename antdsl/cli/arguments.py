@@ -27,12 +27,12 @@ def parse_pairs(words: Iterable[str], flag: str) -> dict[str, str]:
     return mapping
 
 
-STDIN = Path("-")
+STDIN_PATH = Path("-")
 
 
 def read_standard_input() -> bytes:
     """Read a program from standard input, truncated at the size limit of files."""
-    return sys.stdin.buffer.read(limits.ANT_FILE_BYTES + 1)
+    return sys.stdin.buffer.read(limits.MAX_PROGRAM_BYTES + 1)
 
 
 def parse_grants(words: Iterable[str]) -> dict[str, Path]:

@@ -14,8 +14,8 @@ from pathlib import Path
 
 from antdsl import limits
 
-AGAIN = "run the same command again"
-_FIRST = {
+RETRY_ADVICE = "run the same command again"
+_ADVICE_BY_ERRNO = {
     errno.ENOSPC: "make room, then",
     errno.EDQUOT: "make room, then",
     errno.EACCES: "allow writing there, then",
@@ -44,7 +44,7 @@ class CommandError(Exception):
 
 
 # What libraries say, in errors of other kinds, when the system gives them no memory.
-_MEMORY_WORDS = (
+_OUT_OF_MEMORY_PHRASES = (
     "bad_alloc",
     "cannot allocate memory",
     "failed to map segment",
@@ -53,8 +53,10 @@ _MEMORY_WORDS = (
     "not enough memory",
 )
 # What they say when it gives them no thread. An error of a file or a socket says the last of these too, but is an OSError.
-_THREAD_WORDS = ("can't start new thread", "failed to create thread", "resource temporarily unavailable")
-_STARTS = frozenset(["subprocess", "multiprocessing.popen_fork", "multiprocessing.util", "antdsl.checking"])  # of processes
+_OUT_OF_THREADS_PHRASES = ("can't start new thread", "failed to create thread", "resource temporarily unavailable")
+_PROCESS_STARTING_MODULES = frozenset(
+    ["subprocess", "multiprocessing.popen_fork", "multiprocessing.util", "antdsl.checking"]
+)  # of processes
 
 
 def is_out_of_memory(problem: BaseException | None) -> bool:
@@ -65,9 +67,9 @@ def is_out_of_memory(problem: BaseException | None) -> bool:
         words = str(problem).lower()
         if isinstance(problem, MemoryError) or (isinstance(problem, OSError) and _cannot_start_process(problem)):
             return True
-        if isinstance(problem, RuntimeError | ImportError | OSError | SystemError) and _mentions(words, _MEMORY_WORDS):
+        if isinstance(problem, RuntimeError | ImportError | OSError | SystemError) and _mentions(words, _OUT_OF_MEMORY_PHRASES):
             return True
-        if isinstance(problem, RuntimeError) and _mentions(words, _THREAD_WORDS):
+        if isinstance(problem, RuntimeError) and _mentions(words, _OUT_OF_THREADS_PHRASES):
             return True
         problem = problem.__cause__ or (None if problem.__suppress_context__ else problem.__context__)
     return False
@@ -84,11 +86,11 @@ def _cannot_start_process(problem: OSError) -> bool:
     place = problem.__traceback__
     while place is not None and place.tb_next is not None:
         place = place.tb_next
-    return place is not None and place.tb_frame.f_globals.get("__name__") in _STARTS
+    return place is not None and place.tb_frame.f_globals.get("__name__") in _PROCESS_STARTING_MODULES
 
 
 @contextmanager
-def report_failures(what: str, again: str = AGAIN) -> Iterator[None]:
+def report_failures(what: str, again: str = RETRY_ADVICE) -> Iterator[None]:
     """End the command with exit code 3 if the disk or memory fails. `what`: the operation that failed; `again`: how to
     continue."""
     try:
@@ -127,7 +129,7 @@ def _cache_advice(why: Exception) -> tuple[ExitCode, str]:
     from antdsl.outputs.cache.lock import FolderLocked
     from antdsl.outputs.cache.manifest import ManifestError
     from antdsl.outputs.editing import NotEditable
-    from antdsl.outputs.gallery import NoPicture
+    from antdsl.outputs.gallery import PictureUnavailable
     from antdsl.outputs.recording import NothingToResume
 
     attribute = "add it to `output: {attributes: …}` of the scene and run again"
@@ -135,7 +137,7 @@ def _cache_advice(why: Exception) -> tuple[ExitCode, str]:
         ManifestError: (ExitCode.INPUT_OUTPUT, "name the folder that `antdsl run` printed"),
         CacheError: (ExitCode.INPUT_OUTPUT, ""),
         NotEditable: (ExitCode.FINDINGS, attribute),
-        NoPicture: (ExitCode.FINDINGS, attribute),
+        PictureUnavailable: (ExitCode.FINDINGS, attribute),
         ForeignFolder: (ExitCode.INPUT_OUTPUT, "name another folder with `--out`, or write into it anyway with `--force`"),
         PathBlocked: (ExitCode.INPUT_OUTPUT, "move it away, or name another folder with `--out`"),
         FolderLocked: (ExitCode.INPUT_OUTPUT, "wait for it, or name another folder with `--out`"),
@@ -153,7 +155,7 @@ def as_machine_failure(problem: Exception) -> OSError | MemoryError | None:
     return problem if isinstance(problem, OSError) else None
 
 
-def failure_error(problem: OSError | MemoryError, what: str = "", again: str = AGAIN) -> CommandError:
+def failure_error(problem: OSError | MemoryError, what: str = "", again: str = RETRY_ADVICE) -> CommandError:
     """Return the exception that ends a command after a failure of the disk or of memory."""
     if isinstance(problem, MemoryError):
         words = "error: out of memory; use fewer agents, larger cells or a lighter mesh"
@@ -176,10 +178,10 @@ def limit_threads() -> None:
     if most == inf:
         return
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-    if most < limits.COMMAND_MEMORY:
-        needed, have = (f"{size / limits.MIB:,.0f} MiB" for size in (limits.COMMAND_MEMORY, most))
+    if most < limits.COMMAND_MEMORY_BYTES:
+        needed, have = (f"{size / limits.MIB:,.0f} MiB" for size in (limits.COMMAND_MEMORY_BYTES, most))
         words = f"error: out of memory: this process may have {have} of address space, and needs {needed}"
-        raise CommandError(ExitCode.INPUT_OUTPUT, words, f"allow more (`ulimit -v`), then {AGAIN}")
+        raise CommandError(ExitCode.INPUT_OUTPUT, words, f"allow more (`ulimit -v`), then {RETRY_ADVICE}")
 
 
 def _has_working_directory() -> bool:
@@ -192,4 +194,4 @@ def _has_working_directory() -> bool:
 
 def recovery_advice(problem: OSError) -> str:
     """Return what to do before a command continues: the start of a sentence."""
-    return _FIRST.get(problem.errno or 0, "once that is mended,")
+    return _ADVICE_BY_ERRNO.get(problem.errno or 0, "once that is mended,")

@@ -14,15 +14,15 @@ if TYPE_CHECKING:
     from antdsl.runtime.binding.world_work import WorkEstimate
     from antdsl.source import Span
 
-ANY_MEMORY: bool = typer.Option(False, "--any-memory", help="Start even if the estimate exceeds the available memory.")
-_SHARE = 0.8  # of what is available; the rest is for frames, kernels and other programs
-_NAMED = 3  # things that a message names
+ANY_MEMORY_OPTION: bool = typer.Option(False, "--any-memory", help="Start even if the estimate exceeds the available memory.")
+_USABLE_MEMORY_SHARE = 0.8  # of what is available; the rest is for frames, kernels and other programs
+_MAX_LISTED_THINGS = 3  # things that a message names
 
 
 def estimate_work(shot: Shot) -> list[WorkEstimate]:
     """Return the allocations that the world of a shot and its crowd need."""
     from antdsl.plan.registers import bytes_by_purpose
-    from antdsl.program.model import Const
+    from antdsl.program.model import Constant
     from antdsl.runtime.binding.world_work import world_work
     from antdsl.scene.matching import const_in_base_units
 
@@ -30,7 +30,7 @@ def estimate_work(shot: Shot) -> list[WorkEstimate]:
     fields = {
         name: (declared.surfaces, const_in_base_units(declared.cell, shot.scene))
         for name, declared in shot.program.fields.items()
-        if isinstance(declared.cell, Const)
+        if isinstance(declared.cell, Constant)
     }
     return world_work(shot.setting, fields, sizes)
 
@@ -45,13 +45,13 @@ def require_memory(shots: Sequence[Shot], at_once: int = 1, runs: int = 1) -> No
         ((sum(each.bytes for each in work), k, work) for k, work in enumerate(map(estimate_work, shots))), reverse=True
     )
     needed = sum([each for each, *_ in works for _ in range(min(runs, at_once))][:at_once])
-    if available is None or not works or needed <= _SHARE * available:
+    if available is None or not works or needed <= _USABLE_MEMORY_SHARE * available:
         return
     _, k, work = works[0]
-    largest = sorted(work, key=lambda each: -each.bytes)[:_NAMED]
+    largest = sorted(work, key=lambda each: -each.bytes)[:_MAX_LISTED_THINGS]
     names = ", ".join(f"{each.thing} {size_text(each.bytes)} ({each.number:,} {each.parts})" for each in largest if each.bytes)
     words = f"this needs at least {size_text(needed)}, and 80 % of what is available are "
-    words += f"{size_text(int(_SHARE * available))}: {names}"
+    words += f"{size_text(int(_USABLE_MEMORY_SHARE * available))}: {names}"
     fewer = ", fewer agents or fewer `--jobs`" if at_once > 1 and runs > 1 else " or fewer agents"
     hint = f"use larger cells or voxels, a lighter mesh{fewer}; to start anyway, add `--any-memory`"
     raise CommandError(ExitCode.INPUT_OUTPUT, f"error: {_work_span(shots[k], largest[0])}: {words}", hint)

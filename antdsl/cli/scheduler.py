@@ -25,22 +25,24 @@ if TYPE_CHECKING:
     from antdsl.executors.input_bundle import VisibleFile
     from antdsl.shots.placing import Destination
 
-Where = tuple[str | None, Path | None, bool]  # address of a scheduler, certificates, and whether it may run without them
-SCHEDULER: Any = typer.Option(
+SchedulerAddress = tuple[
+    str | None, Path | None, bool
+]  # address of a scheduler, certificates, and whether it may run without them
+SCHEDULER_OPTION: Any = typer.Option(
     None,
     "--scheduler",
     metavar="ADDRESS",
     help="Run on a Dask cluster: `local` starts one here, tls://HOST:8786 uses a running one; needs the extra [cluster].",
 )
-TLS: Any = typer.Option(
+TLS_OPTION: Any = typer.Option(
     None, "--tls", metavar="DIR", help="For a running scheduler: the folder with ca.pem, cert.pem and key.pem."
 )
-NO_TLS: Any = typer.Option(
+NO_TLS_OPTION: Any = typer.Option(
     False,
     "--no-tls",
     help="Use a scheduler on another machine without encryption: everyone who can reach it can run any code on it.",
 )
-_HOW = "pip install 'antdsl[cluster]'"
+_INSTALL_HINT = "pip install 'antdsl[cluster]'"
 
 
 def require_scheduler(address: str | None, tls: Path | None, no_tls: bool) -> None:
@@ -56,7 +58,7 @@ def require_scheduler(address: str | None, tls: Path | None, no_tls: bool) -> No
 
 @contextmanager
 def open_engine(
-    where: Where, workers: int, threads: int, files: Iterable[Path], visible_file: VisibleFile | None = None
+    where: SchedulerAddress, workers: int, threads: int, files: Iterable[Path], visible_file: VisibleFile | None = None
 ) -> Iterator[Engine]:
     """Yield what runs the tasks of a command: `workers` processes with `threads` threads each, or the cluster at an address. Its
     workers have received the files, or see `visible_file` at its path. Problems end the command; raises WorkersLost where no
@@ -72,7 +74,9 @@ def open_engine(
 
     if find_spec("distributed") is None or find_spec("cryptography") is None:
         words = "error: `--scheduler` needs Dask"
-        raise CommandError(ExitCode.INPUT_OUTPUT, words, f"install it: {_HOW}; without `--scheduler` all runs on this machine")
+        raise CommandError(
+            ExitCode.INPUT_OUTPUT, words, f"install it: {_INSTALL_HINT}; without `--scheduler` all runs on this machine"
+        )
     from antdsl.executors import TaskRefused
     from antdsl.executors.cluster import connect, load_security, local_cluster
 
@@ -150,13 +154,13 @@ def _is_loopback(host: str) -> bool:
         return host == "localhost"
 
 
-class Terminated(KeyboardInterrupt):
+class TerminationSignal(KeyboardInterrupt):
     """SIGTERM: treated like Ctrl-C, but with a separate exit code."""
 
 
 def stop_exit_code(why: BaseException) -> ExitCode:
     """The exit code of a command that was stopped by Ctrl-C or by SIGTERM."""
-    return ExitCode.TERMINATED if isinstance(why, Terminated) else ExitCode.INTERRUPTED
+    return ExitCode.TERMINATED if isinstance(why, TerminationSignal) else ExitCode.INTERRUPTED
 
 
 @contextmanager
@@ -164,7 +168,7 @@ def raise_on_sigterm() -> Iterator[None]:
     """Raise an exception on SIGTERM too, as on Ctrl-C, while the context is open."""
 
     def stop(number: int, frame: object) -> None:
-        raise Terminated if number == signal.SIGTERM else KeyboardInterrupt
+        raise TerminationSignal if number == signal.SIGTERM else KeyboardInterrupt
 
     previous_handlers = {number: signal.signal(number, stop) for number in (signal.SIGINT, signal.SIGTERM)}
     try:
@@ -175,7 +179,7 @@ def raise_on_sigterm() -> Iterator[None]:
 
 
 def run_cache_tasks(
-    where: Where, cache: Path, to: Path, tasks: Callable[[Path, Destination], Iterable[Task]]
+    where: SchedulerAddress, cache: Path, to: Path, tasks: Callable[[Path, Destination], Iterable[Task]]
 ) -> Iterator[TaskOutcome]:
     """Yield the result of each task on the cluster `where`, once its files are in the folder `to`. `where`: address,
     certificates, and whether it may run without them. `tasks` is called with the complete cache, its links resolved, and the

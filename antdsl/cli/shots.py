@@ -14,21 +14,21 @@ from antdsl.cli.destinations import default_path, protect_inputs, require_writab
 from antdsl.cli.exits import CommandError, ExitCode
 from antdsl.cli.memory_demand import require_memory
 from antdsl.cli.printing.messages import print_note
-from antdsl.cli.scheduler import Where, open_engine, raise_on_sigterm, stop_exit_code
+from antdsl.cli.scheduler import SchedulerAddress, open_engine, raise_on_sigterm, stop_exit_code
 from antdsl.numerics.host import cores
 
 if TYPE_CHECKING:
     from antdsl.executors import Task
-    from antdsl.pipeline import Choices
+    from antdsl.pipeline import RunChoices
 
 
 def run_shots(
     scenes: Sequence[Path],
-    choices: Choices,
+    choices: RunChoices,
     out: Path | None,
     options: Mapping[str, Any],
     threads: int,
-    where: Where,
+    where: SchedulerAddress,
     quiet: bool,
     any_memory: bool,
 ) -> None:

@@ -23,7 +23,7 @@ def nothing() -> list[str]:
 
 
 # Options that define the runs: a sweep that is continued has stored them.
-_DECIDES = {
+_STUDY_OPTIONS = {
     "scenes": "the scenes",
     "vary": "`--vary`",
     "design": "`--design`",
@@ -43,7 +43,7 @@ def load_request(context: typer.Context, out: Path | None) -> SweepRequest:
     Stop if there is no sweep."""
     from antdsl.sweep.study import NoSweep, read_request
 
-    for name, words in _DECIDES.items():
+    for name, words in _STUDY_OPTIONS.items():
         source = context.get_parameter_source(name)
         if source is not None and source.name == "COMMANDLINE":
             raise typer.BadParameter(f"the sweep continues with its own options: leave out {words}", param_hint="--resume")
@@ -92,9 +92,9 @@ def build_study(request: SweepRequest) -> tuple[Study, list[Job], Report]:
 def open_scene_shots(study: Study, request: SweepRequest) -> list[Shot]:
     """Return each scene of a sweep, opened with its own values; the runs differ in values only, not in things."""
     from antdsl.cli.arguments import parse_grants
-    from antdsl.pipeline import Choices, open_scene
+    from antdsl.pipeline import RunChoices, open_scene
 
-    shots = (open_scene(scene, Choices(parse_grants(request.root)), thorough=False)[0] for scene in study.scenes)
+    shots = (open_scene(scene, RunChoices(parse_grants(request.root)), thorough=False)[0] for scene in study.scenes)
     return [shot for shot in shots if shot is not None]
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-CODES: dict[str, str] = {
+CODE_DESCRIPTIONS: dict[str, str] = {
     # --- reading a file ---
     "cannot-read": "the file is not there, is no regular file, or may not be read",
     "empty-file": "the file declares nothing: no species, no behaviour",

@@ -11,7 +11,7 @@ from urllib.parse import quote
 from xml.etree import ElementTree
 
 from antdsl import __version__
-from antdsl.diagnostics.codes import CODES
+from antdsl.diagnostics.codes import CODE_DESCRIPTIONS
 from antdsl.diagnostics.full import full
 from antdsl.diagnostics.model import Diagnostic
 from antdsl.diagnostics.places import escape_text, line_range, severity_rank
@@ -97,7 +97,7 @@ def _property(text: str) -> str:
     return _data(text).replace(":", "%3A").replace(",", "%2C")
 
 
-_SCHEMA = "https://docs.oasis-open.org/sarif/sarif/v2.1.0/errata01/os/schemas/sarif-schema-2.1.0.json"
+_SCHEMA_URL = "https://docs.oasis-open.org/sarif/sarif/v2.1.0/errata01/os/schemas/sarif-schema-2.1.0.json"
 
 
 def sarif(diagnostics: Sequence[Diagnostic], omitted_count: int) -> str:
@@ -112,12 +112,12 @@ def sarif(diagnostics: Sequence[Diagnostic], omitted_count: int) -> str:
     }
     if omitted_count:
         run["properties"] = {"leftOut": omitted_count}
-    return json.dumps({"$schema": _SCHEMA, "version": "2.1.0", "runs": [run]}, indent=2, ensure_ascii=True) + "\n"
+    return json.dumps({"$schema": _SCHEMA_URL, "version": "2.1.0", "runs": [run]}, indent=2, ensure_ascii=True) + "\n"
 
 
 def _rule(code: str) -> dict[str, Any]:
     """Return what a code scanning service shows about a code: its meaning, and its page if the pages are installed."""
-    rule: dict[str, Any] = {"id": code, "shortDescription": {"text": CODES.get(code, code)}}
+    rule: dict[str, Any] = {"id": code, "shortDescription": {"text": CODE_DESCRIPTIONS.get(code, code)}}
     page = code_page(code)
     if page is not None:
         text = page.read_text(encoding="utf-8")

@@ -8,7 +8,7 @@ from antdsl.diagnostics.model import Diagnostic
 from antdsl.diagnostics.places import escape_line, escape_text, line_range, width
 from antdsl.source import Span
 
-_WIDEST = 120  # of a source line; a longer one is shown around the place
+_MAX_LINE_WIDTH = 120  # of a source line; a longer one is shown around the place
 
 
 def full(diagnostics: Sequence[Diagnostic], omitted_count: int) -> str:
@@ -49,10 +49,10 @@ def _snippet(span: Span, margin: int, arrow: str, mark: str, text: str) -> list[
 
 def _window(line: str, start: int, end: int) -> tuple[str, str, str]:
     """Return the part of a line around a place, as three texts: before the place, the place, after it."""
-    if len(line) <= _WIDEST:
+    if len(line) <= _MAX_LINE_WIDTH:
         return escape_line(line[:start]), escape_line(line[start:end]), escape_line(line[end:])
-    low = max(0, start - _WIDEST // 3)
-    high = min(len(line), low + _WIDEST)
+    low = max(0, start - _MAX_LINE_WIDTH // 3)
+    high = min(len(line), low + _MAX_LINE_WIDTH)
     end = min(end, high)
     left_text = ("…" if low else "") + escape_line(line[low:start])
     return left_text, escape_line(line[start:end]), escape_line(line[end:high]) + ("…" if high < len(line) else "")

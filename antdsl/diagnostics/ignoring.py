@@ -7,16 +7,16 @@ import re
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 
-from antdsl.diagnostics.codes import CODES, MESH_CODES, RUN_CODES, STRICT_CODES
+from antdsl.diagnostics.codes import CODE_DESCRIPTIONS, MESH_CODES, RUN_CODES, STRICT_CODES
 from antdsl.diagnostics.model import Diagnostic, Fix, Report
 from antdsl.diagnostics.suggestion import nearest_name
 from antdsl.source import Source, Span
 
-_COMMENT = re.compile(r"(?:^|[ \t;{}])(#[ \t]*antdsl:[ \t]*ignore\[([^\]\n]*)\][ \t]*((?:.*\S)?))[ \t\r]*$", re.MULTILINE)
+_IGNORE_COMMENT = re.compile(r"(?:^|[ \t;{}])(#[ \t]*antdsl:[ \t]*ignore\[([^\]\n]*)\][ \t]*((?:.*\S)?))[ \t\r]*$", re.MULTILINE)
 
 
 @dataclass(frozen=True, slots=True)
-class Ignore:
+class IgnoreComment:
     """One comment: its place, the line it refers to (counted from 1), its codes with their places, and the reason."""
 
     span: Span
@@ -25,9 +25,9 @@ class Ignore:
     reason: str
 
 
-def find_ignores(source: Source) -> Iterator[Ignore]:
+def find_ignores(source: Source) -> Iterator[IgnoreComment]:
     """Return the comments of a program or a scene that ignore warnings. A `#` inside quotes begins no comment."""
-    for match in _COMMENT.finditer(source.text):
+    for match in _IGNORE_COMMENT.finditer(source.text):
         number = source.line_column(match.start(1))[0]
         prefix = source.text[: match.start(1)].rpartition("\n")[2]
         if prefix.count('"') % 2:
@@ -38,7 +38,7 @@ def find_ignores(source: Source) -> Iterator[Ignore]:
             for part in re.finditer(r"[^\s,](?:[^,]*[^\s,])?", match[2])
         ]
         line = number if prefix.strip() else _next_code_line(source, number)
-        yield Ignore(Span(source, match.start(1), match.end(1)), line, tuple(codes), match[3].strip())
+        yield IgnoreComment(Span(source, match.start(1), match.end(1)), line, tuple(codes), match[3].strip())
 
 
 def _next_code_line(source: Source, number: int) -> int:
@@ -89,7 +89,7 @@ def apply_ignores(
                     "ignore-without-reason", "this comment does not say why", ignore.span, "write the reason after the bracket"
                 )
             for code, span in ignore.codes:
-                looked = code not in CODES or (sound and code not in unknown)
+                looked = code not in CODE_DESCRIPTIONS or (sound and code not in unknown)
                 if looked and (source.path, ignore.line, code) not in warned_places:
                     _warn_idle(result, ignore, code, span)
             if not ignore.codes:
@@ -97,9 +97,9 @@ def apply_ignores(
     return result
 
 
-def _warn_idle(report: Report, ignore: Ignore, code: str, span: Span) -> None:
-    near = nearest_name(code, CODES)
-    if code not in CODES:
+def _warn_idle(report: Report, ignore: IgnoreComment, code: str, span: Span) -> None:
+    near = nearest_name(code, CODE_DESCRIPTIONS)
+    if code not in CODE_DESCRIPTIONS:
         report.warning("ignored-nothing", f"no code `{code}`", span, f"did you mean `{near}`?" if near else "delete it")
         return
     fix = Fix(ignore.span, "") if len(ignore.codes) == 1 else None

@@ -17,15 +17,15 @@ def printable(text: str, keep: str = "") -> str:
     return "".join(c if c.isprintable() or c in keep else "\ufffd" for c in text)
 
 
-_QUOTED = 160  # characters of a quoted value; a line of a terminal or two
-_LINE = 1500
-_LONG_VALUE = re.compile(f"`([^`]{{{_QUOTED}}})[^`]+`")
+_MAX_QUOTED_CHARACTERS = 160  # characters of a quoted value; a line of a terminal or two
+_MAX_LINE_CHARACTERS = 1500
+_LONG_VALUE_PATTERN = re.compile(f"`([^`]{{{_MAX_QUOTED_CHARACTERS}}})[^`]+`")
 
 
 def shorten_values(text: str) -> str:
     """Return the text with long quoted values shortened, and the text itself shortened if that is not enough."""
-    text = _LONG_VALUE.sub(r"`\1…`", text)
-    return text if len(text) <= _LINE else text[: _LINE - 1] + "…"
+    text = _LONG_VALUE_PATTERN.sub(r"`\1…`", text)
+    return text if len(text) <= _MAX_LINE_CHARACTERS else text[: _MAX_LINE_CHARACTERS - 1] + "…"
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,7 +64,7 @@ class Diagnostic:
                 continue
             if not text.isprintable():
                 object.__setattr__(self, name, text := printable(text, keep="\n"))
-            if len(text) > _QUOTED:
+            if len(text) > _MAX_QUOTED_CHARACTERS:
                 object.__setattr__(self, name, shorten_values(text))
 
 
@@ -76,13 +76,13 @@ def _diagnostic_key(diagnostic: Diagnostic) -> tuple[str | int, ...]:
     return (diagnostic.code, span.source.path, span.source.part, span.start, span.end)
 
 
-_INSTEAD = re.compile("(?:did you mean|write) `([^`…]+)`\\??")
+_REPLACEMENT_PATTERN = re.compile("(?:did you mean|write) `([^`…]+)`\\??")
 
 
 def find_fix(message: str, span: Span | None, help: str | None) -> Fix | None:
     """Return the fix for a span if the help is only the replacement for the text that the message names. Return None if the help
     says more, or the span covers something else."""
-    match = _INSTEAD.fullmatch(help or "")
+    match = _REPLACEMENT_PATTERN.fullmatch(help or "")
     return Fix(span, match[1]) if match and span is not None and f"`{span.text}`" in message else None
 
 

@@ -9,12 +9,14 @@ from dataclasses import dataclass
 from antdsl.source import Span
 
 # What could move a cursor, change a colour, end a line or turn the direction of writing.
-_UNSAFE = re.compile("[\x00-\x1f\x7f-\x9f\u200b-\u200f\u2028\u2029\u202a-\u202e\u2060-\u2069\ufeff\ufffe\uffff\ud800-\udfff]")
+_UNSAFE_CHARACTERS = re.compile(
+    "[\x00-\x1f\x7f-\x9f\u200b-\u200f\u2028\u2029\u202a-\u202e\u2060-\u2069\ufeff\ufffe\uffff\ud800-\udfff]"
+)
 
 
 def escape_text(text: str) -> str:
     """Return the text with every control character escaped, such as `\\x1b`."""
-    return _UNSAFE.sub(lambda match: _escape_character(match.group()), text)
+    return _UNSAFE_CHARACTERS.sub(lambda match: _escape_character(match.group()), text)
 
 
 def escape_line(text: str) -> str:

@@ -27,7 +27,7 @@ def _line(diagnostic: Diagnostic) -> str:
 
 
 # Each takes the complaints to show, in order, and the number of those that are left out.
-FORMATS: dict[str, Callable[[Sequence[Diagnostic], int], str]] = {
+FORMATTERS: dict[str, Callable[[Sequence[Diagnostic], int], str]] = {
     "full": full,
     "concise": concise,
     "json": document,
@@ -43,14 +43,14 @@ def render(report: Report, format: str = "full") -> str:
 
     Errors take precedence over warnings where not all can be shown."""
     diagnostics = visible_diagnostics(report)
-    return FORMATS[format](diagnostics, len(report.diagnostics) - len(diagnostics))
+    return FORMATTERS[format](diagnostics, len(report.diagnostics) - len(diagnostics))
 
 
 def visible_diagnostics(report: Report) -> list[Diagnostic]:
     """Return the findings that people see, by place: at most 50, where errors take precedence over warnings."""
     ordered = report.sorted()
-    if len(ordered) <= limits.DIAGNOSTICS_SHOWN:
+    if len(ordered) <= limits.MAX_SHOWN_DIAGNOSTICS:
         return ordered
-    most_severe = sorted(ordered, key=lambda diagnostic: diagnostic.severity != "error")[: limits.DIAGNOSTICS_SHOWN]
+    most_severe = sorted(ordered, key=lambda diagnostic: diagnostic.severity != "error")[: limits.MAX_SHOWN_DIAGNOSTICS]
     chosen = {id(diagnostic) for diagnostic in most_severe}
     return [diagnostic for diagnostic in ordered if id(diagnostic) in chosen]

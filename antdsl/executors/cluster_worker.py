@@ -23,7 +23,7 @@ from antdsl import __version__
 from antdsl.bounded import open_bounded
 from antdsl.executors.input_bundle import FileBundle, VisibleFile, unpacked_path
 from antdsl.executors.tasks import TaskRefused, Work, Worker, perform
-from antdsl.limits import MADE_BYTES, MIB
+from antdsl.limits import MAX_TASK_OUTPUT_BYTES, MIB
 from antdsl.source_hash import sources
 
 PART_BYTES = 8 * MIB  # of a file that is fetched, at a time
@@ -118,7 +118,7 @@ def read_part(name: str, file: str, start: int) -> bytes:
     path = (folder / file).resolve()
     if not path.is_relative_to(folder.resolve()):
         raise TaskRefused(f"`{file}` is not one of the files that a task wrote")
-    with open_bounded(path, MADE_BYTES, follow=False) as handle:
+    with open_bounded(path, MAX_TASK_OUTPUT_BYTES, follow=False) as handle:
         handle.seek(start)
         return handle.read(PART_BYTES)
 

@@ -10,7 +10,7 @@ from pathlib import Path, PurePath
 
 from antdsl.bounded import read_bounded
 from antdsl.executors.tasks import TaskRefused
-from antdsl.limits import BUNDLE_BYTES
+from antdsl.limits import MAX_BUNDLE_BYTES
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,7 +44,7 @@ class VisibleFile:
     def of(cls, path: Path) -> VisibleFile:
         """Raises OSError if there is no such file."""
         absolute_path = os.path.abspath(path)
-        return cls(absolute_path, digest_files({"": read_bounded(absolute_path, BUNDLE_BYTES)}))
+        return cls(absolute_path, digest_files({"": read_bounded(absolute_path, MAX_BUNDLE_BYTES)}))
 
     def is_visible(self) -> bool:
         """Return whether this machine has the file."""
@@ -58,12 +58,14 @@ def pack(paths: Iterable[Path]) -> FileBundle:
     """Return an input bundle of regular files. Raises TaskRefused if they are more than `BUNDLE_BYTES` together, OSError if one
     cannot be read."""
     files: dict[str, bytes] = {}
-    left = BUNDLE_BYTES
+    left = MAX_BUNDLE_BYTES
     for path in sorted({Path(os.path.abspath(path)) for path in paths}):
-        content = read_bounded(path, BUNDLE_BYTES)
+        content = read_bounded(path, MAX_BUNDLE_BYTES)
         left -= len(content)
         if left < 0:
-            raise TaskRefused(f"the files that the scenes read are more than {BUNDLE_BYTES >> 20} MiB, and more do not travel")
+            raise TaskRefused(
+                f"the files that the scenes read are more than {MAX_BUNDLE_BYTES >> 20} MiB, and more do not travel"
+            )
         files[_relative_path(path)] = content
     return FileBundle(files, digest_files(files))
 

@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from antdsl.limits import ANSWER_BYTES, MADE_BYTES
+from antdsl.limits import MAX_TASK_ANSWER_BYTES, MAX_TASK_OUTPUT_BYTES
 from antdsl.whole import atomic_file, make_folder
 
 TLS_FILES = ("ca.pem", "cert.pem", "key.pem")  # in a folder of certificates: the authority's, one's own, and its key
@@ -208,7 +208,7 @@ def _fetch_outcome(
 
 def _fetch_files(answer: Answer, engine: Engine, folder: Path) -> None:
     """Move the files of an answer to a folder, each atomically, and have the worker remove its own."""
-    root, left = folder.resolve(), MADE_BYTES
+    root, left = folder.resolve(), MAX_TASK_OUTPUT_BYTES
     for name, size, digest in answer["files"]:
         path, left = (root / name).resolve(), left - size
         if not path.is_relative_to(root) or left < 0:
@@ -238,8 +238,8 @@ def perform(work: Work, text: str, worker: Worker, say_frame: Callable[[int], No
     worker.notes.clear()
     answer = work(json.loads(text), worker)
     text = json.dumps({"answer": answer, "notes": worker.notes})
-    if len(text) > ANSWER_BYTES:
-        raise TaskRefused(f"its result has {len(text):,} bytes, and more than {ANSWER_BYTES:,} are not sent")
+    if len(text) > MAX_TASK_ANSWER_BYTES:
+        raise TaskRefused(f"its result has {len(text):,} bytes, and more than {MAX_TASK_ANSWER_BYTES:,} are not sent")
     return text
 
 

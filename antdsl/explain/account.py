@@ -10,17 +10,17 @@ import numpy as np
 
 from antdsl.explain.changing import did, list_changes
 from antdsl.explain.deciding import machine_step
-from antdsl.explain.model import Explanation, MachineStep, Triple
+from antdsl.explain.model import Explanation, FloatTriple, MachineStep
 from antdsl.explain.pushing import layers, steering_lines, total_push
 from antdsl.explain.replaying import Replay
 from antdsl.explain.sensing import field_values, observed_sets, random_draws, sense_readings
-from antdsl.explain.tracing import Trace
+from antdsl.explain.tracing import AgentTrace
 from antdsl.explain.value_text import place, triple
 from antdsl.plan.lowering.source_map import resting_site
 from antdsl.program.model import Handler, Species
 from antdsl.runtime.world import AXES, Population, World
 
-MOST_POSITIONS = 256  # of each set
+MAX_NEIGHBOUR_POSITIONS = 256  # of each set
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,8 +29,8 @@ class LocatedExplanation:
     agents and items it considered. The nearest of each set comes first."""
 
     explanation: Explanation
-    place: Triple
-    neighbours: tuple[Triple, ...]
+    place: FloatTriple
+    neighbours: tuple[FloatTriple, ...]
 
 
 def explain_agents(replay: Replay, frame: int, agents: Sequence[tuple[str, int]]) -> list[Explanation | None]:
@@ -42,7 +42,7 @@ def explain_agents(replay: Replay, frame: int, agents: Sequence[tuple[str, int]]
 def locate_explanations(replay: Replay, frame: int, agents: Sequence[tuple[str, int]]) -> list[LocatedExplanation | None]:
     """Return explanations as `explain_agents` does, with positions."""
 
-    def look(world: World, population: Population, trace: Trace) -> tuple[Trace, LocatedExplanation]:
+    def look(world: World, population: Population, trace: AgentTrace) -> tuple[AgentTrace, LocatedExplanation]:
         return trace, LocatedExplanation(_build_explanation(replay, frame, world, population, trace), *_positions(trace))
 
     step = replay.step(frame, agents, look)
@@ -57,22 +57,26 @@ def locate_explanations(replay: Replay, frame: int, agents: Sequence[tuple[str, 
     return explanations
 
 
-def _positions(trace: Trace) -> tuple[Triple, tuple[Triple, ...]]:
+def _positions(trace: AgentTrace) -> tuple[FloatTriple, tuple[FloatTriple, ...]]:
     """Return the position of the agent at the start of the step, and those of the agents that it looked at, each once."""
     own = triple(trace.start[f"position.{axis}"] for axis in AXES)
-    near = [member for members in trace.sets.values() for member in sorted(members, key=lambda m: float(m[4]))[:MOST_POSITIONS]]
+    near = [
+        member
+        for members in trace.sets.values()
+        for member in sorted(members, key=lambda m: float(m[4]))[:MAX_NEIGHBOUR_POSITIONS]
+    ]
     positions = (triple(own[k] + float(member[1 + k]) for k in range(3)) for member in near)
     return own, tuple(dict.fromkeys(positions))
 
 
-def _has_collided(handler: Handler, trace: Trace) -> bool:
+def _has_collided(handler: Handler, trace: AgentTrace) -> bool:
     """Return whether a handler of collisions has run: its agent has begun to touch another."""
     if handler.event != "collision":
         return False
     return any(node.op == "contact" and node.attrs[0] == handler.of and value[0] != -1 for node, value in trace.senses.items())
 
 
-def _build_explanation(replay: Replay, frame: int, world: World, population: Population, trace: Trace) -> Explanation:
+def _build_explanation(replay: Replay, frame: int, world: World, population: Population, trace: AgentTrace) -> Explanation:
     """Return all that is known before the effects of the step."""
     program = replay.shot.program.species[population.name]
     notes = replay.notes[population.name]
@@ -127,13 +131,13 @@ def _active_sites(species: Species, machines: Sequence[MachineStep]) -> tuple[st
     return tuple(sites)
 
 
-def _with_effects(replay: Replay, world: World, trace: Trace, explanation: Explanation) -> Explanation:
+def _with_effects(replay: Replay, world: World, trace: AgentTrace, explanation: Explanation) -> Explanation:
     """Return the explanation with the results of the step. An agent that died in the step has no results."""
     population = world.populations[explanation.species]
     row = int(population.rows_of(np.array([explanation.agent]))[0])
     if row < 0:
         return replace(explanation, notes=(f"it died in this step: frame {explanation.frame} is without it",))
-    velocity: Triple = triple(population.now[f"velocity.{axis}"][row] for axis in AXES)
+    velocity: FloatTriple = triple(population.now[f"velocity.{axis}"][row] for axis in AXES)
     gained = triple(
         (new_component - old_component) / world.dt
         for old_component, new_component in zip(explanation.velocity[0], velocity, strict=True)

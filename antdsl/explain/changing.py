@@ -7,28 +7,32 @@ from typing import Any
 
 import numpy as np
 
-from antdsl.explain.model import ChangedValue, Value
-from antdsl.explain.tracing import Trace
+from antdsl.explain.model import ChangedValue, PlainValue
+from antdsl.explain.tracing import AgentTrace
 from antdsl.explain.value_text import in_unit, plain_value, said, triple
 from antdsl.plan.ir import Register
 from antdsl.plan.registers import pair_values
-from antdsl.program.model import Dim, Kind, Species, Type
+from antdsl.program.model import Dimension, Species, TypeKind, ValueType
 from antdsl.program.tables.columns import REGISTERS
-from antdsl.program.tables.effects import EFFECTS, Effect, fill_template
+from antdsl.program.tables.effects import EFFECT_BY_OPERATION, Effect, fill_template
 from antdsl.program.tables.units import default_unit
-from antdsl.runtime.requests import Effects, RequestEntry
+from antdsl.runtime.requests import EffectRequests, RequestEntry
 from antdsl.runtime.world import AXES, Population, World
 from antdsl.specs.value_text import place_text
 
 
-def list_changes(world: World, population: Population, species: Species, trace: Trace, agent: int) -> tuple[ChangedValue, ...]:
+def list_changes(
+    world: World, population: Population, species: Species, trace: AgentTrace, agent: int
+) -> tuple[ChangedValue, ...]:
     """Return the stored registers that have changed, in the order of the program. `world` is that after the step. Empty for a
     dead agent."""
     row = int(population.rows_of(np.array([agent]))[0])
     return () if row < 0 else tuple(_changed_registers(world, population, species, trace, row))
 
 
-def _changed_registers(world: World, population: Population, species: Species, trace: Trace, row: int) -> Iterator[ChangedValue]:
+def _changed_registers(
+    world: World, population: Population, species: Species, trace: AgentTrace, row: int
+) -> Iterator[ChangedValue]:
     types = {a.name: a.type for a in species.attributes}
     for name, register in population.plan.registers.items():
         if register.role in ("temp", "pair") or name.endswith((".y", ".z", ".next")):
@@ -43,7 +47,7 @@ def _changed_registers(world: World, population: Population, species: Species, t
         old_value, new_value = trace.start[name], population.now[name][row]
         if old_value != new_value:
             type = types.get(name) or _register_type(name, register, species)
-            unit = default_unit(type.dim) if type.kind is Kind.NUMBER else ""
+            unit = default_unit(type.dim) if type.kind is TypeKind.NUMBER else ""
             value_texts = [
                 (plain_value(world, each, type, unit), said(world, each, type, unit)) for each in (old_value, new_value)
             ]
@@ -67,7 +71,7 @@ def _values_by_other(registers: Mapping[str, Any], slots: list[tuple[str, str]])
     return {int(registers[who]): registers[held] for who, held in slots if registers[who] >= 0}
 
 
-def _describe_value(world: World, held: Any, type: Type, unit: str) -> tuple[Value, str]:
+def _describe_value(world: World, held: Any, type: ValueType, unit: str) -> tuple[PlainValue, str]:
     return ("nothing", "nothing") if held is None else (plain_value(world, held, type, unit), said(world, held, type, unit))
 
 
@@ -75,7 +79,7 @@ def _row(population: Population, stem: str, row: int) -> dict[str, Any]:
     return {f"{stem}.{axis}": population.now[f"{stem}.{axis}"][row] for axis in AXES}
 
 
-def _vector_change(world: World, name: str, both: list[list[Any]], type: Type | None, memory: bool) -> ChangedValue:
+def _vector_change(world: World, name: str, both: list[list[Any]], type: ValueType | None, memory: bool) -> ChangedValue:
     unit = REGISTERS[name].unit if name in REGISTERS else default_unit(type.dim) if type is not None else ""
     origin = world.origin if name == "position" else (0.0, 0.0, 0.0)  # registers are relative to it
     old_vector, new_vector = (
@@ -88,21 +92,21 @@ def _vector_change(world: World, name: str, both: list[list[Any]], type: Type | 
     return ChangedValue(name, old_vector, new_vector, unit, (texts[0], texts[1]), memory)
 
 
-def _register_type(name: str, register: Register, species: Species) -> Type:
+def _register_type(name: str, register: Register, species: Species) -> ValueType:
     """Return the type of a register that no attribute declares: a machine's register, or a memory."""
     machine, _, part = name.partition(".")
     if part in ("state", "previous") and any(m.name == machine for m in species.machines):
-        return Type(Kind.STATE, of=f"{species.name}.{machine}")
+        return ValueType(TypeKind.STATE, of=f"{species.name}.{machine}")
     if part == "time_in_state":
-        return Type(Kind.NUMBER, Dim(time=1))
-    return Type(Kind.AGENT, of=register.of) if register.of else Type(Kind.NUMBER)
+        return ValueType(TypeKind.NUMBER, Dimension(time=1))
+    return ValueType(TypeKind.AGENT, of=register.of) if register.of else ValueType(TypeKind.NUMBER)
 
 
-def did(effects: Effects) -> tuple[str, ...]:
+def did(effects: EffectRequests) -> tuple[str, ...]:
     """Return the agent's requests to the world, in words: deposits, gifts, digging, calls, births and its death."""
     lines_by_effect = {
         row.op: [line for entry in effects.requests.get(row.op, ()) if (line := _describe_request(row, entry))]
-        for row in EFFECTS.values()
+        for row in EFFECT_BY_OPERATION.values()
     }
     sentences = lines_by_effect.pop("deposit")
     sentences += [

@@ -4,18 +4,20 @@ from __future__ import annotations
 
 import numpy as np
 
-from antdsl.explain.model import Choice, Claim, MachineStep, TransitionAccount
-from antdsl.explain.tracing import Trace
+from antdsl.explain.model import ChoiceResult, ClaimResult, MachineStep, TransitionAccount
+from antdsl.explain.tracing import AgentTrace
 from antdsl.explain.value_text import condition_part, place, timer_reading
 from antdsl.numerics import randomness
 from antdsl.plan.ir import MachinePlan
-from antdsl.plan.lowering.source_map import ChangeNote, ChoiceNote, Notes
+from antdsl.plan.lowering.source_map import ChangeNote, ChoiceNote, SourceNotes
 from antdsl.program import model
 from antdsl.runtime.requests import ClaimEntry
 from antdsl.runtime.world import Population, World
 
 
-def machine_step(world: World, population: Population, machine: MachinePlan, notes: Notes, trace: Trace) -> MachineStep:
+def machine_step(
+    world: World, population: Population, machine: MachinePlan, notes: SourceNotes, trace: AgentTrace
+) -> MachineStep:
     """Return the step of one machine of an agent. `world` is in the step to be explained, still in its state at the start of the
     step."""
     old_state = int(trace.start[f"{machine.name}.state"])
@@ -38,9 +40,11 @@ def machine_step(world: World, population: Population, machine: MachinePlan, not
     )
 
 
-def _transition_account(world: World, machine: MachinePlan, note: ChangeNote, winner: int, trace: Trace) -> TransitionAccount:
+def _transition_account(
+    world: World, machine: MachinePlan, note: ChangeNote, winner: int, trace: AgentTrace
+) -> TransitionAccount:
     t = note.transition
-    kind = "interrupt" if t.interrupt else "from any" if f".{model.ANYWHERE}->" in t.key else "when"
+    kind = "interrupt" if t.interrupt else "from any" if f".{model.FROM_ANY_KEY}->" in t.key else "when"
     return TransitionAccount(
         place(t.span),
         kind,
@@ -62,7 +66,7 @@ def _target(machine: MachinePlan, t: model.Transition) -> str:
     return machine.states[t.target] if t.target is not None else "the same"
 
 
-def _claim(world: World, population: Population, won: ChangeNote, trace: Trace) -> Claim | None:
+def _claim(world: World, population: Population, won: ChangeNote, trace: AgentTrace) -> ClaimResult | None:
     entry = next((each for each in trace.claims if each.statement.site == won.transition.key), None)
     if entry is None:
         return None
@@ -72,7 +76,7 @@ def _claim(world: World, population: Population, won: ChangeNote, trace: Trace) 
         names = world.items[statement.of].names
         item = int(entry.item[0])
         name = names[item] if 0 <= item < len(names) else "none"
-    return Claim(
+    return ClaimResult(
         statement.of,
         name,
         statement.attribute or statement.own or "",
@@ -90,7 +94,7 @@ def _claim_draw(world: World, population: Population, entry: ClaimEntry, row: in
     return float(words[0][0]) / float(np.uint64(1) << np.uint64(32))
 
 
-def _choice(machine: MachinePlan, note: ChoiceNote, trace: Trace, new_state: int) -> Choice | None:
+def _choice(machine: MachinePlan, note: ChoiceNote, trace: AgentTrace, new_state: int) -> ChoiceResult | None:
     if note.draw not in trace.values:
         return None
     total = sum(float(trace.values[node]) for _, node in note.weights)
@@ -98,4 +102,4 @@ def _choice(machine: MachinePlan, note: ChoiceNote, trace: Trace, new_state: int
     for index, node in note.weights:
         sum_so_far += float(trace.values[node])
         bars.append((machine.states[index], sum_so_far / total if total > 0 else 0.0))
-    return Choice(float(trace.values[note.draw]), tuple(bars), machine.states[new_state])
+    return ChoiceResult(float(trace.values[note.draw]), tuple(bars), machine.states[new_state])

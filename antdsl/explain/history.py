@@ -14,13 +14,13 @@ from antdsl.diagnostics import Report
 from antdsl.outputs.cache.cache_reader import Cache, CacheError
 from antdsl.outputs.cache.cache_writer import read_checkpoint
 from antdsl.outputs.starting import StartError, start_hash
-from antdsl.pipeline import Choices, Shot, open_scene
+from antdsl.pipeline import RunChoices, Shot, open_scene
 from antdsl.runtime import CheckpointError, Options, World, bind, restore, state_hash
 from antdsl.runtime.checkpoints import STATE_HASH
 from antdsl.scene.values import FrameRange
 
-_SET = "--set "
-_SPEC_SET = "set "
+_SET_PREFIX = "--set "
+_SPEC_SET_PREFIX = "set "
 
 
 class History(Protocol):
@@ -105,15 +105,15 @@ def open_shot(cache: Cache, scene: Path | None = None, grants: Mapping[str, Path
     from."""
     manifest = cache.manifest
     path = scene or _find_scene(cache)
-    spec = [name for name in manifest.inputs if name.startswith(_SPEC_SET)]
+    spec = [name for name in manifest.inputs if name.startswith(_SPEC_SET_PREFIX)]
     if spec:
-        words = f"the cache was made by a spec that sets `{spec[0].removeprefix(_SPEC_SET)}`"
+        words = f"the cache was made by a spec that sets `{spec[0].removeprefix(_SPEC_SET_PREFIX)}`"
         raise ExplainError(words, "only caches of `antdsl run` can be explained")
     if manifest.state_hash != STATE_HASH:
         words = f"`{cache.folder}` was written by an antdsl that hashes states in another way"
         raise ExplainError(words, "run the scene again: then repeated steps can be compared with the cache")
-    params = {name.removeprefix(_SET): text for name, text in manifest.inputs.items() if name.startswith(_SET)}
-    choices = Choices(grants or {}, FrameRange(manifest.first, manifest.last), manifest.seed, params)
+    params = {name.removeprefix(_SET_PREFIX): text for name, text in manifest.inputs.items() if name.startswith(_SET_PREFIX)}
+    choices = RunChoices(grants or {}, FrameRange(manifest.first, manifest.last), manifest.seed, params)
     shot, report = open_scene(path, choices)
     if shot is None or not report.ok:
         other = "" if scene is not None else f"if `{path}` is not its scene, name the right one: `--scene FILE`"

@@ -6,13 +6,13 @@ import math
 from dataclasses import asdict, dataclass
 from typing import Any
 
-FORMAT = 1
-Triple = tuple[float, float, float]
-Value = float | bool | str | None | Triple
+FORMAT_VERSION = 1
+FloatTriple = tuple[float, float, float]
+PlainValue = float | bool | str | None | FloatTriple
 
 
 @dataclass(frozen=True, slots=True)
-class Place:
+class SourceLocation:
     """A span of a program: its text on one line, its file and line."""
 
     text: str
@@ -21,20 +21,20 @@ class Place:
 
 
 @dataclass(frozen=True, slots=True)
-class Part:
+class ExpressionPart:
     """A part of a condition. `value` is in `unit`; `shown` is the value in the author's spelling. `role`: draw or bar of a
     `chance`, joined, or empty. A joined part has only its inner parts with `and`, `<` and similar signs between them."""
 
     text: str
-    value: Value
+    value: PlainValue
     unit: str
     shown: str
     role: str = ""
-    parts: tuple[Part, ...] = ()
+    parts: tuple[ExpressionPart, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
-class Timer:
+class TimerReading:
     """A timer with its elapsed and required amount. `what`: held (in steps), after, or at least (both in seconds in the
     state)."""
 
@@ -50,19 +50,19 @@ class TransitionAccount:
     """A transition that was checked. `kind`: interrupt, from any, when. `held`: whether its condition was true. `fires`: whether
     its condition and its timers were true."""
 
-    place: Place
+    place: SourceLocation
     kind: str
     target: str
-    condition: Part | None
+    condition: ExpressionPart | None
     held: bool
-    timers: tuple[Timer, ...]
-    take: Part | None
+    timers: tuple[TimerReading, ...]
+    take: ExpressionPart | None
     fires: bool
     wins: bool
 
 
 @dataclass(frozen=True, slots=True)
-class Claim:
+class ClaimResult:
     """A claim of an agent to an item or a field, and whether it succeeded. Claims with smaller draws are served first. An
     `amount` of None means all. For a field, `items` and `item` are its name, and `attribute` may be empty."""
 
@@ -72,11 +72,11 @@ class Claim:
     amount: float | None
     draw: float
     won: bool
-    place: Place
+    place: SourceLocation
 
 
 @dataclass(frozen=True, slots=True)
-class Choice:
+class ChoiceResult:
     """A draw among states: `draw` from 0 to 1, the cumulative share of each state, and the state taken."""
 
     draw: float
@@ -95,38 +95,38 @@ class MachineStep:
     since: float
     looked: tuple[TransitionAccount, ...]
     changed: bool
-    claim: Claim | None
-    choice: Choice | None
+    claim: ClaimResult | None
+    choice: ChoiceResult | None
 
 
 @dataclass(frozen=True, slots=True)
-class Layer:
+class LayerReport:
     """A layer's wish. `left`: strength left before it; `length` of its `push`; `given`: the part it received, `share` of the
     whole budget, `cut` of its length. `state`: pushed, nothing (its push was zero), off (its condition is false), no strength."""
 
-    place: Place
+    place: SourceLocation
     state: str
-    condition: Part | None
+    condition: ExpressionPart | None
     left: float
-    push: Triple | None
+    push: FloatTriple | None
     length: float
-    given: Triple
+    given: FloatTriple
     share: float
     cut: float
 
 
 @dataclass(frozen=True, slots=True)
-class Steer:
+class SteeringLine:
     """A `steer` or `face` line that ran, and its push. `part`: `state`, or `layers` if it is in a layer."""
 
     text: str
-    push: Triple
+    push: FloatTriple
     length: float
     part: str = "state"
 
 
 @dataclass(frozen=True, slots=True)
-class NearObject:
+class NearbyObject:
     """Another agent or an item near the agent: its id or name, its distance in mm, and its state or amounts."""
 
     name: str
@@ -141,22 +141,22 @@ class ObservedSet:
     asked: str
     of: str
     count: int
-    nearest: tuple[NearObject, ...]
+    nearest: tuple[NearbyObject, ...]
 
 
 @dataclass(frozen=True, slots=True)
-class Sense:
+class SenseReading:
     """A sense that was queried: ray, obstacle, curve, flow, map or field; `shown` describes its result."""
 
     kind: str
     name: str
     text: str
     shown: str
-    values: tuple[Value, ...]
+    values: tuple[PlainValue, ...]
 
 
 @dataclass(frozen=True, slots=True)
-class Draw:
+class RandomDraw:
     """A random draw: its site (stable name), the text that requested it, and the value."""
 
     site: str
@@ -169,15 +169,15 @@ class ChangedValue:
     """An attribute or memory before and after the step."""
 
     name: str
-    before: Value
-    after: Value
+    before: PlainValue
+    after: PlainValue
     unit: str
     shown: tuple[str, str]
     memory: bool = False
 
 
 @dataclass(frozen=True, slots=True)
-class Stretch:
+class StateInterval:
     """A state of a machine over a range of frames; both ends are included."""
 
     machine: str
@@ -200,27 +200,27 @@ class Explanation:
     hash: str
     checkpoint: int
     mode: str
-    strip: tuple[Stretch, ...]
+    strip: tuple[StateInterval, ...]
     alive: tuple[int, int] | None
     notes: tuple[str, ...]
     machines: tuple[MachineStep, ...]
-    handlers: tuple[Place, ...]
-    steers: tuple[Steer, ...]
-    layers: tuple[Layer, ...]
-    push: Triple
-    velocity: tuple[Triple, Triple | None]
-    acceleration: Triple | None
+    handlers: tuple[SourceLocation, ...]
+    steers: tuple[SteeringLine, ...]
+    layers: tuple[LayerReport, ...]
+    push: FloatTriple
+    velocity: tuple[FloatTriple, FloatTriple | None]
+    acceleration: FloatTriple | None
     seen: tuple[ObservedSet, ...]
     fields: tuple[tuple[str, float], ...]
-    senses: tuple[Sense, ...]
-    draws: tuple[Draw, ...]
+    senses: tuple[SenseReading, ...]
+    draws: tuple[RandomDraw, ...]
     did: tuple[str, ...]
     changes: tuple[ChangedValue, ...]
 
 
 def as_json(explanation: Explanation) -> dict[str, Any]:
     """Return the explanation as JSON values: infinity and NaN become null."""
-    document: dict[str, Any] = _json_value({"format": FORMAT, **asdict(explanation)})
+    document: dict[str, Any] = _json_value({"format": FORMAT_VERSION, **asdict(explanation)})
     return document
 
 

@@ -6,39 +6,41 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl.explain.model import Layer, Steer
-from antdsl.explain.tracing import Trace
+from antdsl.explain.model import LayerReport, SteeringLine
+from antdsl.explain.tracing import AgentTrace
 from antdsl.explain.value_text import condition_part, place, triple
-from antdsl.plan.lowering.source_map import LayerNote, Notes
+from antdsl.plan.lowering.source_map import LayerNote, SourceNotes
 from antdsl.runtime.world import AXES, World
 
 _F = np.float32
-Push = NDArray[np.float32]
+PushVector = NDArray[np.float32]
 
 
-def layers(world: World, mode: str, notes: Notes, trace: Trace) -> tuple[Layer, ...]:
+def layers(world: World, mode: str, notes: SourceNotes, trace: AgentTrace) -> tuple[LayerReport, ...]:
     """Return the layers in the order in which they were queried."""
     with np.errstate(all="ignore"):
         return tuple(_layer_account(world, mode, note, trace) for note in notes.layers)
 
 
-def _layer_account(world: World, mode: str, note: LayerNote, trace: Trace) -> Layer:
+def _layer_account(world: World, mode: str, note: LayerNote, trace: AgentTrace) -> LayerReport:
     where, left = place(note.layer.span, note.layer.text), float(trace.values.get(note.left, 0.0))
     nothing = (0.0, 0.0, 0.0)
     if not trace.values.get(note.looked, False):
-        return Layer(where, "no strength", None, left, None, 0.0, nothing, 0.0, 0.0)
+        return LayerReport(where, "no strength", None, left, None, 0.0, nothing, 0.0, 0.0)
     condition = condition_part(world, note.condition, trace.values)
     if not trace.values.get(note.holds, False):
-        return Layer(where, "off", condition, left, None, 0.0, nothing, 0.0, 0.0)
+        return LayerReport(where, "off", condition, left, None, 0.0, nothing, 0.0, 0.0)
     push = np.array([trace.values[node] for node in note.push], _F)
     size = length(push)
     granted_push = _grant_push(mode, push, size, _F(left))
     had = float(length(granted_push))
     state = "pushed" if size > 0 else "nothing"
-    return Layer(where, state, condition, left, triple(push), float(size), triple(granted_push), had, max(float(size) - had, 0.0))
+    return LayerReport(
+        where, state, condition, left, triple(push), float(size), triple(granted_push), had, max(float(size) - had, 0.0)
+    )
 
 
-def _grant_push(mode: str, push: Push, size: np.float32, left: np.float32) -> Push:
+def _grant_push(mode: str, push: PushVector, size: np.float32, left: np.float32) -> PushVector:
     """Return a layer's part of the push: all of it in a sum; cut to the remaining budget, or to length 1 where the first layer
     takes all."""
     if mode == "sum":
@@ -47,19 +49,19 @@ def _grant_push(mode: str, push: Push, size: np.float32, left: np.float32) -> Pu
     return push * (most / size if size > most else _F(1))
 
 
-def length(push: Push) -> np.float32:
+def length(push: PushVector) -> np.float32:
     """Return the length of a vector, computed in the plan's order of operations."""
     x, y, z = push
     size: np.float32 = np.sqrt((x * x + y * y) + z * z)
     return size
 
 
-def total_push(trace: Trace) -> Push:
+def total_push(trace: AgentTrace) -> PushVector:
     """Return the sum of all layers: the register that moves the agent."""
     return np.array([trace.now[f"push.{axis}"] for axis in AXES], _F)
 
 
-def steering_lines(species: str, notes: Notes, trace: Trace, sites: tuple[str, ...]) -> tuple[Steer, ...]:
+def steering_lines(species: str, notes: SourceNotes, trace: AgentTrace, sites: tuple[str, ...]) -> tuple[SteeringLine, ...]:
     """Return the `steer` and `face` lines that ran at sites with one of these prefixes."""
     steer_lines = []
     for note in notes.steers:
@@ -67,5 +69,5 @@ def steering_lines(species: str, notes: Notes, trace: Trace, sites: tuple[str, .
             push = np.array([trace.values[node] for node in note.push], _F)
             if note.holds is None or trace.values.get(note.holds, False):
                 part = "state" if note.holds is None else "layers"
-                steer_lines.append(Steer(note.text, triple(push), float(length(push)), part))
+                steer_lines.append(SteeringLine(note.text, triple(push), float(length(push)), part))
     return tuple(steer_lines)

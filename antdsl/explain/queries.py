@@ -11,7 +11,7 @@ import numpy as np
 from antdsl.diagnostics.suggestion import nearest_name
 from antdsl.explain.account import explain_agents
 from antdsl.explain.history import CacheHistory, ExplainError, open_shot
-from antdsl.explain.model import Explanation, Stretch
+from antdsl.explain.model import Explanation, StateInterval
 from antdsl.explain.replaying import Replay
 from antdsl.explain.strip import state_timeline
 from antdsl.outputs.cache.cache_reader import Cache
@@ -70,7 +70,7 @@ def _require_frame(cache: Cache, frame: int) -> None:
 
 
 def _require_alive(
-    cache: Cache, species: str, agent: int, frame: int, stretches: tuple[Stretch, ...], alive: tuple[int, int] | None
+    cache: Cache, species: str, agent: int, frame: int, stretches: tuple[StateInterval, ...], alive: tuple[int, int] | None
 ) -> None:
     """Check that the agent lived in the frame before, as far as the frames show; they need not store ids."""
     if "id" not in cache.manifest.attributes:

@@ -11,20 +11,20 @@ import numpy as np
 
 from antdsl import plan
 from antdsl.explain.history import History
-from antdsl.explain.tracing import Trace, note_nodes, trace_agent
+from antdsl.explain.tracing import AgentTrace, note_nodes, trace_agent
 from antdsl.passes.hoist import hoist
-from antdsl.plan.ir import Node, Plan
-from antdsl.plan.lowering.source_map import Notes
+from antdsl.plan.ir import Plan, PlanNode
+from antdsl.plan.lowering.source_map import SourceNotes
 from antdsl.runtime import FaultStop, Population, World, state_hash, step
 from antdsl.runtime.moving.walks import find_walkers
 from antdsl.runtime.phases import PHASES
 from antdsl.scene.matching import layer_order
 
 T = TypeVar("T")
-_TRACED_BEFORE = "effects"  # every block has run, and nothing that it read has changed
+_TRACED_PHASE = "effects"  # every block has run, and nothing that it read has changed
 
 
-Look = Callable[[World, Population, Trace], T]
+TraceReader = Callable[[World, Population, AgentTrace], T]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -48,8 +48,8 @@ class Replay:
         self.history, self.shot = history, history.shot
         self._world: World | None = None
         self._checkpoint = 0
-        self.notes: dict[str, Notes] = {}
-        self.became: dict[Node, Node] = {}  # noted nodes, and what stands for them in the plan
+        self.notes: dict[str, SourceNotes] = {}
+        self.became: dict[PlanNode, PlanNode] = {}  # noted nodes, and what stands for them in the plan
         self.plan = self._annotated_plan()
 
     def _annotated_plan(self) -> Plan:
@@ -74,7 +74,7 @@ class Replay:
         self._world = world
         return world
 
-    def step(self, frame: int, agents: Sequence[tuple[str, int]], look: Look[T]) -> Step[T]:
+    def step(self, frame: int, agents: Sequence[tuple[str, int]], look: TraceReader[T]) -> Step[T]:
         """Repeat the step to a frame and trace the agents, given by species and id. `look` receives each agent's trace while
         other agents, items and fields are in their state at the start of the step."""
         world = self.restore_before(frame)
@@ -82,13 +82,13 @@ class Replay:
         self._world = None  # until the step is whole
         results: tuple[T | None, ...] = ()
         for name, phase in PHASES:
-            if name == _TRACED_BEFORE:
+            if name == _TRACED_PHASE:
                 results = tuple(self._read_trace(world, species, agent, look) for species, agent in agents)
             phase(world)
         self._world = world
         return Step(results, world, self._require_known_hash(world), self._checkpoint)
 
-    def _read_trace(self, world: World, species: str, agent: int, look: Look[T]) -> T | None:
+    def _read_trace(self, world: World, species: str, agent: int, look: TraceReader[T]) -> T | None:
         population = world.populations[species]
         row = int(population.rows_of(np.array([agent]))[0])
         if row < 0 or population.quarantined[row] or find_walkers(world, population)[row]:

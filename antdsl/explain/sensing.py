@@ -7,20 +7,20 @@ from typing import Any
 
 import numpy as np
 
-from antdsl.explain.model import Draw, NearObject, ObservedSet, Sense
-from antdsl.explain.tracing import Trace
-from antdsl.plan.ir import Node
+from antdsl.explain.model import NearbyObject, ObservedSet, RandomDraw, SenseReading
+from antdsl.explain.tracing import AgentTrace
+from antdsl.plan.ir import PlanNode
 from antdsl.program.tables import rows
-from antdsl.program.tables.senses import SENSES
-from antdsl.runtime.backends.reference import Member
+from antdsl.program.tables.senses import SENSE_BY_OPERATION
+from antdsl.runtime.backends.reference import SetMember
 from antdsl.runtime.world import Population, World
 
-MOST = 10  # reported others of a set
+MAX_LISTED_OBJECTS = 10  # reported others of a set
 NO_AGENT = -1  # the id of no agent
-_LONG = 72  # letters of a text
+_MAX_TEXT_CHARACTERS = 72  # letters of a text
 
 
-def observed_sets(world: World, trace: Trace) -> tuple[ObservedSet, ...]:
+def observed_sets(world: World, trace: AgentTrace) -> tuple[ObservedSet, ...]:
     """Return the sets that were searched, each once, in the order of the queries."""
     sets_by_key: dict[tuple[str, tuple[int, ...]], ObservedSet] = {}
     for node, members in trace.sets.items():
@@ -28,21 +28,21 @@ def observed_sets(world: World, trace: Trace) -> tuple[ObservedSet, ...]:
         of = str(node.attrs[0])
         key = (of, tuple(m[0] for m in nearest))
         if key not in sets_by_key:
-            near = tuple(_near_object(world, node, member) for member in nearest[:MOST])
+            near = tuple(_near_object(world, node, member) for member in nearest[:MAX_LISTED_OBJECTS])
             sets_by_key[key] = ObservedSet(_node_text(node), of, len(members), near)
     return tuple(sets_by_key.values())
 
 
-def _near_object(world: World, node: Node, member: Member) -> NearObject:
+def _near_object(world: World, node: PlanNode, member: SetMember) -> NearbyObject:
     row, distance, of = member[0], float(member[4]), str(node.attrs[0])
     if node.op == "set.items":
         items = world.items[of]
         amounts = ", ".join(f"{name} {float(items.visible_values[name][row]):.4g}" for name in items.amounts)
-        return NearObject(items.names[row], distance, amounts)
+        return NearbyObject(items.names[row], distance, amounts)
     population = world.populations[of]
     machines = population.plan.machines
     state = machines[0].states[int(population.start[f"{machines[0].name}.state"][row])] if machines else ""
-    return NearObject(str(int(population.ids[row])), distance, state)
+    return NearbyObject(str(int(population.ids[row])), distance, state)
 
 
 def field_values(world: World, population: Population, row: int) -> tuple[tuple[str, float], ...]:
@@ -51,7 +51,7 @@ def field_values(world: World, population: Population, row: int) -> tuple[tuple[
     return tuple((name, float(field.sample(population.cells[name][rows])[0])) for name, field in world.fields.items())
 
 
-def sense_readings(trace: Trace) -> tuple[Sense, ...]:
+def sense_readings(trace: AgentTrace) -> tuple[SenseReading, ...]:
     """Return the senses of the agent's position that were queried."""
     return tuple(
         sense
@@ -60,17 +60,17 @@ def sense_readings(trace: Trace) -> tuple[Sense, ...]:
     )
 
 
-def _read_sense(node: Node, value: Any) -> Iterator[Sense]:
-    row = SENSES[node.op]
+def _read_sense(node: PlanNode, value: Any) -> Iterator[SenseReading]:
+    row = SENSE_BY_OPERATION[node.op]
     if row.quiet or (row.results[0].kind == "l" and value[0] == NO_AGENT):
         return
     kind, _, what = node.op.partition(".")
     values = tuple(bool(v) if isinstance(v, np.bool_) else float(v) for v in (value if isinstance(value, tuple) else (value,)))
     label, name = (f"{kind} {what}".strip(), str(node.attrs[0])) if row.of else ("sense", node.op)
-    yield Sense(label, name, _node_text(node), _describe_sense(row, values), values)
+    yield SenseReading(label, name, _node_text(node), _describe_sense(row, values), values)
 
 
-def _describe_sense(row: rows.Sense, values: tuple[bool | float, ...]) -> str:
+def _describe_sense(row: rows.SenseRow, values: tuple[bool | float, ...]) -> str:
     """Return the result of a sense as text, by the template in its row; without a template, as numbers."""
     if row.nothing and not values[0]:
         return row.nothing
@@ -80,17 +80,17 @@ def _describe_sense(row: rows.Sense, values: tuple[bool | float, ...]) -> str:
     return numbers if len(values) == 1 else f"({numbers})"
 
 
-def random_draws(trace: Trace) -> tuple[Draw, ...]:
+def random_draws(trace: AgentTrace) -> tuple[RandomDraw, ...]:
     """Return the random numbers by site."""
     drawn_numbers = []
     for node, value in trace.draws.items():
         index = node.attrs[1] if node.op == "draw" else 0
         site = str(node.attrs[0]) + (f"[{index}]" if index else "")
-        drawn_numbers.append(Draw(site, _node_text(node), float(value)))
+        drawn_numbers.append(RandomDraw(site, _node_text(node), float(value)))
     return tuple(sorted(drawn_numbers, key=lambda draw: draw.site))
 
 
-def _node_text(node: Node) -> str:
+def _node_text(node: PlanNode) -> str:
     """Return the text of the author, or of a library, that made the query; long text is cut."""
     text = "" if node.span is None else " ".join(node.span.text.split())
-    return text if len(text) <= _LONG else text[: _LONG - 1].rstrip() + "…"
+    return text if len(text) <= _MAX_TEXT_CHARACTERS else text[: _MAX_TEXT_CHARACTERS - 1].rstrip() + "…"

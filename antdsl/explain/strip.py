@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 
-from antdsl.explain.model import Stretch
+from antdsl.explain.model import StateInterval
 from antdsl.outputs.cache.cache_reader import Cache
 
-_NAMES = frozenset(("id", "state", "species"))
+_FRAME_ARRAYS = frozenset(("id", "state", "species"))
 
 
-def state_timeline(cache: Cache, species: str, agent: int) -> tuple[tuple[Stretch, ...], tuple[int, int] | None]:
+def state_timeline(cache: Cache, species: str, agent: int) -> tuple[tuple[StateInterval, ...], tuple[int, int] | None]:
     """Return the agent's states of the first machine as consecutive stretches, and the first and last frame in which it lives.
     None if it is in no frame.
 
@@ -25,14 +25,14 @@ def state_timeline(cache: Cache, species: str, agent: int) -> tuple[tuple[Stretc
     return parts, (parts[0].first, parts[-1].last) if parts else None
 
 
-def state_stretches(machine: str, frame_states: Iterable[tuple[int, str]]) -> tuple[Stretch, ...]:
+def state_stretches(machine: str, frame_states: Iterable[tuple[int, str]]) -> tuple[StateInterval, ...]:
     """Return frames in order with their states, merged where consecutive frames have the same state."""
-    parts: list[Stretch] = []
+    parts: list[StateInterval] = []
     for frame, state in frame_states:
         if parts and parts[-1].state == state and parts[-1].last == frame - 1:
-            parts[-1] = Stretch(machine, state, parts[-1].first, frame)
+            parts[-1] = StateInterval(machine, state, parts[-1].first, frame)
         else:
-            parts.append(Stretch(machine, state, frame, frame))
+            parts.append(StateInterval(machine, state, frame, frame))
     return tuple(parts)
 
 
@@ -42,7 +42,7 @@ def _state_name(states: Sequence[str], state: int) -> str:
 
 def _find_state(cache: Cache, frame: int, species: int, agent: int) -> int | None:
     """Return the index of the agent's state in a frame: -1 where states are not stored, None where it does not live."""
-    arrays = cache.frame(frame, _NAMES)
+    arrays = cache.frame(frame, _FRAME_ARRAYS)
     if "id" not in arrays:
         return None
     mine = arrays["id"] == agent

@@ -8,11 +8,21 @@ from collections.abc import Iterator
 from itertools import pairwise
 from pathlib import PurePath
 
-from antdsl.explain.model import Explanation, Layer, MachineStep, ObservedSet, Part, Place, Stretch, TransitionAccount, Triple
+from antdsl.explain.model import (
+    Explanation,
+    ExpressionPart,
+    FloatTriple,
+    LayerReport,
+    MachineStep,
+    ObservedSet,
+    SourceLocation,
+    StateInterval,
+    TransitionAccount,
+)
 
-_BAR = 20  # characters for the whole budget
-_STRETCHES = 12  # of a long life, those around the requested frame
-_DRAWS = 40
+_BAR_CHARACTERS = 20  # characters for the whole budget
+_MAX_INTERVALS = 12  # of a long life, those around the requested frame
+_MAX_DRAWS = 40
 
 
 def tell(e: Explanation) -> str:
@@ -42,22 +52,22 @@ def _report_lines(e: Explanation) -> Iterator[str]:
     yield from _effect_lines(e)
 
 
-def _format_place(place: Place) -> str:
+def _format_place(place: SourceLocation) -> str:
     """Return file and line; of the file only its name, which is enough to find it."""
     return f"{PurePath(place.file).name}:{place.line}"
 
 
-def _timeline_lines(timeline: tuple[Stretch, ...], frame: int, name: str) -> Iterator[str]:
+def _timeline_lines(timeline: tuple[StateInterval, ...], frame: int, name: str) -> Iterator[str]:
     """Yield the states over frames, with the state of this frame in brackets."""
     at = next((k for k, s in enumerate(timeline) if s.first <= frame <= s.last), len(timeline) - 1)
-    first = max(0, min(at - _STRETCHES // 2, len(timeline) - _STRETCHES))
-    part = timeline[first : first + _STRETCHES]
+    first = max(0, min(at - _MAX_INTERVALS // 2, len(timeline) - _MAX_INTERVALS))
+    part = timeline[first : first + _MAX_INTERVALS]
     words = []
     for k, stretch in enumerate(part, first):
         state = stretch.state or "alive"
         frames = f"{stretch.first}..{stretch.last}" if stretch.first != stretch.last else f"{stretch.first}"
         words.append(f"[{state} {frames}]" if k == at else f"{state} {frames}")
-    prefix, suffix = "… > " if first else "", " > …" if first + _STRETCHES < len(timeline) else ""
+    prefix, suffix = "… > " if first else "", " > …" if first + _MAX_INTERVALS < len(timeline) else ""
     yield f"  {name}{prefix}{' > '.join(words)}{suffix}"
     gaps = [f"{a.last + 1}..{b.first - 1}" for a, b in pairwise(part) if b.first > a.last + 1]
     if gaps:
@@ -105,7 +115,7 @@ def _transition_lines(looked: TransitionAccount, hidden: bool) -> Iterator[str]:
         yield f"            from: {looked.take.shown}"
 
 
-def _condition_lines(part: Part, indent: str) -> Iterator[str]:
+def _condition_lines(part: ExpressionPart, indent: str) -> Iterator[str]:
     """Yield a part and its inner parts; a part that only tests the existence of an equal part is replaced by that."""
     if len(part.parts) == 1 and part.parts[0].text == part.text:
         part = part.parts[0]
@@ -130,11 +140,12 @@ def _push_lines(e: Explanation) -> Iterator[str]:
     }[e.mode]
     for layer in e.layers:
         yield f"  {_strength_bar(layer)} {layer.place.text}  ({_format_place(layer.place)})"
-        yield f"  {'':<{_BAR + 2}} {_layer_line(layer)}"
+        yield f"  {'':<{_BAR_CHARACTERS + 2}} {_layer_line(layer)}"
         if layer.condition is not None:
-            yield from _condition_lines(layer.condition, " " * (_BAR + 7))
+            yield from _condition_lines(layer.condition, " " * (_BAR_CHARACTERS + 7))
     for steer in e.steers:
-        yield f"  {'':<{_BAR + 2}} {steer.part}: {steer.text} = {_format_vector(steer.push)}, length {steer.length:.4g}"
+        yield f"  {'':<{_BAR_CHARACTERS + 2}} {steer.part}: {steer.text} = {_format_vector(steer.push)}, length "
+        f"{steer.length:.4g}"
     yield f"  together  {_format_vector(e.push)}, length {_length(e.push):.4g}"
     old_velocity, new_velocity = e.velocity
     if new_velocity is not None and e.acceleration is not None:
@@ -145,16 +156,16 @@ def _push_lines(e: Explanation) -> Iterator[str]:
         yield f"  so        {_format_vector(e.acceleration)} mm/s^2 in this step"
 
 
-def _strength_bar(layer: Layer) -> str:
+def _strength_bar(layer: LayerReport) -> str:
     """Return a bar of a layer's share of the whole strength, after the share spent before it."""
-    had = round(min(layer.share, 1.0) * _BAR)
+    had = round(min(layer.share, 1.0) * _BAR_CHARACTERS)
     if layer.share > 0:
         had = max(had, 1)
-    spent = min(round((1 - min(layer.left, 1.0)) * _BAR), _BAR - had)
-    return f"[{'.' * spent}{'#' * had}{' ' * (_BAR - spent - had)}]"
+    spent = min(round((1 - min(layer.left, 1.0)) * _BAR_CHARACTERS), _BAR_CHARACTERS - had)
+    return f"[{'.' * spent}{'#' * had}{' ' * (_BAR_CHARACTERS - spent - had)}]"
 
 
-def _layer_line(layer: Layer) -> str:
+def _layer_line(layer: LayerReport) -> str:
     match layer.state:
         case "no strength":
             return "not evaluated: no strength is left"
@@ -168,11 +179,11 @@ def _layer_line(layer: Layer) -> str:
     return f"{words}; got all of it"
 
 
-def _format_vector(vector: Triple) -> str:
+def _format_vector(vector: FloatTriple) -> str:
     return f"({', '.join(f'{x + 0.0:.4g}' for x in vector)})"
 
 
-def _length(vector: Triple) -> float:
+def _length(vector: FloatTriple) -> float:
     return math.sqrt(sum(x * x for x in vector))
 
 
@@ -197,9 +208,9 @@ def _surroundings_lines(e: Explanation) -> Iterator[str]:
     if e.draws:
         yield ""
         yield "drew"
-        yield from (f"  {draw.value:.6f}  {draw.site}" for draw in e.draws[:_DRAWS])
-        if len(e.draws) > _DRAWS:
-            yield f"  and {len(e.draws) - _DRAWS} more"
+        yield from (f"  {draw.value:.6f}  {draw.site}" for draw in e.draws[:_MAX_DRAWS])
+        if len(e.draws) > _MAX_DRAWS:
+            yield f"  and {len(e.draws) - _MAX_DRAWS} more"
 
 
 def _observed_lines(group: ObservedSet) -> Iterator[str]:

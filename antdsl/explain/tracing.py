@@ -11,30 +11,30 @@ from typing import Any
 import numpy as np
 
 from antdsl.plan import ir
-from antdsl.plan.lowering.source_map import ChangeNote, LayerNote, Notes, PartNote
+from antdsl.plan.lowering.source_map import ChangeNote, LayerNote, PartNote, SourceNotes
 from antdsl.plan.registers import statement_numbers
-from antdsl.program.tables.senses import SENSES
-from antdsl.runtime.backends.reference import BLOCKS, AgentRun, Member, apply_claims
-from antdsl.runtime.requests import ClaimEntry, Effects
-from antdsl.runtime.world import DTYPES, Population, World
+from antdsl.program.tables.senses import SENSE_BY_OPERATION
+from antdsl.runtime.backends.reference import STEP_BLOCKS, AgentRun, SetMember, apply_claims
+from antdsl.runtime.requests import ClaimEntry, EffectRequests
+from antdsl.runtime.world import DTYPE_BY_KIND, Population, World
 
-_DRAWN = frozenset(("draw", "draw.agent"))
+_DRAW_OPERATIONS = frozenset(("draw", "draw.agent"))
 
 
 @dataclass(slots=True, eq=False)
-class Trace:
+class AgentTrace:
     """The events of a step. `values`: of noted nodes. `start` and `now`: registers at the start of the step, and after the
     blocks. `claims`: those of the agent, in text order."""
 
     row: int
     start: dict[str, Any]
     now: dict[str, Any]
-    values: dict[ir.Node, Any] = field(default_factory=dict)
-    sets: dict[ir.Node, list[Member]] = field(default_factory=dict)
-    senses: dict[ir.Node, Any] = field(default_factory=dict)
-    draws: dict[ir.Node, Any] = field(default_factory=dict)
+    values: dict[ir.PlanNode, Any] = field(default_factory=dict)
+    sets: dict[ir.PlanNode, list[SetMember]] = field(default_factory=dict)
+    senses: dict[ir.PlanNode, Any] = field(default_factory=dict)
+    draws: dict[ir.PlanNode, Any] = field(default_factory=dict)
     claims: list[ClaimEntry] = field(default_factory=list)
-    effects: Effects = field(default_factory=Effects)
+    effects: EffectRequests = field(default_factory=EffectRequests)
 
 
 class TracedAgent(AgentRun):
@@ -47,16 +47,16 @@ class TracedAgent(AgentRun):
         plan: ir.SpeciesPlan,
         row: int,
         now: dict[str, Any],
-        notes: Notes,
-        became: Mapping[ir.Node, ir.Node],
+        notes: SourceNotes,
+        became: Mapping[ir.PlanNode, ir.PlanNode],
     ) -> None:
-        super().__init__(world, population, row, now, 0, Effects(), statement_numbers(plan))
+        super().__init__(world, population, row, now, 0, EffectRequests(), statement_numbers(plan))
         self.plan, self.notes, self.became = plan, notes, became
-        self.trace = Trace(row, {name: array[0] for name, array in now.items()}, {})
+        self.trace = AgentTrace(row, {name: array[0] for name, array in now.items()}, {})
 
-    def run_all(self) -> Trace:
+    def run_all(self) -> AgentTrace:
         """Run the blocks of a step in order. Claims have the results that the world has resolved."""
-        for block in BLOCKS:
+        for block in STEP_BLOCKS:
             self.run(block, self.plan)
             if block == "decide":
                 self._fill_impossible_changes()
@@ -85,74 +85,79 @@ class TracedAgent(AgentRun):
                     for node in change_nodes(note):
                         self.trace.values[node] = self.value(self.became[node])
 
-    def _members(self, node: ir.Node) -> list[Member]:
+    def _members(self, node: ir.PlanNode) -> list[SetMember]:
         self.trace.sets[node] = super()._members(node)
         return self.trace.sets[node]
 
     def _collect(self, block: str) -> None:
         """Record only computed values: a layer without strength computed no senses."""
         for node, value in self.values.items():
-            if node.op in SENSES:
+            if node.op in SENSE_BY_OPERATION:
                 self.trace.senses[node] = value
-            elif node.op in _DRAWN:
+            elif node.op in _DRAW_OPERATIONS:
                 self.trace.draws[node] = value
         if block == "act":
             self._keep_values(act_nodes(self.notes))
         elif block == "blend":
             self._keep_values([node for note in self.notes.layers for node in layer_nodes(note)])
 
-    def _keep_values(self, nodes: list[ir.Node]) -> None:
+    def _keep_values(self, nodes: list[ir.PlanNode]) -> None:
         for node in nodes:
             now = self.became[node]
             if now in self.values:
                 self.trace.values[node] = self.values[now]
-            elif now.rate <= ir.Rate.STEP:
+            elif now.rate <= ir.UpdateRate.STEP:
                 self.trace.values[node] = self.value(now)
 
 
 def trace_agent(
-    world: World, population: Population, plan: ir.SpeciesPlan, row: int, notes: Notes, became: Mapping[ir.Node, ir.Node]
-) -> Trace:
+    world: World,
+    population: Population,
+    plan: ir.SpeciesPlan,
+    row: int,
+    notes: SourceNotes,
+    became: Mapping[ir.PlanNode, ir.PlanNode],
+) -> AgentTrace:
     """Return the trace of the agent in a row: its current step after its blocks and before its effects.
 
     `plan` and `notes` come from lowering the same program again, with notes. `became` maps noted nodes to their replacements."""
     now = {}
     for name, register in plan.registers.items():
         if register.role == "temp":
-            now[name] = np.full(1, register.zero, DTYPES[register.kind])
+            now[name] = np.full(1, register.zero, DTYPE_BY_KIND[register.kind])
         else:
             now[name] = population.start[name][row : row + 1].copy()
     with np.errstate(all="ignore"):
         return TracedAgent(world, population, plan, row, now, notes, became).run_all()
 
 
-def part_nodes(note: PartNote | None) -> list[ir.Node]:
+def part_nodes(note: PartNote | None) -> list[ir.PlanNode]:
     """Return all nodes of a noted part."""
     if note is None:
         return []
     return [*note.nodes, *(node for part in note.parts for node in part_nodes(part))]
 
 
-def change_nodes(note: ChangeNote) -> list[ir.Node]:
+def change_nodes(note: ChangeNote) -> list[ir.PlanNode]:
     """Return all nodes of a noted transition."""
     timers = [node for timer in note.timers for node in (timer.has, timer.needs, timer.holds)]
     own = [note.fires] if note.holds is None else [note.fires, note.holds]
     return [*own, *timers, *part_nodes(note.condition), *part_nodes(note.take)]
 
 
-def layer_nodes(note: LayerNote) -> list[ir.Node]:
+def layer_nodes(note: LayerNote) -> list[ir.PlanNode]:
     """Return all nodes of a noted layer."""
     return [note.left, note.looked, note.holds, *note.push, *part_nodes(note.condition)]
 
 
-def act_nodes(notes: Notes) -> list[ir.Node]:
+def act_nodes(notes: SourceNotes) -> list[ir.PlanNode]:
     """Return all nodes noted in acting: `steer` and `face` lines, and choices of a state."""
     chosen = [node for note in notes.choices.values() for node in (note.draw, *(n for _, n in note.weights))]
     steered = [node for note in notes.steers for node in (*note.push, *([] if note.holds is None else [note.holds]))]
     return [*steered, *chosen]
 
 
-def note_nodes(notes: Notes) -> list[ir.Node]:
+def note_nodes(notes: SourceNotes) -> list[ir.PlanNode]:
     """Return all nodes with notes in a species."""
     changes = [node for note in notes.changes for node in change_nodes(note)]
     return [*changes, *act_nodes(notes), *(node for note in notes.layers for node in layer_nodes(note))]

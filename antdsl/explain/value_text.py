@@ -7,33 +7,35 @@ from typing import Any
 
 import numpy as np
 
-from antdsl.explain.model import Part, Place, Timer, Triple, Value
-from antdsl.plan.ir import Node
+from antdsl.explain.model import ExpressionPart, FloatTriple, PlainValue, SourceLocation, TimerReading
+from antdsl.plan.ir import PlanNode
 from antdsl.plan.lowering.source_map import PartNote, TimerNote
-from antdsl.program.model import Kind, Type
+from antdsl.program.model import TypeKind, ValueType
 from antdsl.program.tables.units import measure
 from antdsl.runtime.world import World
 from antdsl.source import Span
 from antdsl.specs.value_text import format_value
 
-Values = Mapping[Node, Any]
-_LONG = 160
+NodeValues = Mapping[PlanNode, Any]
+_MAX_TEXT_CHARACTERS = 160
 
 
-def place(span: Span, text: str | None = None) -> Place:
+def place(span: Span, text: str | None = None) -> SourceLocation:
     """Return the location and text of a span; long text is cut."""
     line = " ".join((text or span.text).split())
-    return Place(
-        line if len(line) <= _LONG else line[: _LONG - 1] + "…", span.source.path, span.source.line_column(span.start)[0]
+    return SourceLocation(
+        line if len(line) <= _MAX_TEXT_CHARACTERS else line[: _MAX_TEXT_CHARACTERS - 1] + "…",
+        span.source.path,
+        span.source.line_column(span.start)[0],
     )
 
 
-def triple(parts: Any) -> Triple:
+def triple(parts: Any) -> FloatTriple:
     x, y, z = (float(part) for part in parts)
     return x, y, z
 
 
-def condition_part(world: World, note: PartNote | None, values: Values) -> Part | None:
+def condition_part(world: World, note: PartNote | None, values: NodeValues) -> ExpressionPart | None:
     """Return a noted part with its value."""
     if note is None or any(node not in values for node in note.nodes):
         return None
@@ -41,9 +43,9 @@ def condition_part(world: World, note: PartNote | None, values: Values) -> Part 
     if len(note.nodes) == 3:
         vector = triple(in_unit(world, values[node], note.unit) for node in note.nodes)
         words = f"({', '.join(f'{x:.4g}' for x in vector)}) {note.unit}".strip()
-        return Part(note.text, vector, note.unit, words, note.role, inner)
+        return ExpressionPart(note.text, vector, note.unit, words, note.role, inner)
     raw = values[note.nodes[0]]
-    return Part(
+    return ExpressionPart(
         note.text,
         plain_value(world, raw, note.type, note.unit),
         note.unit,
@@ -53,20 +55,20 @@ def condition_part(world: World, note: PartNote | None, values: Values) -> Part 
     )
 
 
-def said(world: World, raw: Any, type: Type, unit: str) -> str:
+def said(world: World, raw: Any, type: ValueType, unit: str) -> str:
     """Return a value in the author's spelling. A boolean value is written as one, whatever its declared type."""
     if isinstance(raw, np.bool_ | bool):
-        type = Type(Kind.BOOL)
-    elif type.kind is Kind.BOOL:
-        type = Type(Kind.NUMBER)
+        type = ValueType(TypeKind.BOOL)
+    elif type.kind is TypeKind.BOOL:
+        type = ValueType(TypeKind.NUMBER)
     return format_value(world, raw, type, unit)
 
 
-def plain_value(world: World, raw: Any, type: Type, unit: str) -> Value:
+def plain_value(world: World, raw: Any, type: ValueType, unit: str) -> PlainValue:
     """Return a value for programs: a number in its unit, a boolean, or a name."""
     if isinstance(raw, np.bool_ | bool):
         return bool(raw)
-    if type.kind in (Kind.STATE, Kind.ITEM, Kind.AGENT):
+    if type.kind in (TypeKind.STATE, TypeKind.ITEM, TypeKind.AGENT):
         return said(world, raw, type, unit)
     return float(in_unit(world, raw, unit))
 
@@ -77,7 +79,7 @@ def in_unit(world: World, raw: Any, unit: str) -> float:
     return float(raw) if known is None else float(raw) / (known.factor * world.setting.unit_mm**known.u * world.dt**known.step)
 
 
-def timer_reading(note: TimerNote, values: Values) -> Timer:
+def timer_reading(note: TimerNote, values: NodeValues) -> TimerReading:
     """Return a noted timer with its elapsed and required amount."""
     unit = "steps" if note.what == "held" else "s"
-    return Timer(note.what, float(values[note.has]), float(values[note.needs]), unit, bool(values[note.holds]))
+    return TimerReading(note.what, float(values[note.has]), float(values[note.needs]), unit, bool(values[note.holds]))

@@ -7,7 +7,7 @@ import numpy as np
 from antdsl.machine_code.kernels import BOOL, F64, I8, I32, I64, Array1, fetch_ahead, independent, inlined, kernel, scratch
 from antdsl.numerics.sorting import lower_bound
 
-_TOGETHER = 64  # points with cells prefetched together
+_PREFETCH_GROUP_SIZE = 64  # points with cells prefetched together
 
 
 @inlined
@@ -60,10 +60,14 @@ def locate_cells(
     updated."""
     cell, box, size, direct, keys, shift, start = index
     listed = direct.size > 0
-    point_keys, moved, others = scratch(_TOGETHER, I64), scratch(_TOGETHER, I64), scratch(_TOGETHER, I64)
+    point_keys, moved, others = (
+        scratch(_PREFETCH_GROUP_SIZE, I64),
+        scratch(_PREFETCH_GROUP_SIZE, I64),
+        scratch(_PREFETCH_GROUP_SIZE, I64),
+    )
     missed = 0
-    for low in range(begin, end, _TOGETHER):
-        high = min(low + _TOGETHER, end)
+    for low in range(begin, end, _PREFETCH_GROUP_SIZE):
+        high = min(low + _PREFETCH_GROUP_SIZE, end)
         for n in independent(low, high):
             x = _axis_index(points[0][n], cell, box[0], size[0])
             y = _axis_index(points[1][n], cell, box[1], size[1])

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from antdsl import limits
 from antdsl.casting.faces import nearest_on_triangle
 from antdsl.casting.rasterise import triangle_cells
-from antdsl.casting.rays import Mesh
+from antdsl.casting.rays import MeshArrays
 from antdsl.fields.cell_lookup import CellIndex, locate_cells
 from antdsl.fields.numbered import NO_CELLS, NO_INDEX, BlockIndex, ranks_in_groups, sum_by_key
 from antdsl.ground.mesh.topology import facing_sides
@@ -22,12 +22,12 @@ from antdsl.numerics import parallel, stored_tables
 Floats = NDArray[np.float64]
 Cells = NDArray[np.int32]
 
-NEAREST = 16
-_DENSE = 8_000_000  # voxels of a box that may be listed one by one
-_ALONG = 1 << 19  # voxels along an axis; three packed with a side stay in 63 bits
-_SLIVERS = 2.0  # cells along triangles for each that is allowed: of slivers many lie in one
-BLOCK = tuple((x, y, z) for x, y, z in product((-1, 0, 1), repeat=3))
-_CHUNK = 1 << 15
+NEAREST_CELLS = 16
+_MAX_DENSE_VOXELS = 8_000_000  # voxels of a box that may be listed one by one
+_MAX_VOXELS_PER_AXIS = 1 << 19  # voxels along an axis; three packed with a side stay in 63 bits
+_MAX_SLIVER_CELL_RATIO = 2.0  # cells along triangles for each that is allowed: of slivers many lie in one
+BLOCK_OFFSETS = tuple((x, y, z) for x, y, z in product((-1, 0, 1), repeat=3))
+_POINTS_PER_CHUNK = 1 << 15
 
 
 class FieldTooFine(ValueError):
@@ -40,7 +40,7 @@ class FieldTooFine(ValueError):
 
 
 @dataclass(frozen=True, slots=True)
-class Links:
+class CellLinks:
     """Pairs of touching cells with compatible sides, as rows of a table: cell a's are `cell[start[a]:start[a+1]]`, ascending."""
 
     start: NDArray[np.int64]
@@ -54,7 +54,7 @@ class SurfaceCells:
     normal. So a thin plate has two sides. Cells are numbered by position, then side, independent of the order of the faces.
     Raises FieldTooFine before any large allocation."""
 
-    def __init__(self, surfaces: Sequence[Mesh], cell: float, cap: int = limits.FIELD_CELLS) -> None:
+    def __init__(self, surfaces: Sequence[MeshArrays], cell: float, cap: int = limits.MAX_FIELD_CELLS) -> None:
         if not (np.isfinite(cell) and cell > 0):
             raise ValueError("the size of a cell must be more than 0")
         self.cell = float(cell)
@@ -68,10 +68,10 @@ class SurfaceCells:
         if needed > cap:
             raise FieldTooFine(int(needed), cap)
         along = float(extent.max()) / self.cell
-        if along > _ALONG:
-            raise FieldTooFine(int(along), _ALONG, in_a_row=True)
+        if along > _MAX_VOXELS_PER_AXIS:
+            raise FieldTooFine(int(along), _MAX_VOXELS_PER_AXIS, in_a_row=True)
         touched = float((corners.max(axis=1) - corners.min(axis=1)).max(axis=1).sum()) / self.cell
-        if touched > _SLIVERS * cap:
+        if touched > _MAX_SLIVER_CELL_RATIO * cap:
             raise FieldTooFine(int(touched), cap)
         scaled = corners / self.cell + 0.5
         self._low = np.floor(scaled.min(axis=(0, 1))).astype(np.int64) if len(corners) else np.zeros(3, np.int64)
@@ -122,7 +122,7 @@ class SurfaceCells:
     def _list_starts(self) -> NDArray[np.int32] | None:
         """The first cell of every voxel of the box, if the box is small enough for a table."""
         count = int(self._size[0]) * int(self._size[1]) * int(self._size[2])
-        if count > _DENSE:
+        if count > _MAX_DENSE_VOXELS:
             return None
         table = np.zeros(count + 1, np.int32)
         np.cumsum(np.bincount(self._voxels, minlength=count), out=table[1:])
@@ -200,14 +200,14 @@ class SurfaceCells:
         keys = CellIndex(self.cell, self._low, self._size, direct, self._keys, index.shift, index.start)
         along = tuple(np.ascontiguousarray(points[:, axis]) for axis in range(3))
         work = partial(locate_cells, along, side, keys, known.key, known.cell, cell)
-        return sum(parallel.in_parts(work, len(points), threads, parallel.LIGHT)), known
+        return sum(parallel.in_parts(work, len(points), threads, parallel.MIN_LIGHT_ITEMS_PER_THREAD)), known
 
     def _search_cells(self, points: Floats, side: NDArray[np.int8], cell: Cells) -> int:
         """Do the same for unordered keys; return how many points have none."""
         key = np.empty(len(points), np.int64)
         within = np.empty(len(points), np.bool_)
-        for a in range(0, len(points), _CHUNK):
-            rows = slice(a, a + _CHUNK)
+        for a in range(0, len(points), _POINTS_PER_CHUNK):
+            rows = slice(a, a + _POINTS_PER_CHUNK)
             self._keys_at(points[rows], side[rows], key[rows], within[rows])
         cell[:] = self._find_cells(key, within)
         return int(np.count_nonzero(cell < 0))
@@ -238,8 +238,8 @@ class SurfaceCells:
         if self._direct is not None:
             return np.where(within, self._direct.take(np.where(within, key, 0)), np.int32(-1))
         cell = np.full(len(key), -1, np.int32)
-        for a in range(0, len(key), _CHUNK):
-            rows = a + np.flatnonzero(within[a : a + _CHUNK])
+        for a in range(0, len(key), _POINTS_PER_CHUNK):
+            rows = a + np.flatnonzero(within[a : a + _POINTS_PER_CHUNK])
             row_keys = key[rows]
             at = self._index.place(self._keys, row_keys)
             matches = np.flatnonzero(self._keys.take(np.minimum(at, len(self) - 1)) == row_keys)
@@ -254,7 +254,7 @@ class SurfaceCells:
     def _direct(self) -> Cells | None:
         """The cell of every voxel and side, -1 for none, if the box is small enough for a table."""
         count = 6 * int(self._size[0]) * int(self._size[1]) * int(self._size[2])
-        if count > _DENSE:
+        if count > _MAX_DENSE_VOXELS:
             return None
         table = np.full(count, -1, np.int32)
         table[self._keys] = np.arange(len(self), dtype=np.int32)
@@ -265,7 +265,7 @@ class SurfaceCells:
 
     def _nearby(self, points: Floats, voxel: NDArray[np.int64], side: NDArray[np.int64]) -> NDArray[np.int64]:
         best, distance = np.full(len(points), -1, np.int64), np.full(len(points), np.inf)
-        for offset in BLOCK:
+        for offset in BLOCK_OFFSETS:
             for at, has_cell in self._cells_in(voxel + np.array(offset)):
                 gap = ((self.position[at] - points) ** 2).sum(axis=1)
                 closer = has_cell & are_compatible(self.side_of(at), side) & (gap < distance)
@@ -305,27 +305,27 @@ class SurfaceCells:
         return self._voxels.searchsorted(voxel).astype(np.int64)
 
     @cached_property
-    def links(self) -> Links:
+    def links(self) -> CellLinks:
         """Return which cells share a voxel or a face of their voxels, and do not face opposite directions."""
         return self._link_cells(1)
 
     @cached_property
-    def diagonals(self) -> Links:
+    def diagonals(self) -> CellLinks:
         """Return which cells share only an edge of their voxels, and do not face opposite directions."""
         return self._link_cells(2)
 
-    def _link_cells(self, steps: int) -> Links:
+    def _link_cells(self, steps: int) -> CellLinks:
         """Return pairs of cells in voxels at most one step apart along each axis, and at most `steps` along all together. With 2,
         exactly 2."""
         counts, cells = [np.zeros(1, np.int64)], [np.empty(0, np.int32)]
-        for a in range(0, len(self), _CHUNK):
-            chosen = np.arange(a, min(a + _CHUNK, len(self)))
+        for a in range(0, len(self), _POINTS_PER_CHUNK):
+            chosen = np.arange(a, min(a + _POINTS_PER_CHUNK, len(self)))
             own, other = self._neighbour_pairs(chosen, lambda x, y: min(steps - abs(x) - abs(y), 1))
             is_neighbour = self._voxel_steps(chosen.take(own), other) == 2 if steps == 2 else other != own + a
             others = np.flatnonzero(is_neighbour)
             counts.append(np.bincount(own.take(others), minlength=len(chosen)))
             cells.append(other.take(others).astype(np.int32))
-        return Links(np.cumsum(np.concatenate(counts)), np.concatenate(cells))
+        return CellLinks(np.cumsum(np.concatenate(counts)), np.concatenate(cells))
 
     def _voxel_steps(self, one: NDArray[np.int64], two: NDArray[np.int64]) -> NDArray[np.int64]:
         """Return the number of voxels between cells, summed over all axes."""
@@ -341,7 +341,7 @@ class SurfaceCells:
     def block(self) -> Cells:
         """Return, for each cell, the nearest 16 cells of its 3³ block, itself included, int32[n,16], ascending; padded with
         `len(self)`."""
-        return self.nearest(NEAREST)
+        return self.nearest(NEAREST_CELLS)
 
     def nearest(self, k: int) -> Cells:
         """For each cell the nearest `k` of its 3³ block, itself included, by (distance, cell), int32[n,k], ascending."""
@@ -357,8 +357,8 @@ class SurfaceCells:
     def _nearest(self, cells: NDArray[np.int64], k: int) -> Cells:
         """Rows of `nearest` for some cells."""
         table = np.full((len(cells), k), len(self), np.int32)
-        for a in range(0, len(cells), _CHUNK):
-            chosen = cells[a : a + _CHUNK]
+        for a in range(0, len(cells), _POINTS_PER_CHUNK):
+            chosen = cells[a : a + _POINTS_PER_CHUNK]
             own, other = self._neighbour_pairs(chosen, lambda x, y: 1)
             count = np.bincount(own, minlength=len(chosen))
             crowded = np.flatnonzero(count > k)

@@ -12,16 +12,16 @@ from numpy.typing import NDArray
 from antdsl import limits
 from antdsl.scene.setting import BorderFlow, SolvedFlow, SpreadFlow
 
-_PIECES = 8  # of a radius or border, where no cell is given
-_ACROSS = 64  # pieces of the ground's extent, where there is no radius either
-_ACROSS_CROWD = 48  # the same, for a flow that is solved repeatedly
-_OWN_POINTS = 200_000  # at most, where the cell is not given
-_LEAST = 1e-12  # of the extent
+_PIECES_PER_RADIUS = 8  # of a radius or border, where no cell is given
+_PIECES_PER_EXTENT = 64  # pieces of the ground's extent, where there is no radius either
+_CROWD_PIECES_PER_EXTENT = 48  # the same, for a flow that is solved repeatedly
+_MAX_DEFAULT_POINTS = 200_000  # at most, where the cell is not given
+_MIN_CELL_EXTENT = 1e-12  # of the extent
 Floats = NDArray[np.float64]
 Index = NDArray[np.int64]
 
-_WELD = 1e-7  # of the extent: points nearer than this are one point
-_MOST_CUTS = 1024  # along one edge
+_WELD_DISTANCE = 1e-7  # of the extent: points nearer than this are one point
+_MAX_CUTS_PER_EDGE = 1024  # along one edge
 
 
 class LatticeTooFine(ValueError):
@@ -40,13 +40,13 @@ def count_slots(cuts: Index) -> int:
 def count_cuts(longest: Floats, cell: float | Floats) -> Index:
     """Return powers of two that cut edges of these lengths (mm) into pieces of at most `cell`; 1 where `cell` is infinite."""
     with np.errstate(divide="ignore"):
-        pieces = np.clip(longest / cell, 1.0, _MOST_CUTS)
+        pieces = np.clip(longest / cell, 1.0, _MAX_CUTS_PER_EDGE)
     cuts: Index = np.left_shift(1, np.frexp(pieces * (1 - 1e-9))[1].astype(np.int64))
     return cuts
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Lattice:
+class FaceLattice:
     """Points on faces. Face f has `cuts[f]` pieces along an edge and (cuts + 1)(cuts + 2) / 2 slots from `start[f]` on. Rows go
     towards the third corner; slots in a row go towards the second."""
 
@@ -54,9 +54,9 @@ class Lattice:
     start: Index
 
     @staticmethod
-    def of(cuts: Index) -> Lattice:
+    def of(cuts: Index) -> FaceLattice:
         sizes = (cuts + 1) * (cuts + 2) // 2
-        return Lattice(cuts, np.concatenate(([0], np.cumsum(sizes)))[:-1])
+        return FaceLattice(cuts, np.concatenate(([0], np.cumsum(sizes)))[:-1])
 
     def __len__(self) -> int:
         return count_slots(self.cuts)
@@ -117,7 +117,7 @@ def weld_points(positions: Floats, owner: NDArray[np.integer]) -> tuple[Index, i
     if not len(positions):
         return np.empty(0, np.int64), 0
     low = positions.min(axis=0)
-    grain = max(float((positions.max(axis=0) - low).max()) * _WELD, 1e-300)
+    grain = max(float((positions.max(axis=0) - low).max()) * _WELD_DISTANCE, 1e-300)
     # half a grain and a bit off: round coordinates lie nowhere near the edge of a grain
     keys = np.floor((positions - low) / grain + 0.318).astype(np.int64)
     order = np.lexsort((keys[:, 2], keys[:, 1], keys[:, 0], owner))
@@ -133,10 +133,10 @@ def cell_size(flow: SpreadFlow | BorderFlow | SolvedFlow, extent: float) -> floa
     if flow.cell is not None:
         return flow.cell
     if isinstance(flow, BorderFlow):
-        return flow.within / _PIECES
+        return flow.within / _PIECES_PER_RADIUS
     if isinstance(flow, SpreadFlow):
-        return extent / _ACROSS if flow.radius is None else flow.radius / _PIECES
-    across = extent / (_ACROSS_CROWD if flow.crowding else _ACROSS)
+        return extent / _PIECES_PER_EXTENT if flow.radius is None else flow.radius / _PIECES_PER_RADIUS
+    across = extent / (_CROWD_PIECES_PER_EXTENT if flow.crowding else _PIECES_PER_EXTENT)
     return min(across, flow.clearance / 2) if flow.clearance else across
 
 
@@ -148,8 +148,8 @@ def edge_pieces(flow: SpreadFlow | BorderFlow | SolvedFlow, longest: Floats, ext
     while True:
         cuts = count_cuts(longest, cell)
         points = count_slots(cuts)
-        if flow.cell is not None and points > limits.FLOW_POINTS:
+        if flow.cell is not None and points > limits.MAX_FLOW_POINTS:
             raise LatticeTooFine(points)
-        if flow.cell is not None or points <= max(_OWN_POINTS, 3 * len(longest)):
+        if flow.cell is not None or points <= max(_MAX_DEFAULT_POINTS, 3 * len(longest)):
             return cuts
-        cell = max(1.3 * cell, extent * _LEAST)  # a radius next to 0 has cells of 0
+        cell = max(1.3 * cell, extent * _MIN_CELL_EXTENT)  # a radius next to 0 has cells of 0

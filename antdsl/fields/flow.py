@@ -10,19 +10,19 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl.casting.curves import Curve
-from antdsl.fields.face_points import Lattice
-from antdsl.ground.protocol import Floats, Footing, Index, Meshes
-from antdsl.scene.setting import SpreadFlow, Target
+from antdsl.casting.curves import SampledCurve
+from antdsl.fields.face_points import FaceLattice
+from antdsl.ground.protocol import Floats, Footing, Index, MeshSurfaces
+from antdsl.scene.setting import FlowTarget, SpreadFlow
 
 if TYPE_CHECKING:
     from antdsl.runtime.world import World
 
-Singles = tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]]
-Source = Callable[[Floats], Floats]  # vectors (n, 3) at places (n, 3), not yet laid into any surface
+VectorColumns = tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]]
+VectorSource = Callable[[Floats], Floats]  # vectors (n, 3) at places (n, 3), not yet laid into any surface
 
-_CURVE_PIECE = 1.0  # mm, as for curves with queries for their nearest point
-_LIFT = 0.5  # cosine below which a vector that is laid down loses length
+_CURVE_SPACING_MM = 1.0  # mm, as for curves with queries for their nearest point
+_MIN_LAID_COSINE = 0.5  # cosine below which a vector that is laid down loses length
 
 
 def lay_on_faces(v: Floats, axis1: Floats, axis2: Floats) -> tuple[Floats, Floats]:
@@ -31,7 +31,7 @@ def lay_on_faces(v: Floats, axis1: Floats, axis2: Floats) -> tuple[Floats, Float
     c, s = (axis1 * v.T).sum(axis=0), (axis2 * v.T).sum(axis=0)
     flat = np.sqrt(c * c + s * s)
     length = np.sqrt((v * v).sum(axis=1))
-    factor = np.minimum(length, flat / _LIFT) / np.where(flat > 1e-150, flat, 1.0)
+    factor = np.minimum(length, flat / _MIN_LAID_COSINE) / np.where(flat > 1e-150, flat, 1.0)
     return c * factor, s * factor
 
 
@@ -39,7 +39,7 @@ def lay_across_up(v: Floats, up: Floats) -> Floats:
     """Project vectors onto the plane perpendicular to `up` (n, 3), for agents that stand on no face."""
     across = v - (v * up).sum(axis=1)[:, None] * up
     flat, length = (np.sqrt((w * w).sum(axis=1)) for w in (across, v))
-    down: Floats = across * (np.minimum(length, flat / _LIFT) / np.where(flat > 1e-150, flat, 1.0))[:, None]
+    down: Floats = across * (np.minimum(length, flat / _MIN_LAID_COSINE) / np.where(flat > 1e-150, flat, 1.0))[:, None]
     return down
 
 
@@ -55,16 +55,16 @@ def falloff(distance: Floats, radius: float | None, word: str) -> Floats:
 
 
 @dataclass(slots=True, eq=False)
-class Flow:
+class SurfaceFlow:
     """A flow in the slots of a lattice over the ground's faces: its components `c`, `s` along the axes of each face.
 
     `source` evaluates it anywhere, for agents that stand on none of the faces; without it the flow is zero there. `renew` updates
     it after things moved."""
 
-    lattice: Lattice
+    lattice: FaceLattice
     c: Floats
     s: Floats
-    source: Source | None = None
+    source: VectorSource | None = None
     renew: Callable[[World], None] | None = None
 
     def along_face(self, face: Index, b1: Floats, b2: Floats) -> tuple[Floats, Floats]:
@@ -72,7 +72,7 @@ class Flow:
         slots, weights = self.lattice.locate(face, b1, b2)
         return (self.c.take(slots) * weights).sum(axis=0), (self.s.take(slots) * weights).sum(axis=0)
 
-    def at(self, meshes: Meshes | None, footing: Footing, place: Floats, up: Floats) -> Singles:
+    def at(self, meshes: MeshSurfaces | None, footing: Footing, place: Floats, up: Floats) -> VectorColumns:
         """Return vectors at the agents' positions, as float32 x, y, z. `meshes` is the ground's part with faces, or None; `place`
         and `up` (n, 3) are for agents on no face."""
         vectors, known = np.zeros((3, len(place))), np.zeros(len(place), bool)
@@ -85,7 +85,7 @@ class Flow:
                 vectors[:, ~known] = lay_across_up(self.source(place[~known]), up[~known]).T
         return tuple(np.ascontiguousarray(part, np.float32) for part in vectors)  # type: ignore[return-value]
 
-    def reaches(self, meshes: Meshes | None, footing: Footing, place: Floats, up: Floats) -> NDArray[np.bool_]:
+    def reaches(self, meshes: MeshSurfaces | None, footing: Footing, place: Floats, up: Floats) -> NDArray[np.bool_]:
         """Return whether the flow leads agents on from their positions, bool[n]: whether it is non-zero there. Arguments as of
         `at`."""
         x, y, z = self.at(meshes, footing, place, up)
@@ -109,12 +109,12 @@ class Flow:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Map:
+class PaintedMap:
     """Painted numbers: one per corner of each face of the ground, (3, faces); 0 on unpainted surfaces."""
 
     corners: Floats
 
-    def at(self, meshes: Meshes, footing: Footing) -> NDArray[np.float32]:
+    def at(self, meshes: MeshSurfaces, footing: Footing) -> NDArray[np.float32]:
         """The numbers where agents stand, float32[n]; 0 for those that stand on no face. `meshes` as for a flow."""
         face, known = meshes.on_faces(footing)
         a, b, c = (corner.take(face) for corner in self.corners)
@@ -124,10 +124,10 @@ class Map:
 # --- about a curve or places -----------------------------------------------------------------------------------------
 
 
-def nearest_on_target(target: Target, positions: Floats) -> tuple[Floats, Floats, Floats]:
+def nearest_on_target(target: FlowTarget, positions: Floats) -> tuple[Floats, Floats, Floats]:
     """Return distance (n,), nearest position (n, 3) and unit tangent (n, 3; zero for single points) of a target."""
     if target.line:
-        closest = Curve(target.positions, _CURVE_PIECE).closest(*positions.T)
+        closest = SampledCurve(target.positions, _CURVE_SPACING_MM).closest(*positions.T)
         columns = (closest.px, closest.py, closest.pz, closest.tx, closest.ty, closest.tz)
         px, py, pz, tx, ty, tz = (part.astype(np.float64) for part in columns)
         return closest.distance.astype(np.float64), np.stack([px, py, pz], axis=1), np.stack([tx, ty, tz], axis=1)
@@ -137,7 +137,7 @@ def nearest_on_target(target: Target, positions: Floats) -> tuple[Floats, Floats
     return distance, target.positions[which], np.zeros_like(positions)
 
 
-def make_spread_source(flow: SpreadFlow, target: Target) -> Source:
+def make_spread_source(flow: SpreadFlow, target: FlowTarget) -> VectorSource:
     """Return the vectors of a flow around a target, which is already in the world's axes and origin."""
 
     def vectors(positions: Floats) -> Floats:

@@ -8,17 +8,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl import limits
-from antdsl.casting.rays import Mesh
-from antdsl.fields.cells import BLOCK, Cells, Floats, SurfaceCells, are_compatible
+from antdsl.casting.rays import MeshArrays
+from antdsl.fields.cells import BLOCK_OFFSETS, Cells, Floats, SurfaceCells, are_compatible
 from antdsl.fields.numbered import sum_by_key
 from antdsl.ground.mesh.topology import facing_sides
 from antdsl.machine_code.kernels import F64, I32, I64, Array1, Array2, inlined, kernel, scratch
 
 _GROWTH_DIVISOR = 8  # cells are added in rooms of this share of what is there, so that most steps move nothing
-_LEAST_ROOM = 1024
+_MIN_ADDED_CAPACITY = 1024
 _NO_KEY = -1
-_NOWHERE = -(1 << 60)  # number of a voxel that no other lies beside
-_MOST = 27 * 6  # cells in 3³ voxels
+_ISOLATED_VOXEL = -(1 << 60)  # number of a voxel that no other lies beside
+_MAX_NEIGHBOUR_CELLS = 27 * 6  # cells in 3³ voxels
 Numbers = tuple[Array1[I64], Array1[I64]]  # voxels and keys of cells
 
 
@@ -26,7 +26,7 @@ class GrowingCells(SurfaceCells):
     """`SurfaceCells` that `grow`. Cells never change their number. The initial cells come first, by position, then side. Added
     cells follow, step by step. Then come unused cells as reserve; no query returns them."""
 
-    def __init__(self, surfaces: Sequence[Mesh], cell: float, cap: int = limits.FIELD_CELLS) -> None:
+    def __init__(self, surfaces: Sequence[MeshArrays], cell: float, cap: int = limits.MAX_FIELD_CELLS) -> None:
         super().__init__(surfaces, cell, cap)
         self.at_start = self.used = len(self._keys)
         self._cap = cap
@@ -86,9 +86,9 @@ class GrowingCells(SurfaceCells):
         if needed <= len(self):
             return
         old_count = len(self)
-        added_count = max(needed - old_count, old_count // _GROWTH_DIVISOR, _LEAST_ROOM)
+        added_count = max(needed - old_count, old_count // _GROWTH_DIVISOR, _MIN_ADDED_CAPACITY)
         self._keys = np.concatenate([self._keys, np.full(added_count, _NO_KEY)])
-        self._voxels = np.concatenate([self._voxels, np.full(added_count, _NOWHERE)])
+        self._voxels = np.concatenate([self._voxels, np.full(added_count, _ISOLATED_VOXEL)])
         self.position, self.normal = (np.concatenate([v, np.zeros((added_count, 3))]) for v in (self.position, self.normal))
         for k, table in self._tables.items():
             grown = np.full((old_count + added_count, k), old_count + added_count, np.int32)
@@ -114,7 +114,7 @@ class GrowingCells(SurfaceCells):
         """As for fixed cells, with all voxels and sides in one pass: few cells are added in a step."""
         at = self._voxels[cells]
         voxel = np.stack([at // (self._size[1] * self._size[2]), at // self._size[2] % self._size[1], at % self._size[2]])
-        block = [offset for offset in BLOCK if abs(offset[2]) <= column(*offset[:2])]
+        block = [offset for offset in BLOCK_OFFSETS if abs(offset[2]) <= column(*offset[:2])]
         neighbour_voxels = voxel[:, None, :] + np.array(block).T[:, :, None]
         inbound: NDArray[np.bool_] = (neighbour_voxels >= 0) & (neighbour_voxels < self._size[:, None, None])
         within: NDArray[np.bool_] = np.logical_and.reduce(inbound, axis=0)
@@ -151,7 +151,7 @@ def nearest(
     table: Array2[I32],
 ) -> None:  # fmt: skip
     """Fill the rows `cells` of `table` with the nearest `k` cells of their 3³ block, ascending; `none` where there are fewer."""
-    gaps, candidates = scratch(_MOST, F64), scratch(_MOST, I64)
+    gaps, candidates = scratch(_MAX_NEIGHBOUR_CELLS, F64), scratch(_MAX_NEIGHBOUR_CELLS, I64)
     voxels, keys = numbers
     across = size[1] * size[2]
     for own in cells:

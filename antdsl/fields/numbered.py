@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 Floats = NDArray[np.float64]
 
-_BLOCKS = 8_000_000  # at most, that tell about where a number is
+_MAX_BLOCKS = 8_000_000  # at most, that tell about where a number is
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -24,7 +24,7 @@ class BlockIndex:
     @staticmethod
     def of(numbers: NDArray[np.int64], end: int) -> BlockIndex:
         """For numbers from 0 to before `end`."""
-        shift = max(0, int(end // min(_BLOCKS, 4 * len(numbers) + 1)).bit_length())
+        shift = max(0, int(end // min(_MAX_BLOCKS, 4 * len(numbers) + 1)).bit_length())
         start = np.zeros((end >> shift) + 2, np.int32)
         np.cumsum(np.bincount(numbers >> shift, minlength=len(start) - 1), out=start[1:])
         return BlockIndex(shift, start, int(np.diff(start).max(initial=0)).bit_length())

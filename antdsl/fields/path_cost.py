@@ -12,13 +12,13 @@ Floats = NDArray[np.float64]
 Index = NDArray[np.int64]
 Flags = NDArray[np.bool_]
 
-_ROUNDS = 40  # most times that a band of points is computed, since its points depend on each other
-_PASSES = 8  # over all bands at most: the order of the last pass is not quite that of this one
-_ENOUGH = 0.01  # of an edge: what a pass changes less than is left
+_MAX_BAND_ITERATIONS = 40  # most times that a band of points is computed, since its points depend on each other
+_MAX_PASSES = 8  # over all bands at most: the order of the last pass is not quite that of this one
+_CONVERGENCE_TOLERANCE = 0.01  # of an edge: what a pass changes less than is left
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Land:
+class WalkableSurface:
     """Points (n, 3) and triangles (t, 3) of them; `open` (t,) says which can be crossed. `links` (k, 2) are adjacent points of
     different surfaces."""
 
@@ -28,7 +28,7 @@ class Land:
     links: Index
 
 
-def path_costs(land: Land, cost: Floats, start: Index, first: Floats) -> Floats:
+def path_costs(land: WalkableSurface, cost: Floats, start: Index, first: Floats) -> Floats:
     """Return the least cost of a path from each point to the goal, inf where there is none.
 
     `cost` (t,): the cost of a mm within each triangle. `start`: the points at the goal; `first`: the remaining cost from there.
@@ -37,8 +37,8 @@ def path_costs(land: Land, cost: Floats, start: Index, first: Floats) -> Floats:
     paths on manifolds, PNAS 95, 1998, p. 8432). Their update for obtuse corners is replaced by the edges' bound."""
     bound = _edge_costs(land, cost, start, first)
     halves = _make_corner_edges(land, cost)
-    enough = _ENOUGH * float(np.median(halves.length)) if len(halves.length) else 0.0
-    for _ in range(_PASSES):
+    enough = _CONVERGENCE_TOLERANCE * float(np.median(halves.length)) if len(halves.length) else 0.0
+    for _ in range(_MAX_PASSES):
         previous_bound = bound.copy()
         _straighten_costs(bound, halves)
         _relax_links(land, cost, bound)
@@ -48,7 +48,7 @@ def path_costs(land: Land, cost: Floats, start: Index, first: Floats) -> Floats:
     return bound
 
 
-def directions(land: Land, bound: Floats) -> Floats:
+def directions(land: WalkableSurface, bound: Floats) -> Floats:
     """Return unit directions of descent of `bound` at each point (n, 3): the mean of the surrounding triangles, weighted by area.
     Zero where there is no path, and at the goal."""
     corners, values = land.points[land.triangles], bound[land.triangles]
@@ -76,7 +76,7 @@ def _unit(v: Floats) -> Floats:
 # --- along edges -----------------------------------------------------------------------------------------------------
 
 
-def _edge_costs(land: Land, cost: Floats, start: Index, first: Floats) -> Floats:
+def _edge_costs(land: WalkableSurface, cost: Floats, start: Index, first: Floats) -> Floats:
     """Return the cost of the shortest paths along the edges of the open triangles and the links."""
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import dijkstra
@@ -105,14 +105,14 @@ def _edge_costs(land: Land, cost: Floats, start: Index, first: Floats) -> Floats
     return bound
 
 
-def _link_costs(land: Land, cost: Floats) -> Floats:
+def _link_costs(land: WalkableSurface, cost: Floats) -> Floats:
     step = land.points[land.links[:, 1]] - land.points[land.links[:, 0]]
     usual = float(np.median(cost[land.open])) if land.open.any() else 1.0
     price: Floats = np.maximum(np.sqrt((step * step).sum(axis=1)), 1e-9) * usual
     return price
 
 
-def _relax_links(land: Land, cost: Floats, bound: Floats) -> None:
+def _relax_links(land: WalkableSurface, cost: Floats, bound: Floats) -> None:
     price = _link_costs(land, cost)
     for a, b in ((0, 1), (1, 0)):
         np.minimum.at(bound, land.links[:, b], bound[land.links[:, a]] + price)
@@ -139,7 +139,7 @@ class _CornerEdges:
         return _CornerEdges(*ends, self.length[rows], self.foot[rows], self.height[rows], self.cost[rows])
 
 
-def _make_corner_edges(land: Land, cost: Floats) -> _CornerEdges:
+def _make_corner_edges(land: WalkableSurface, cost: Floats) -> _CornerEdges:
     t = land.triangles[land.open]
     corner, one, two = (np.concatenate([t[:, (k + shift) % 3] for k in range(3)]) for shift in range(3))
     edge, side = land.points[two] - land.points[one], land.points[corner] - land.points[one]
@@ -166,7 +166,7 @@ def _straighten_costs(bound: Floats, halves: _CornerEdges) -> None:
             part = ordered.take_rows(slice(first, last))
             begin = np.flatnonzero(np.concatenate(([True], part.corner[1:] != part.corner[:-1])))
             points = part.corner[begin]
-            for _ in range(_ROUNDS):
+            for _ in range(_MAX_BAND_ITERATIONS):
                 lower = np.minimum(bound[points], np.minimum.reduceat(_corner_costs(bound, part), begin))
                 if np.array_equal(lower, bound[points]):
                     break

@@ -8,21 +8,21 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl.fields.cells import NEAREST, Cells, Links, SurfaceCells
+from antdsl.fields.cells import NEAREST_CELLS, CellLinks, Cells, SurfaceCells
 from antdsl.fields.growing import GrowingCells
 from antdsl.machine_code.kernels import F64, I32, I64, Array1, Array2, independent, kernel
 from antdsl.numerics import parallel
-from antdsl.numerics.row_hash import RowHash
+from antdsl.numerics.row_hash import RowHasher
 from antdsl.numerics.sorting import stable_order
 from antdsl.scene.field_settings import largest_stable_diffusion
 
 Floats = NDArray[np.float32]
 
-UNIT = 2.0**-24  # deposits are whole numbers of this
-LARGEST_DEPOSIT = 2.0**16  # so that five million of them in one cell stay within 63 bits
-FLUSH = 1e-12
-_NONE = np.empty(0)
-_SYMMETRIC = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
+DEPOSIT_UNIT = 2.0**-24  # deposits are whole numbers of this
+MAX_DEPOSIT = 2.0**16  # so that five million of them in one cell stay within 63 bits
+FLUSH_THRESHOLD = 1e-12
+_NO_SHARES = np.empty(0)
+_SYMMETRIC_ENTRIES = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
 
 
 class PheromoneField:
@@ -46,7 +46,7 @@ class PheromoneField:
         self._padded = np.zeros(len(cells) + 1)  # one past the end: what a cell that is not there holds
         self._pending = np.zeros(len(cells), np.int64)
         self.version = 0  # changes whenever some array of it, or of its cells, becomes another one
-        self.hashed = RowHash()  # of `values`
+        self.hashed = RowHasher()  # of `values`
         self._touched = False
         self._left: list[tuple[NDArray[np.integer[Any]], NDArray[np.float64]]] = []  # cells, and what claims have left in them
         self._askers: dict[int, tuple[NDArray[np.int64], Cells]] = {}
@@ -108,10 +108,10 @@ class PheromoneField:
         NaN is rejected; amounts above LARGEST_DEPOSIT are cut to it. With `combine` max only amounts above 0 count."""
         cells, amounts = np.asarray(cells), np.asarray(amounts, np.float64)
         good = np.isfinite(amounts)
-        wrong = int(np.count_nonzero(~good | (np.abs(amounts) > LARGEST_DEPOSIT)))
+        wrong = int(np.count_nonzero(~good | (np.abs(amounts) > MAX_DEPOSIT)))
         laid = np.flatnonzero(good & (cells >= 0) & (amounts != 0))
         if laid.size:
-            unit_counts = np.rint(np.clip(amounts[laid], -LARGEST_DEPOSIT, LARGEST_DEPOSIT) / UNIT).astype(np.int64)
+            unit_counts = np.rint(np.clip(amounts[laid], -MAX_DEPOSIT, MAX_DEPOSIT) / DEPOSIT_UNIT).astype(np.int64)
             (np.add if self.combine == "add" else np.maximum).at(self._pending, cells[laid], unit_counts)
             self._touched = True
         return wrong
@@ -139,15 +139,17 @@ class PheromoneField:
         """The rest of a step by kernels."""
 
         def step(*how: Any) -> None:
-            parallel.in_parts(partial(step_cells, self._padded, *how), len(self._pending), threads, parallel.LIGHT)
+            parallel.in_parts(
+                partial(step_cells, self._padded, *how), len(self._pending), threads, parallel.MIN_LIGHT_ITEMS_PER_THREAD
+            )
 
         lands = 0 if not self._touched else 1 if self.combine == "add" else 2
         self._touched = False
         if self.deposits_first:
-            step(_NONE, self._pending, 0.0, 1.0, UNIT, self.limit, -np.inf, lands)
-        change = self._laplacian.of(self._padded, threads) if spread > 0 else _NONE
-        last = (0.0, np.inf, 0) if self.deposits_first else (UNIT, self.limit, lands)
-        step(change, self._pending, spread, keep, *last[:2], FLUSH, last[2])
+            step(_NO_SHARES, self._pending, 0.0, 1.0, DEPOSIT_UNIT, self.limit, -np.inf, lands)
+        change = self._laplacian.of(self._padded, threads) if spread > 0 else _NO_SHARES
+        last = (0.0, np.inf, 0) if self.deposits_first else (DEPOSIT_UNIT, self.limit, lands)
+        step(change, self._pending, spread, keep, *last[:2], FLUSH_THRESHOLD, last[2])
 
     @cached_property
     def _laplacian(self) -> _DiffusionFlow:
@@ -162,7 +164,7 @@ class PheromoneField:
             return _DiffusionFlow(self._flow_along(self.cells.links, 1.0))
         return _DiffusionFlow(self._flow_along(self.cells.links, 2 / 3) + self._flow_along(self.cells.diagonals, 1 / 6))
 
-    def _flow_along(self, links: Links, share: float) -> Any:
+    def _flow_along(self, links: CellLinks, share: float) -> Any:
         """Return the flow between linked cells as a sparse matrix: `share` times 4 / max(4, links of either)."""
         from scipy.sparse import csr_array
 
@@ -175,7 +177,7 @@ class PheromoneField:
         """What cells hold, float32[n]; 0 for -1."""
         return self._padded.take(np.where(np.asarray(cells) < 0, len(self.cells), cells)).astype(np.float32)
 
-    def strongest(self, cells: Cells, k: int = NEAREST) -> tuple[Floats, Floats, Floats, Floats]:
+    def strongest(self, cells: Cells, k: int = NEAREST_CELLS) -> tuple[Floats, Floats, Floats, Floats]:
         """Return the largest amount in one of the nearest `k` cells of the 3³ block, and that cell's position (x, y, z in mm),
         float32[n].
 
@@ -194,7 +196,7 @@ class PheromoneField:
             self._askers[k] = _cells_asking(self._block(k), len(self.cells))
         return self._askers[k]
 
-    def gradient(self, cells: Cells, k: int = NEAREST) -> tuple[Floats, Floats, Floats]:
+    def gradient(self, cells: Cells, k: int = NEAREST_CELLS) -> tuple[Floats, Floats, Floats]:
         """Return direction and strength of the gradient along the surface, per mm: least squares over the nearest `k` cells."""
         own = np.asarray(cells, np.int64)
         known = (own >= 0) & (len(self.cells) > 0)
@@ -213,12 +215,12 @@ class PheromoneField:
             column = np.where(real, column, own)
             d = positions.take(column, axis=1) - own_positions
             rise = self._padded.take(column) - held
-            for m, (a, b) in enumerate(_SYMMETRIC):
+            for m, (a, b) in enumerate(_SYMMETRIC_ENTRIES):
                 moments[m] += d[a] * d[b]
             slope += d * rise
         # Cells say nothing across the surface: the normal's own direction is made stiff, so that the answer lies in it.
         stiff = moments[0] + moments[1] + moments[2] + 1e-30
-        for m, (a, b) in enumerate(_SYMMETRIC):
+        for m, (a, b) in enumerate(_SYMMETRIC_ENTRIES):
             moments[m] += stiff * normal[a] * normal[b] * 1e3 + (1e-9 * stiff if m < 3 else 0.0)
         return tuple(np.where(known, g, 0.0).astype(np.float32) for g in _solve_symmetric(moments, slope))  # type: ignore[return-value]
 

@@ -12,18 +12,18 @@ from antdsl.fields.pheromone import PheromoneField
 from antdsl.machine_code.kernels import BOOL, F32, F64, I32, I64, U8, Array1, independent, kernel, scratch
 from antdsl.numerics import parallel
 
-_LISTED = 1 << 22  # numbers in the table of blocks of which another one is made that is as large
-_PART = 512  # cells that are compared before those that differ are written down
+_MAX_LISTED_NUMBERS = 1 << 22  # numbers in the table of blocks of which another one is made that is as large
+_CELLS_PER_CHUNK = 512  # cells that are compared before those that differ are written down
 
 
-class StrongCells:
+class CellsAboveThreshold:
     """Tells for which cells of a field one of the nearest `k` cells of their block has at least `least`, in float32. It says yes
     for all cells if `least` is not above 0, if cells grow, or if there are too many cells."""
 
     def __init__(self, field: PheromoneField, least: np.float32, k: int) -> None:
         self._of, self._k = (field, field.version, least), k
         cells = field.cells
-        self._all = not least > 0 or isinstance(cells, GrowingCells) or len(cells) * k > _LISTED
+        self._all = not least > 0 or isinstance(cells, GrowingCells) or len(cells) * k > _MAX_LISTED_NUMBERS
         self._count = np.full(len(cells) + 1, self._all, np.uint8)  # of the cells around each, how many hold as much
         self._holds = np.zeros(0 if self._all else len(cells), np.bool_)
         self._changed = np.empty(len(self._holds), np.int64)
@@ -46,7 +46,9 @@ class StrongCells:
         """Return the cells that crossed the threshold since the last call, in either direction."""
         (field, _, least), holds = self._of, self._holds
         work = partial(find_changed, field.held, least, holds, self._changed)
-        return parallel.join_parts(parallel.in_parts(work, len(holds), threads, parallel.LIGHT), self._changed)[0]
+        return parallel.join_parts(
+            parallel.in_parts(work, len(holds), threads, parallel.MIN_LIGHT_ITEMS_PER_THREAD), self._changed
+        )[0]
 
 
 @kernel
@@ -55,9 +57,9 @@ def find_changed(
 ) -> tuple[I64, I64]:
     """Write the cells `begin` to `end` (exclusive) for which `holds` is out of date into `changed`, from `begin` on. `holds` says
     whether the amount, in float32, is at least `least`. Return `begin`, and their count."""
-    other, count = scratch(_PART, I32), 0
+    other, count = scratch(_CELLS_PER_CHUNK, I32), 0
     for low in range(begin, end, 512):
-        high = min(low + _PART, end)
+        high = min(low + _CELLS_PER_CHUNK, end)
         for n in independent(low, high):
             other[n - low] = 1 if (np.float32(held[n]) >= least) != holds[n] else 0
         for n in range(low, high):

@@ -10,18 +10,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl.fields import path_cost as cost
-from antdsl.fields.face_points import Lattice
-from antdsl.fields.flow import Flow, lay_on_faces
-from antdsl.fields.path_cost import Land
-from antdsl.ground.protocol import Floats, Footing, Index, Meshes
+from antdsl.fields.face_points import FaceLattice
+from antdsl.fields.flow import SurfaceFlow, lay_on_faces
+from antdsl.fields.path_cost import WalkableSurface
+from antdsl.ground.protocol import Floats, Footing, Index, MeshSurfaces
 
 if TYPE_CHECKING:
     from antdsl.runtime.world import World
 
-_LEAST_COST = 0.05  # of a mm: what is painted below zero makes no way free
-_GRAIN = 1024.0  # parts of a mm² in which covered ground is counted, so that no order of agents matters
-_FULL = 2.0  # ground that is covered more often than so counts as so
-_SPREADS = 2  # how many points far a crowd is felt beyond the ground that it covers
+_MIN_COST_PER_MM = 0.05  # of a mm: what is painted below zero makes no way free
+_COVERAGE_PARTS_PER_MM2 = 1024.0  # parts of a mm² in which covered ground is counted, so that no order of agents matters
+_MAX_COVERAGE = 2.0  # ground that is covered more often than so counts as so
+_CROWD_SMOOTHING_PASSES = 2  # how many points far a crowd is felt beyond the ground that it covers
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -31,8 +31,8 @@ class CrossableGround:
     `point` is the point of each slot, `axis1`, `axis2` (3, slots) the axes of its face, `areas` (t,) those of the land's
     triangles. `faces` says which faces of the ground are included."""
 
-    lattice: Lattice
-    land: Land
+    lattice: FaceLattice
+    land: WalkableSurface
     point: Index
     axis1: Floats
     axis2: Floats
@@ -41,7 +41,7 @@ class CrossableGround:
 
 
 @dataclass(slots=True, eq=False)
-class PathFlow(Flow):
+class PathFlow(SurfaceFlow):
     """The flow downhill of the remaining cost of the path to the goal.
 
     Where a crowd counts or something moves, `begin` updates it when due; points and lattice stay the same."""
@@ -71,7 +71,7 @@ class PathFlow(Flow):
         self.c *= g.faces[g.lattice.faces()]
         self.s *= g.faces[g.lattice.faces()]
 
-    def reaches(self, meshes: Meshes | None, footing: Footing, place: Floats, up: Floats) -> NDArray[np.bool_]:
+    def reaches(self, meshes: MeshSurfaces | None, footing: Footing, place: Floats, up: Floats) -> NDArray[np.bool_]:
         """Return whether a path leads to the goal from the lattice point nearest to each agent, bool[n]; false off the flow's
         faces."""
         g = self.grounds
@@ -91,12 +91,12 @@ class PathFlow(Flow):
         g = self.grounds
         assert g is not None
         point_areas = self._sum_to_points(np.repeat(g.areas / 3, 3))
-        share = crowd / _GRAIN / np.maximum(point_areas, 1e-9)
-        for _ in range(_SPREADS):
+        share = crowd / _COVERAGE_PARTS_PER_MM2 / np.maximum(point_areas, 1e-9)
+        for _ in range(_CROWD_SMOOTHING_PASSES):
             share = self._sum_to_points(np.repeat(share[g.land.triangles].mean(axis=1) * g.areas / 3, 3)) / np.maximum(
                 point_areas, 1e-9
             )
-        shares: Floats = np.minimum(share[g.land.triangles].mean(axis=1), _FULL)
+        shares: Floats = np.minimum(share[g.land.triangles].mean(axis=1), _MAX_COVERAGE)
         return shares
 
     def _sum_to_points(self, each: Floats) -> Floats:
@@ -122,7 +122,7 @@ class PathFlow(Flow):
             face, known = meshes.on_faces(population.footing)
             slot = self._nearest_slot(face, population.footing)
             radius = population.start["radius"].astype(np.float64)
-            parts = np.rint(np.pi * radius * radius * _GRAIN)
+            parts = np.rint(np.pi * radius * radius * _COVERAGE_PARTS_PER_MM2)
             counted = known & g.faces[face] & (parts > 0) & (parts < 2.0**40)
             # whole numbers: exact whatever the order
             coverage += np.bincount(g.point[slot[counted]], parts[counted], len(coverage)).astype(np.int64)
@@ -145,4 +145,4 @@ class PathFlow(Flow):
 
 def least_cost(price: Floats) -> Floats:
     """Costs of a mm, none of them free."""
-    return np.maximum(price, _LEAST_COST)
+    return np.maximum(price, _MIN_COST_PER_MM)

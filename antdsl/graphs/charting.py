@@ -8,7 +8,7 @@ import re
 from pathlib import PurePath
 
 from antdsl.graphs.model import Arrow, Box, Chart
-from antdsl.program.model import ANYWHERE, Machine, Program, State, Transition
+from antdsl.program.model import FROM_ANY_KEY, Machine, Program, State, Transition
 from antdsl.source import Span
 
 _BLACK = (0.15, 0.15, 0.17)
@@ -39,7 +39,7 @@ def _build_chart(title: str, machine: Machine) -> Chart:
 
 
 def _is_from_any(change: Transition) -> bool:
-    return f".{ANYWHERE}->" in change.key
+    return f".{FROM_ANY_KEY}->" in change.key
 
 
 def _changes_from_any(machine: Machine) -> list[tuple[Transition, tuple[str, ...]]]:

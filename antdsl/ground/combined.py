@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl.ground.mesh.topology import facing_sides
-from antdsl.ground.protocol import Floats, Footing, Meshes, Move
+from antdsl.ground.protocol import Floats, Footing, GroundMove, MeshSurfaces
 from antdsl.ground.solid import Volume
 from antdsl.ground.solid import move as walk_on
 from antdsl.ground.solid_queries import cast_down, cast_from_above, entry_fraction, normals
@@ -19,13 +19,13 @@ from antdsl.numerics.vectors import turned
 
 Rows = NDArray[np.intp]
 
-_SUNK = 0.05  # voxels that a mesh's ground may lie under a solid's surface and still be walked on
-_HOPS = 4  # from mesh to solid and back in one step
-_LIFT = 0.02  # of a body: how far above its way an agent looks for a mesh across it
+_SUNK_VOXELS = 0.05  # voxels that a mesh's ground may lie under a solid's surface and still be walked on
+_MAX_SURFACE_CHANGES = 4  # from mesh to solid and back in one step
+_EYE_HEIGHT_PER_BODY = 0.02  # of a body: how far above its way an agent looks for a mesh across it
 
 
 @dataclass(slots=True)
-class _Walk:
+class _WalkState:
     """Agents during a walk: where they stand and face, and the remaining displacement (a vector). Each component of a vector is
     contiguous."""
 
@@ -50,10 +50,10 @@ class _SolidEntries:
     place: Floats
 
 
-class Terrain:
+class CombinedGround:
     """Meshes (None without any) and solids by name; names of solids come after those of meshes."""
 
-    def __init__(self, meshes: Meshes | None, solids: Mapping[str, Volume], up: Floats) -> None:
+    def __init__(self, meshes: MeshSurfaces | None, solids: Mapping[str, Volume], up: Floats) -> None:
         self.meshes = meshes
         self._up = np.asarray(up, np.float64)
         self._volumes = tuple(solids.values())
@@ -87,7 +87,7 @@ class Terrain:
         height = np.where(known, ((place - points) * up).sum(axis=1), -np.inf)
         for k, volume in enumerate(self._volumes):
             is_requested = self.names[self._count + k] in names
-            buried = known & (volume.sample(place) < -_SUNK * volume.voxel)
+            buried = known & (volume.sample(place) < -_SUNK_VOXELS * volume.voxel)
             rows = np.arange(len(points)) if is_requested else np.flatnonzero(buried)
             if not rows.size:
                 continue
@@ -173,14 +173,14 @@ class Terrain:
         body: Floats | float,
         threads: int = 1,
         straight: bool = False,
-    ) -> Move:
+    ) -> GroundMove:
         """As `MeshGround.move`, over meshes and solids."""
         n = len(footing)
         body = np.broadcast_to(np.asarray(body, np.float64), (n,))
         remaining = contiguous_columns(displacement)
         np.nan_to_num(remaining, copy=False, posinf=0.0, neginf=0.0)
         ahead = contiguous_columns(heading)
-        walk = _Walk(
+        walk = _WalkState(
             footing.copy(),
             np.empty((3, n)).T,
             contiguous_columns(up),
@@ -194,16 +194,16 @@ class Terrain:
         rows = np.flatnonzero(footing.mesh >= 0)
         if rows.size < n:
             walk.place[:] = 0.0
-        for hop in range(_HOPS):
+        for hop in range(_MAX_SURFACE_CHANGES):
             if not rows.size:
                 break
-            rows = self._walk_stretch(walk, rows, body, threads, last=hop == _HOPS - 1)
+            rows = self._walk_stretch(walk, rows, body, threads, last=hop == _MAX_SURFACE_CHANGES - 1)
         lost = footing.mesh < 0
-        return Move(walk.footing, walk.place, walk.up, walk.heading, walk.direction, walk.distance, walk.blocked, lost)
+        return GroundMove(walk.footing, walk.place, walk.up, walk.heading, walk.direction, walk.distance, walk.blocked, lost)
 
     # ---- parts of moving
 
-    def _walk_stretch(self, walk: _Walk, rows: Rows, body: Floats, threads: int, last: bool) -> Rows:
+    def _walk_stretch(self, walk: _WalkState, rows: Rows, body: Floats, threads: int, last: bool) -> Rows:
         """Walk `rows` on their current mesh or solid. Those that meet another one stand on it afterwards, and are returned if
         they have distance left."""
         again = []
@@ -217,7 +217,7 @@ class Terrain:
                 again.append(self._walk_on_solid(walk, mine, k, volume, body, threads, last))
         return np.sort(np.concatenate(again))
 
-    def _walk_on_meshes(self, walk: _Walk, rows: Rows, body: Floats, threads: int, last: bool) -> Rows:
+    def _walk_on_meshes(self, walk: _WalkState, rows: Rows, body: Floats, threads: int, last: bool) -> Rows:
         meshes = self.meshes
         assert meshes is not None
         previous_footing = walk.footing.take_on_meshes(rows)
@@ -228,7 +228,7 @@ class Terrain:
         return self._step_onto_solid(walk, rows, entries, moved, body, threads, last)
 
     @staticmethod
-    def _finish_walks(walk: _Walk, rows: Rows, but: Rows, moved: Move) -> None:
+    def _finish_walks(walk: _WalkState, rows: Rows, but: Rows, moved: GroundMove) -> None:
         """Store the result for all of `rows` that have finished their walk; the others are `but`."""
         footing, vectors = moved.footing, [moved.position, moved.up, moved.heading, moved.direction]
         travelled, blocked = moved.travelled, moved.blocked
@@ -256,7 +256,7 @@ class Terrain:
             if k == but:
                 continue
             near = rows_in_box(end, volume.low, volume.high)
-            inside = near[volume.sample(take_rows(end, near)) < -_SUNK * volume.voxel]
+            inside = near[volume.sample(take_rows(end, near)) < -_SUNK_VOXELS * volume.voxel]
             if not inside.size:
                 continue
             a, b = start(inside), end[inside]
@@ -269,7 +269,7 @@ class Terrain:
         return _SolidEntries(who, which[who], part[who], positions[who])
 
     def _step_onto_solid(
-        self, walk: _Walk, rows: Rows, entries: _SolidEntries, moved: Move, body: Floats, threads: int, last: bool
+        self, walk: _WalkState, rows: Rows, entries: _SolidEntries, moved: GroundMove, body: Floats, threads: int, last: bool
     ) -> Rows:
         """Step those of `rows` that entered a solid onto it; return those with distance left."""
         again = [np.empty(0, np.intp)]
@@ -279,7 +279,7 @@ class Terrain:
                 continue
             of, part = entries.who[mine], entries.part[mine]
             # From a little above: an agent exactly at the seam might be below a mesh after its next step.
-            above = entries.place[mine] + moved.up[of] * (_LIFT * body[rows[of]])[:, None]
+            above = entries.place[mine] + moved.up[of] * (_EYE_HEIGHT_PER_BODY * body[rows[of]])[:, None]
             landed = volume.project(above, normals(volume, above), 2 * volume.voxel)
             ok = landed.is_in_reach
             if self.meshes is not None:
@@ -300,7 +300,9 @@ class Terrain:
             again.append(on[rest > 0])
         return np.concatenate(again)
 
-    def _walk_on_solid(self, walk: _Walk, rows: Rows, k: int, volume: Volume, body: Floats, threads: int, last: bool) -> Rows:
+    def _walk_on_solid(
+        self, walk: _WalkState, rows: Rows, k: int, volume: Volume, body: Floats, threads: int, last: bool
+    ) -> Rows:
         previous_footing = walk.footing
         start = np.stack([previous_footing.x[rows], previous_footing.y[rows], previous_footing.z[rows]]).T
         wish, ahead, up = (take_rows(v, rows) for v in (walk.left, walk.heading, walk.up))
@@ -332,7 +334,7 @@ class Terrain:
         walk.left[down] = walk.direction[down] * rest[:, None]
         return np.concatenate([again, down[rest > 0]])
 
-    def _fall(self, walk: _Walk, rows: Rows) -> None:
+    def _fall(self, walk: _WalkState, rows: Rows) -> None:
         """Move agents with no solid left nearby down, along the scene's up axis, onto the ground below; else to the nearest
         ground."""
         if not rows.size:
@@ -366,7 +368,7 @@ class Terrain:
         n = len(start)
         if self.meshes is None:
             return np.zeros(n, np.bool_), np.ones(n), Footing.nowhere(n)
-        lift = (_LIFT * body)[:, None]
+        lift = (_EYE_HEIGHT_PER_BODY * body)[:, None]
         a, b = start + up * lift, end + up_after * lift
         return self.meshes.trace_hits(a, b - a, threads)
 

@@ -11,21 +11,21 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl.casting.rays import Hits, Mesh, RayScene
+from antdsl.casting.rays import MeshArrays, RayHitArrays, RayScene
 from antdsl.ground.mesh.surface import MeshGround
-from antdsl.ground.mesh.surface_clearance import Clearances, FaceParts
-from antdsl.ground.mesh.surroundings import NOISE
+from antdsl.ground.mesh.surface_clearance import FaceParts, PieceClearances
+from antdsl.ground.mesh.surroundings import RELATIVE_DISTANCE_NOISE
 from antdsl.ground.mesh.topology import update_shape
 from antdsl.ground.protocol import Floats, Footing, Index
 
-Axes = tuple[Floats, Floats, Floats]
+FaceAxes = tuple[Floats, Floats, Floats]
 
 
 class MovingGround(MeshGround):
     """As `MeshGround`; the meshes named `moving` may be posed. `rest` holds the initial positions of all; field cells refer to
     it."""
 
-    def __init__(self, surfaces: Mapping[str, Mesh], moving: Iterable[str], by_rays: bool = False) -> None:
+    def __init__(self, surfaces: Mapping[str, MeshArrays], moving: Iterable[str], by_rays: bool = False) -> None:
         self._moves = np.isin(list(surfaces), list(moving))
         super().__init__(surfaces, by_rays)
         counts = [len(np.reshape(v, (-1, 3))) for v, _ in surfaces.values()]
@@ -70,13 +70,13 @@ class MovingGround(MeshGround):
         known = (mesh >= 0) & (mesh < len(self._moves))
         return np.flatnonzero(known & self._moves.take(np.where(known, mesh, 0)))
 
-    def axes(self, footing: Footing) -> Axes:
+    def axes(self, footing: Footing) -> FaceAxes:
         """Return the frames (3, n) of the faces that agents stand on: along the first edge, across it, and up by the winding."""
         face, _ = self._face_numbers(footing)
         t = self._table
         return t.axis1.take(face, axis=1), t.axis2.take(face, axis=1), t.normal.take(face, axis=1)
 
-    def rest_axes(self, footing: Footing) -> Axes:
+    def rest_axes(self, footing: Footing) -> FaceAxes:
         """As `axes`, where the faces lay at rest."""
         face, _ = self._face_numbers(footing)
         t = self._rest
@@ -131,13 +131,13 @@ class _RayScenePair:
     def __init__(self, one: RayScene, two: RayScene, faces: int) -> None:
         self._one, self._two, self._faces = one, two, faces
 
-    def cast(self, origin: Floats, direction: Floats, threads: int = 1) -> Hits:
+    def cast(self, origin: Floats, direction: Floats, threads: int = 1) -> RayHitArrays:
         a, b = (scene.cast(origin, direction, threads) for scene in (self._one, self._two))
         second = b.hit & (b.t < a.t)
         face = np.where(second, b.face + np.int32(self._faces), a.face)
         u, v = np.where(second, b.u, a.u), np.where(second, b.v, a.v)
         normal = np.where(second[:, None], b.normal, a.normal)
-        return Hits(np.where(second, b.t, a.t), np.where(second, b.mesh, a.mesh), face, u, v, normal)
+        return RayHitArrays(np.where(second, b.t, a.t), np.where(second, b.mesh, a.mesh), face, u, v, normal)
 
     def cast_within(
         self, origin: Floats, step: Floats, threads: int = 1
@@ -171,13 +171,13 @@ class _MovingClearances:
 
     def __init__(self, ground: MovingGround) -> None:
         self._ground = ground
-        self.noise = ground.extent * NOISE
+        self.noise = ground.extent * RELATIVE_DISTANCE_NOISE
         self._loose = ground._moves.take(ground._mesh)
         self._fixed = np.flatnonzero(~self._loose)
         corners = ground._vertices[ground._faces[self._fixed]]
         low = corners.min(axis=(0, 1)) if len(corners) else np.zeros(3)
         piece, cut = ground._table.piece, ground._table.cuts.cut
-        self._still = Clearances(corners, piece[self._fixed], cut[self._fixed], low, self.noise)
+        self._still = PieceClearances(corners, piece[self._fixed], cut[self._fixed], low, self.noise)
         several = {name: cut[rows].any() or (np.unique(piece[rows]) >= 0).sum() > 1 for name, rows in ground._rows.items()}
         self._low, self._high = _face_boxes(ground._vertices, ground._faces)
         self._several = [name for k, name in enumerate(ground.names) if ground._moves[k] and several[name]]

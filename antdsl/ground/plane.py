@@ -8,12 +8,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl.ground.mesh.topology import facing_sides
-from antdsl.ground.protocol import Floats, Footing, Move
+from antdsl.ground.protocol import Floats, Footing, GroundMove
 from antdsl.machine_code.kernels import F64, Array1, Array2, Strided2, inlined, kernel
-from antdsl.numerics.kernel_vectors import Pose, Vec3, dot, minus, plus, times
+from antdsl.numerics.kernel_vectors import AgentPose, Vec3, dot, minus, plus, times
 
 
-class Plane:
+class PlaneGround:
     """The plane through the origin; `up` is its unit normal. All footings are found, and no agent is lost or blocked."""
 
     names: tuple[str, ...] = ()
@@ -78,24 +78,24 @@ class Plane:
         body: Floats | float,
         threads: int = 1,
         straight: bool = False,
-    ) -> Move:
+    ) -> GroundMove:
         """Walk straight on."""
         n, none = len(displacement), np.zeros(len(displacement), np.bool_)
         point, ahead, direction, travelled = np.empty((n, 3)), np.empty((n, 3)), np.empty((n, 3)), np.empty(n)
         walk_all_straight(self._up, footing.point, displacement, heading, point, ahead, direction, travelled)
         above = np.broadcast_to(self._up, up.shape)
-        return Move(Footing.on_plane(point), point, above, ahead, direction, travelled, none, none)
+        return GroundMove(Footing.on_plane(point), point, above, ahead, direction, travelled, none, none)
 
 
 @inlined
-def walk_straight(up: Vec3, point: Vec3, displacement: Vec3, ahead: Vec3) -> tuple[Pose, F64]:
+def walk_straight(up: Vec3, point: Vec3, displacement: Vec3, ahead: Vec3) -> tuple[AgentPose, F64]:
     """Move one agent straight on; return its pose and the distance travelled."""
     step, look = minus(displacement, times(up, dot(displacement, up))), minus(ahead, times(up, dot(ahead, up)))
     far = np.sqrt(dot(step, step))
     direction = look
     if far > 0:
         direction = (step[0] / far, step[1] / far, step[2] / far)
-    return Pose(plus(point, step), up, look, direction), far
+    return AgentPose(plus(point, step), up, look, direction), far
 
 
 @kernel

@@ -13,18 +13,20 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl.ground.mesh.topology import Topology
+from antdsl.ground.mesh.topology import MeshTopology
 
 Floats = NDArray[np.float64]
 Flags = NDArray[np.bool_]
 Index = NDArray[np.int64]
 Numbers = NDArray[np.int32]
 Rows = NDArray[np.integer[Any]] | Flags
-Column = NDArray[Any]
+ColumnArray = NDArray[Any]
 
-_FACES = ("mesh", "face", "b1", "b2", "over")
-_PLACE = ("x", "y", "z")
-_ON_MESHES: dict[str, Column | float] = dict.fromkeys(_PLACE, 0.0)  # of who stands on a mesh of a ground with solids
+_FACE_COLUMNS = ("mesh", "face", "b1", "b2", "over")
+_POSITION_COLUMNS = ("x", "y", "z")
+_MESH_DEFAULTS: dict[str, ColumnArray | float] = dict.fromkeys(
+    _POSITION_COLUMNS, 0.0
+)  # of who stands on a mesh of a ground with solids
 
 
 def rows_of(array: NDArray[Any], rows: Rows) -> NDArray[Any]:
@@ -45,8 +47,8 @@ class Footing:
 
     __slots__ = ("columns",)
 
-    def __init__(self, columns: Mapping[str, Column]) -> None:
-        self.columns: dict[str, Column] = dict(columns)
+    def __init__(self, columns: Mapping[str, ColumnArray]) -> None:
+        self.columns: dict[str, ColumnArray] = dict(columns)
 
     # ---- made
 
@@ -78,7 +80,7 @@ class Footing:
         return self.copy()._with_columns(np.zeros((3, len(self))))
 
     def _with_columns(self, place: Floats) -> Footing:
-        return Footing(self.columns | dict(zip(_PLACE, place, strict=True)))
+        return Footing(self.columns | dict(zip(_POSITION_COLUMNS, place, strict=True)))
 
     # ---- read
 
@@ -140,11 +142,11 @@ class Footing:
 
     def take_on_meshes(self, rows: Rows) -> Footing:
         """As `take`, for rows that stand on meshes, for a ground of meshes alone."""
-        return Footing({name: rows_of(self.columns[name], rows) for name in _FACES})
+        return Footing({name: rows_of(self.columns[name], rows) for name in _FACE_COLUMNS})
 
     def put(self, rows: Rows, other: Footing) -> None:
         """Write other footings into rows: of the same kind of ground, or of its meshes alone."""
-        columns = _ON_MESHES | other.columns
+        columns = _MESH_DEFAULTS | other.columns
         for name, column in self.columns.items():
             column[rows] = columns[name]
 
@@ -166,7 +168,7 @@ class Footing:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Move:
+class GroundMove:
     """The result of a step. Vectors are float64[n,3], lengths mm.
 
     Each component of a vector is contiguous. `up` is the smooth normal on the agent's side, `heading` a unit vector perpendicular
@@ -183,16 +185,16 @@ class Move:
     blocked: Flags
     lost: Flags
 
-    def columns(self) -> tuple[Column, ...]:
+    def columns(self) -> tuple[ColumnArray, ...]:
         """All but the footing, in order."""
         return self.position, self.up, self.heading, self.direction, self.travelled, self.blocked, self.lost
 
-    def take(self, rows: Rows) -> Move:
+    def take(self, rows: Rows) -> GroundMove:
         """The results of some rows."""
         position, up, heading, direction, travelled, blocked, lost = (rows_of(column, rows) for column in self.columns())
-        return Move(self.footing.take(rows), position, up, heading, direction, travelled, blocked, lost)
+        return GroundMove(self.footing.take(rows), position, up, heading, direction, travelled, blocked, lost)
 
-    def put(self, rows: Rows, other: Move) -> None:
+    def put(self, rows: Rows, other: GroundMove) -> None:
         """Put other results of the same ground into rows. Values that a ground has once for all agents (a plane's `up`) stay."""
         self.footing.put(rows, other.footing)
         for column, values in zip(self.columns(), other.columns(), strict=True):
@@ -209,7 +211,7 @@ class Ground(Protocol):
         """The names of surfaces, then of solids, in the order of footings' numbers."""
 
     @property
-    def meshes(self) -> Meshes | None:
+    def meshes(self) -> MeshSurfaces | None:
         """The part of the ground that is made of meshes."""
 
     def nowhere(self, n: int) -> Footing:
@@ -245,14 +247,14 @@ class Ground(Protocol):
         body: Floats | float,
         threads: int = 1,
         straight: bool = False,
-    ) -> Move:
+    ) -> GroundMove:
         """Move every agent along the ground by a displacement [n,3], on the side that its `up` [n,3] points to.
 
         `heading` [n,3] turns with the ground. `body` (mm, one or [n]) is the length of each agent. With `straight`, a path ends
         at an open border; otherwise the agent continues along the border."""
 
 
-class Meshes(Ground, Protocol):
+class MeshSurfaces(Ground, Protocol):
     """The part of a ground that consists of meshes: the queries about faces for rays, flows, maps and fields."""
 
     @property
@@ -268,7 +270,7 @@ class Meshes(Ground, Protocol):
         """Longest side of the box, mm. For moving meshes: the longest so far."""
 
     @property
-    def triangles(self) -> tuple[Floats, Numbers, Numbers, Topology]:
+    def triangles(self) -> tuple[Floats, Numbers, Numbers, MeshTopology]:
         """Return all surfaces as one mesh: vertices [n,3], faces [m,3], the surface number of each face, and the topology
         tables."""
 

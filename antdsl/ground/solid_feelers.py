@@ -12,20 +12,20 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl.casting.nearby import Ask, FeelerHits, list_askers
+from antdsl.casting.nearby import FeelerHits, FeelerQuery, list_askers
 from antdsl.casting.triangle_grid import Arrays
 from antdsl.ground.solid import Volume
-from antdsl.ground.solid.bricks import CUBE, SIDE
+from antdsl.ground.solid.bricks import BRICK_NODES, BRICK_SIDE_NODES
 from antdsl.numerics import parallel
-from antdsl.numerics.vectors import Columns
+from antdsl.numerics.vectors import VectorComponents
 
 Floats = NDArray[np.float64]
 
-_MARCHES = 96  # steps of one ray, in addition to those through open air, after which it counts as free
-_LEAST = 0.5  # voxels: a ray goes on at least so far
-_THROUGH = 0.02  # voxels under the surface that a ray along it may dip without having hit it
-_HALVINGS = 8
-_BLOCK = 4  # edge, in nodes, of the blocks of which one place each says where the surface is, for those far from it
+_MAX_MARCH_STEPS = 96  # steps of one ray, in addition to those through open air, after which it counts as free
+_MIN_MARCH_VOXELS = 0.5  # voxels: a ray goes on at least so far
+_ALLOWED_DEPTH_VOXELS = 0.02  # voxels under the surface that a ray along it may dip without having hit it
+_ENTRY_BISECTIONS = 8
+_SAMPLE_BLOCK_NODES = 4  # edge, in nodes, of the blocks of which one place each says where the surface is, for those far from it
 
 
 class SolidFeelers:
@@ -50,7 +50,9 @@ class SolidFeelers:
             outside[within] = np.maximum(near, np.float32(0))
         return outside
 
-    def cast_feelers(self, positions: Columns, directions: Columns, reach: NDArray[Any] | float, threads: int = 1) -> FeelerHits:
+    def cast_feelers(
+        self, positions: VectorComponents, directions: VectorComponents, reach: NDArray[Any] | float, threads: int = 1
+    ) -> FeelerHits:
         """Return the first hit within `reach` (mm, one or float[n]) of points (x y z) along unit directions (x y z), all 1-D
         arrays of one length.
 
@@ -59,15 +61,15 @@ class SolidFeelers:
         origin, direction = (np.stack(list(v), axis=1).astype(np.float64) for v in (positions, directions))
         n = len(origin)
         far = np.broadcast_to(np.asarray(reach, np.float64), (n,))
-        voxel, through = self.volume.voxel, -_THROUGH * self.volume.voxel
+        voxel, through = self.volume.voxel, -_ALLOWED_DEPTH_VOXELS * self.volume.voxel
         first, last = self._box_interval(origin, direction)
         far = np.minimum(far, last)  # or a reach without measure would march on for ever
-        progress = np.where(first > _MARCHES * self.volume.band[1], first, 0.0)
+        progress = np.where(first > _MAX_MARCH_STEPS * self.volume.band[1], first, 0.0)
         free, shut = np.zeros(n), np.full(n, np.inf)
         rows = np.flatnonzero((far > 0) & (first <= far))
         previous_distance = self.volume.sample(origin[rows] + progress[rows, None] * direction[rows]).astype(np.float64)
-        for _ in range(_MARCHES + int((far - progress)[rows].max(initial=0.0) / self.volume.band[1])):
-            step = np.maximum(np.abs(previous_distance), _LEAST * voxel)
+        for _ in range(_MAX_MARCH_STEPS + int((far - progress)[rows].max(initial=0.0) / self.volume.band[1])):
+            step = np.maximum(np.abs(previous_distance), _MIN_MARCH_VOXELS * voxel)
             ahead = np.minimum(progress[rows] + step, far[rows])
             next_distance = self.volume.sample(origin[rows] + ahead[:, None] * direction[rows]).astype(np.float64)
             is_hit = (next_distance < through) & (previous_distance >= through)
@@ -83,7 +85,7 @@ class SolidFeelers:
         normal[:, hit] = self._normals(origin[hit] + t[hit, None] * direction[hit])
         return FeelerHits(np.isfinite(t), t.astype(np.float32), *normal)
 
-    def feel_batch(self, positions: Arrays, asks: Sequence[Ask], threads: int = 1) -> list[tuple[int, NDArray[np.intp]]]:
+    def feel_batch(self, positions: Arrays, asks: Sequence[FeelerQuery], threads: int = 1) -> list[tuple[int, NDArray[np.intp]]]:
         """Return all agents for all queries: each uses `feelers`."""
         return list_askers(asks)
 
@@ -117,9 +119,9 @@ class SolidFeelers:
 
     def _find_entry(self, origin: Floats, direction: Floats, free: Floats, inside: Floats) -> Floats:
         """Return the length, between two lengths, at which each ray enters the solid, exact to 1/256 of the step."""
-        for _ in range(_HALVINGS):
+        for _ in range(_ENTRY_BISECTIONS):
             middle = (free + inside) / 2
-            solid = self.volume.sample(origin + middle[:, None] * direction) < -_THROUGH * self.volume.voxel
+            solid = self.volume.sample(origin + middle[:, None] * direction) < -_ALLOWED_DEPTH_VOXELS * self.volume.voxel
             free, inside = np.where(solid, free, middle), np.where(solid, middle, inside)
         return free
 
@@ -147,15 +149,15 @@ class SolidFeelers:
 
     def _sample_surface(self) -> Floats:
         """Return points float64[n,3] on the surface, one for each small block of nodes that the surface crosses."""
-        bricks, parts = self.volume.bricks, SIDE // _BLOCK
+        bricks, parts = self.volume.bricks, BRICK_SIDE_NODES // _SAMPLE_BLOCK_NODES
         stored = np.flatnonzero(bricks.table >= 2)
-        pool = bricks.values[: bricks.used * CUBE].reshape((-1,) + (parts, _BLOCK) * 3)[bricks.table[stored]]
-        blocks = np.abs(pool.transpose(0, 1, 3, 5, 2, 4, 6).reshape(len(stored), parts**3, _BLOCK**3))
+        pool = bricks.values[: bricks.used * BRICK_NODES].reshape((-1,) + (parts, _SAMPLE_BLOCK_NODES) * 3)[bricks.table[stored]]
+        blocks = np.abs(pool.transpose(0, 1, 3, 5, 2, 4, 6).reshape(len(stored), parts**3, _SAMPLE_BLOCK_NODES**3))
         least = blocks.argmin(axis=2)
         brick, block = np.nonzero(np.take_along_axis(blocks, least[:, :, None], axis=2)[:, :, 0] < bricks.voxel)
-        corner = np.stack(np.unravel_index(stored[brick], bricks.shape), axis=1) * SIDE
-        corner += np.stack(np.unravel_index(block, (parts,) * 3), axis=1) * _BLOCK
-        corner += np.stack(np.unravel_index(least[brick, block], (_BLOCK,) * 3), axis=1)
+        corner = np.stack(np.unravel_index(stored[brick], bricks.shape), axis=1) * BRICK_SIDE_NODES
+        corner += np.stack(np.unravel_index(block, (parts,) * 3), axis=1) * _SAMPLE_BLOCK_NODES
+        corner += np.stack(np.unravel_index(least[brick, block], (_SAMPLE_BLOCK_NODES,) * 3), axis=1)
         place: Floats = bricks.origin + corner * bricks.voxel
         distance, slope = self.volume.sample_and_gradient(place)
         return place - slope.astype(np.float64) * distance.astype(np.float64)[:, None]

@@ -12,20 +12,20 @@ from antdsl.numerics.vector_rows import length
 
 Floats = NDArray[np.float64]
 
-_PARTS = 8  # of a step at which it is looked whether it leads into a solid
-_LOOKS = 5  # after each the part where it does is cut into as many again
+_STEP_SAMPLES = 8  # of a step at which it is looked whether it leads into a solid
+_REFINEMENTS = 5  # after each the part where it does is cut into as many again
 
 
 def entry_fraction(volume: Volume, start: Floats, end: Floats) -> Floats:
     """Return the share of each path from `start` to `end` after which it first enters the solid: the last sample in air. `end`
     lies in the solid. The result is 0 where `start` is not in air."""
     free, long = np.zeros(len(start)), 1.0
-    for _ in range(_LOOKS):
-        parts = free + long * (np.arange(_PARTS) / _PARTS)[:, None]
+    for _ in range(_REFINEMENTS):
+        parts = free + long * (np.arange(_STEP_SAMPLES) / _STEP_SAMPLES)[:, None]
         positions = start + parts[:, :, None] * (end - start)
         solid = (volume.sample(positions.reshape(-1, 3)) < 0).reshape(parts.shape)
-        first = np.where(solid.any(axis=0), solid.argmax(axis=0), _PARTS)
-        long /= _PARTS
+        first = np.where(solid.any(axis=0), solid.argmax(axis=0), _STEP_SAMPLES)
+        long /= _STEP_SAMPLES
         free += np.maximum(first - 1, 0) * long
     return free
 

@@ -6,16 +6,18 @@ from __future__ import annotations
 
 import numpy as np
 
-from antdsl.ground.protocol import Floats, Footing, Meshes, Move
+from antdsl.ground.protocol import Floats, Footing, GroundMove, MeshSurfaces
 from antdsl.numerics.vectors import dot, stacked_cross
 
-RISE = 0.5  # of a body: how far above its feet an agent looks from
-REACH = 1.5  # bodies: how long both rays are
-FORWARD, UPWARD = np.sqrt(0.75), 0.5  # of the second ray, which goes ahead and 30 degrees up
-_LEVEL = 1e-9  # below it a vector has no direction
+EYE_HEIGHT_PER_BODY = 0.5  # of a body: how far above its feet an agent looks from
+RAY_LENGTH_PER_BODY = 1.5  # bodies: how long both rays are
+FORWARD_SHARE, UPWARD_SHARE = np.sqrt(0.75), 0.5  # of the second ray, which goes ahead and 30 degrees up
+_MIN_VECTOR_LENGTH = 1e-9  # below it a vector has no direction
 
 
-def move_by_rays(ground: Meshes, footing: Footing, wish: Floats, heading: Floats, up: Floats, body: Floats, threads: int) -> Move:
+def move_by_rays(
+    ground: MeshSurfaces, footing: Footing, wish: Floats, heading: Floats, up: Floats, body: Floats, threads: int
+) -> GroundMove:
     """Move n agents from their footings by `wish`, as `Ground.move` does. Vectors are (3, n), mm; `body` is (n,).
 
     Ray 1 goes down, along minus the agent's up, from above its intended position. Ray 2 goes ahead, rotated 30 degrees upward
@@ -27,10 +29,10 @@ def move_by_rays(ground: Meshes, footing: Footing, wish: Floats, heading: Floats
     known = footing.face >= 0
     wish = np.where(np.isfinite(wish).all(axis=0) & known, wish, 0.0)
     place, length = ground.position(footing).T, np.sqrt(dot(wish, wish))
-    going = length > _LEVEL
+    going = length > _MIN_VECTOR_LENGTH
     ahead = np.where(going, wish / np.where(going, length, 1.0), heading)
-    eye, reach = place + up * (RISE * body), REACH * body
-    down, slant = -up * reach, (ahead * FORWARD + up * UPWARD) * reach
+    eye, reach = place + up * (EYE_HEIGHT_PER_BODY * body), RAY_LENGTH_PER_BODY * body
+    down, slant = -up * reach, (ahead * FORWARD_SHARE + up * UPWARD_SHARE) * reach
     found1, part1, footing1 = ground.trace_hits((eye + wish).T, down.T, threads)
     found2, part2, footing2 = ground.trace_hits(eye.T, slant.T, threads)
     second = found2 & ~(found1 & (part1 <= part2))
@@ -45,7 +47,7 @@ def move_by_rays(ground: Meshes, footing: Footing, wish: Floats, heading: Floats
     position, above, ahead, direction = (
         np.ascontiguousarray(v).T for v in (hit, np.where(is_hit, normal, up), turned, new_direction)
     )
-    return Move(onto, position, above, ahead, direction, distance, going & ~is_hit, ~known)
+    return GroundMove(onto, position, above, ahead, direction, distance, going & ~is_hit, ~known)
 
 
 def _heading_along_face(vector: Floats, up: Floats, normal: Floats) -> Floats:
@@ -54,6 +56,6 @@ def _heading_along_face(vector: Floats, up: Floats, normal: Floats) -> Floats:
     That is zero for a wall beside or in front of the agent. Then return the projection of the vector, or of up, onto the wall."""
     flat = stacked_cross(normal, stacked_cross(vector, up))
     for other in (vector, up):
-        flat = np.where(dot(flat, flat) > _LEVEL, flat, other - dot(other, normal) * normal)
+        flat = np.where(dot(flat, flat) > _MIN_VECTOR_LENGTH, flat, other - dot(other, normal) * normal)
     flat = flat - dot(flat, normal) * normal
     return flat / np.sqrt(np.maximum(dot(flat, flat), 1e-300))

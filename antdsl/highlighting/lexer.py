@@ -9,7 +9,7 @@ from typing import Any, ClassVar
 from pygments.lexer import RegexLexer
 from pygments.token import Text, Token
 
-from antdsl.highlighting.patterns import CLASSES, PATTERNS, Pattern
+from antdsl.highlighting.patterns import SCOPE_AND_TOKEN_BY_CLASS, TOKEN_PATTERNS, TokenPattern
 
 _TokenStream = Iterator[tuple[int, Any, str]]
 
@@ -17,12 +17,12 @@ _TokenStream = Iterator[tuple[int, Any, str]]
 def token_type(name: str) -> Any:
     """Pygments' type of token for a class."""
     token: Any = Token
-    for part in CLASSES[name][1].split("."):
+    for part in SCOPE_AND_TOKEN_BY_CLASS[name][1].split("."):
         token = getattr(token, part)
     return token
 
 
-def _action(pattern: Pattern) -> Callable[[RegexLexer, Match[str]], _TokenStream]:
+def _action(pattern: TokenPattern) -> Callable[[RegexLexer, Match[str]], _TokenStream]:
     """Return an action that splits a match at the groups of its pattern. Text between the groups is blank."""
     types = [token_type(name) for name in pattern.classes]
 
@@ -48,5 +48,5 @@ class AntLexer(RegexLexer):
     filenames: ClassVar[list[str]] = ["*.ant"]
     mimetypes: ClassVar[list[str]] = ["text/x-antdsl"]
     tokens: ClassVar[dict[str, list[Any]]] = {
-        "root": [*((pattern.regex, _action(pattern)) for pattern in PATTERNS), (r"\n|[ \t]+", Text)]
+        "root": [*((pattern.regex, _action(pattern)) for pattern in TOKEN_PATTERNS), (r"\n|[ \t]+", Text)]
     }

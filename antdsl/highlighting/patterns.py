@@ -8,13 +8,27 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass
 
-from antdsl.program.tables.colours import COLOURS
-from antdsl.program.tables.vocabulary import BUILTIN_ATTRIBUTES, BUILTINS, REDUCERS, RUN_NAMES, SENSED_NAMES, TYPE_WORDS
-from antdsl.syntax.words import FIELD_SETTINGS, FORMS, LINE_WORDS, NUMBER, UNITS, WORLD_KINDS
+from antdsl.program.tables.colours import COLOUR_BY_NAME
+from antdsl.program.tables.vocabulary import (
+    BUILTIN_ATTRIBUTE_BY_NAME,
+    BUILTINS_BY_NAME,
+    REDUCER_HELP,
+    RUN_VALUE_TYPES,
+    SENSE_TYPE_BY_NAME,
+    TYPE_BY_WORD,
+)
+from antdsl.syntax.words import (
+    EXAMPLE_LINES,
+    FIELD_SETTING_WORDS,
+    LINE_WORDS_BY_RULE,
+    NUMBER_REGEX,
+    UNITS_REGEX,
+    WORLD_KIND_WORDS,
+)
 
 
 @dataclass(frozen=True, slots=True)
-class Pattern:
+class TokenPattern:
     """A regular expression, and the class of each of its groups. Without groups, the class applies to the complete match."""
 
     regex: str
@@ -22,7 +36,7 @@ class Pattern:
 
 
 # Each class with its scope in TextMate's way of naming, and its token type in Pygments' way.
-CLASSES: dict[str, tuple[str, str]] = {
+SCOPE_AND_TOKEN_BY_CLASS: dict[str, tuple[str, str]] = {
     "comment": ("comment.line.number-sign", "Comment.Single"),
     "string": ("string.quoted.double", "String.Double"),
     "number": ("constant.numeric", "Number"),
@@ -43,57 +57,62 @@ CLASSES: dict[str, tuple[str, str]] = {
     "bracket": ("punctuation", "Punctuation"),
 }
 
-DECLARING = ("species", "behaviour", "field", "machine", "state", "param", "let", "latch", "fuzzy", "keep", "start")
+DECLARING_WORDS = ("species", "behaviour", "field", "machine", "state", "param", "let", "latch", "fuzzy", "keep", "start")
 # Words inside a line. Some are also names; where an argument is named or called, the sign after them decides.
-INNER = (
+INNER_WORDS = (
     "when", "interrupt", "within", "as", "on", "any", "except", "for", "each", "held", "after", "take", "from", "all", "to",
     "until", "then", "relax", "over", "strongest", "if", "else", "at", "least",
 )  # fmt: skip
-OPERATORS = ("or", "and", "not", "no", "is", "none", "of", "chance", "clip", "in")
-CLAIMS = tuple(word for word, form in FORMS.items() if form.startswith(f"{word}:"))  # a colon follows these
+OPERATOR_WORDS = ("or", "and", "not", "no", "is", "none", "of", "chance", "clip", "in")
+SPEC_CLAIM_WORDS = tuple(word for word, form in EXAMPLE_LINES.items() if form.startswith(f"{word}:"))  # a colon follows these
 
-_NAME = "[a-z][a-z_0-9]*"
-_END = "(?![A-Za-z_0-9])"
-_CALLED = r"(?=\()"
-_LABELLED = r"(?=[ \t]*:)"
-_NOT_A_VALUE = r"(?![ \t]*(?:[:.,)=*/^<>!]|[-+]=|\[))"  # what follows a name in the middle of a value, or a label
-_INSIDE = r"(?:^[ \t]+|(?<=[{;])[ \t]*)"  # in a world stands the species that another file brings
-_BEGIN = r"(?:^|(?<=[{;]))[ \t]*"
+_NAME_REGEX = "[a-z][a-z_0-9]*"
+_WORD_END_REGEX = "(?![A-Za-z_0-9])"
+_CALL_AHEAD_REGEX = r"(?=\()"
+_LABEL_AHEAD_REGEX = r"(?=[ \t]*:)"
+_NOT_VALUE_REGEX = r"(?![ \t]*(?:[:.,)=*/^<>!]|[-+]=|\[))"  # what follows a name in the middle of a value, or a label
+_MEMBER_START_REGEX = r"(?:^[ \t]+|(?<=[{;])[ \t]*)"  # in a world stands the species that another file brings
+_LINE_START_REGEX = r"(?:^|(?<=[{;]))[ \t]*"
 
 
 def _any_word_of(words: Iterable[str]) -> str:
-    return f"({'|'.join(sorted(set(words)))}){_END}"
+    return f"({'|'.join(sorted(set(words)))}){_WORD_END_REGEX}"
 
 
-_FIRST = {word for words in LINE_WORDS.values() for word in words} | {"exit", "enter"}
-_PLAIN_FIRST = _FIRST - set(DECLARING) - set(CLAIMS)
-_FUNCTIONS = set(BUILTINS) | set(REDUCERS)
-_PROPERTIES = (set(BUILTIN_ATTRIBUTES) | set(RUN_NAMES) | set(SENSED_NAMES) | {"self", "it", "up", "state"}) - set(INNER)
+_LINE_START_WORDS = {word for words in LINE_WORDS_BY_RULE.values() for word in words} | {"exit", "enter"}
+_PLAIN_LINE_WORDS = _LINE_START_WORDS - set(DECLARING_WORDS) - set(SPEC_CLAIM_WORDS)
+_FUNCTION_WORDS = set(BUILTINS_BY_NAME) | set(REDUCER_HELP)
+_PROPERTY_WORDS = (
+    set(BUILTIN_ATTRIBUTE_BY_NAME) | set(RUN_VALUE_TYPES) | set(SENSE_TYPE_BY_NAME) | {"self", "it", "up", "state"}
+) - set(INNER_WORDS)
 
-PATTERNS: tuple[Pattern, ...] = (
-    Pattern(r"#.*$", ("comment",)),
-    Pattern(r'"[^"\n]*"?', ("string",)),
-    Pattern(rf"({NUMBER})([ \t]*{UNITS})?", ("number", "unit")),
+TOKEN_PATTERNS: tuple[TokenPattern, ...] = (
+    TokenPattern(r"#.*$", ("comment",)),
+    TokenPattern(r'"[^"\n]*"?', ("string",)),
+    TokenPattern(rf"({NUMBER_REGEX})([ \t]*{UNITS_REGEX})?", ("number", "unit")),
     # the first word of a line
-    Pattern(rf"{_any_word_of(CLAIMS)}{_LABELLED}", ("keyword",)),
-    Pattern(rf"{_INSIDE}(species)(?=[ \t]+{_NAME})", ("kind",)),
-    Pattern(rf"{_BEGIN}{_any_word_of(DECLARING)}[ \t]+(?!when{_END})({_NAME})", ("declaration", "declared")),
-    Pattern(rf"{_BEGIN}{_any_word_of(WORLD_KINDS)}(?=[ \t]+{_NAME})", ("kind",)),
-    Pattern(rf"{_BEGIN}{_any_word_of(_PLAIN_FIRST)}{_NOT_A_VALUE}", ("keyword",)),
-    Pattern(rf"{_BEGIN}{_any_word_of(FIELD_SETTINGS)}(?=[ \t]+[a-z0-9(])", ("given",)),
+    TokenPattern(rf"{_any_word_of(SPEC_CLAIM_WORDS)}{_LABEL_AHEAD_REGEX}", ("keyword",)),
+    TokenPattern(rf"{_MEMBER_START_REGEX}(species)(?=[ \t]+{_NAME_REGEX})", ("kind",)),
+    TokenPattern(
+        rf"{_LINE_START_REGEX}{_any_word_of(DECLARING_WORDS)}[ \t]+(?!when{_WORD_END_REGEX})({_NAME_REGEX})",
+        ("declaration", "declared"),
+    ),
+    TokenPattern(rf"{_LINE_START_REGEX}{_any_word_of(WORLD_KIND_WORDS)}(?=[ \t]+{_NAME_REGEX})", ("kind",)),
+    TokenPattern(rf"{_LINE_START_REGEX}{_any_word_of(_PLAIN_LINE_WORDS)}{_NOT_VALUE_REGEX}", ("keyword",)),
+    TokenPattern(rf"{_LINE_START_REGEX}{_any_word_of(FIELD_SETTING_WORDS)}(?=[ \t]+[a-z0-9(])", ("given",)),
     # what an arrow leads to
-    Pattern(r"(->)[ \t]*(previous|choose)" + _END, ("operator", "keyword")),
-    Pattern(rf"(->)[ \t]*({_NAME})", ("operator", "target")),
+    TokenPattern(r"(->)[ \t]*(previous|choose)" + _WORD_END_REGEX, ("operator", "keyword")),
+    TokenPattern(rf"(->)[ \t]*({_NAME_REGEX})", ("operator", "target")),
     # other words
-    Pattern(rf"{_NAME}{_LABELLED}", ("label",)),
-    Pattern(rf"{_any_word_of(_FUNCTIONS)}{_CALLED}", ("builtin",)),
-    Pattern(rf"{_NAME}{_CALLED}", ("function",)),
-    Pattern(rf"(?<!\.){_any_word_of(OPERATORS)}", ("word operator",)),
-    Pattern(rf"(?<!\.){_any_word_of(INNER)}(?![ \t]*[,)=.\[])", ("keyword",)),
-    Pattern(rf"(?<!\.){_any_word_of(COLOURS)}(?=[ \t]*(?:\{{|for{_END}))", ("constant",)),
-    Pattern(rf"(?<=[:>] ){_any_word_of(TYPE_WORDS)}", ("kind",)),
-    Pattern(_any_word_of(_PROPERTIES), ("given",)),
-    Pattern(_NAME, ("name",)),
-    Pattern(r"->|\.\.|[-+<>=!]=|[-+*/^<>=.,:;]", ("operator",)),
-    Pattern(r"[(){}\[\]]", ("bracket",)),
+    TokenPattern(rf"{_NAME_REGEX}{_LABEL_AHEAD_REGEX}", ("label",)),
+    TokenPattern(rf"{_any_word_of(_FUNCTION_WORDS)}{_CALL_AHEAD_REGEX}", ("builtin",)),
+    TokenPattern(rf"{_NAME_REGEX}{_CALL_AHEAD_REGEX}", ("function",)),
+    TokenPattern(rf"(?<!\.){_any_word_of(OPERATOR_WORDS)}", ("word operator",)),
+    TokenPattern(rf"(?<!\.){_any_word_of(INNER_WORDS)}(?![ \t]*[,)=.\[])", ("keyword",)),
+    TokenPattern(rf"(?<!\.){_any_word_of(COLOUR_BY_NAME)}(?=[ \t]*(?:\{{|for{_WORD_END_REGEX}))", ("constant",)),
+    TokenPattern(rf"(?<=[:>] ){_any_word_of(TYPE_BY_WORD)}", ("kind",)),
+    TokenPattern(_any_word_of(_PROPERTY_WORDS), ("given",)),
+    TokenPattern(_NAME_REGEX, ("name",)),
+    TokenPattern(r"->|\.\.|[-+<>=!]=|[-+*/^<>=.,:;]", ("operator",)),
+    TokenPattern(r"[(){}\[\]]", ("bracket",)),
 )

@@ -8,11 +8,11 @@ from pathlib import Path
 from typing import Any
 
 from antdsl import resources
-from antdsl.highlighting.patterns import CLASSES, PATTERNS, Pattern
+from antdsl.highlighting.patterns import SCOPE_AND_TOKEN_BY_CLASS, TOKEN_PATTERNS, TokenPattern
 
-SCOPE = "source.antdsl"
+SCOPE_NAME = "source.antdsl"
 # The second is the copy that is packed with the extension for VS Code, the third the one that the preview's page is built with.
-FILES = (
+GRAMMAR_FILES = (
     "antdsl.tmLanguage.json",
     "vscode/syntaxes/antdsl.tmLanguage.json",
     "../antdsl/preview/web/src/panels/text/antdsl.tmLanguage.json",
@@ -21,10 +21,10 @@ FILES = (
 
 def scope(name: str) -> str:
     """The scope of a class."""
-    return f"{CLASSES[name][0]}.antdsl"
+    return f"{SCOPE_AND_TOKEN_BY_CLASS[name][0]}.antdsl"
 
 
-def _rule(pattern: Pattern) -> dict[str, Any]:
+def _rule(pattern: TokenPattern) -> dict[str, Any]:
     if not re.compile(pattern.regex).groups:
         return {"match": pattern.regex, "name": scope(pattern.classes[0])}
     captures = {str(number): {"name": scope(name)} for number, name in enumerate(pattern.classes, 1)}
@@ -36,15 +36,15 @@ def grammar_text() -> str:
     grammar = {
         "comment": "Made from the tables of the language by `python -m antdsl.highlighting.textmate`: change it there.",
         "name": "antdsl",
-        "scopeName": SCOPE,
+        "scopeName": SCOPE_NAME,
         "fileTypes": ["ant"],
-        "patterns": [_rule(pattern) for pattern in PATTERNS],
+        "patterns": [_rule(pattern) for pattern in TOKEN_PATTERNS],
     }
     return json.dumps(grammar, indent=2) + "\n"
 
 
 def write(folder: Path) -> None:
-    for name in FILES:
+    for name in GRAMMAR_FILES:
         (folder / name).parent.mkdir(parents=True, exist_ok=True)
         (folder / name).write_text(grammar_text(), encoding="utf-8")
 

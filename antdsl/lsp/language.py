@@ -8,20 +8,20 @@ from typing import Any
 from antdsl.loading import find_library
 from antdsl.lsp import samples
 from antdsl.lsp import words as tables
-from antdsl.program.expectations import GEOMETRY, MOTION
-from antdsl.program.kinds import Dim
-from antdsl.program.names.bindings import Key
-from antdsl.program.names.collect import EVENTS
+from antdsl.program.expectations import GEOMETRY_MEASURES, MOTION_MEASURES
+from antdsl.program.kinds import Dimension
+from antdsl.program.names.bindings import NameKey
+from antdsl.program.names.collect import BUILTIN_EVENTS
 from antdsl.program.tables import vocabulary
-from antdsl.program.tables.colours import COLOURS
-from antdsl.program.tables.rows import Builtin
-from antdsl.program.tables.things import KINDS_OF_THINGS, KindOfThing
+from antdsl.program.tables.colours import COLOUR_BY_NAME
+from antdsl.program.tables.rows import BuiltinRow
+from antdsl.program.tables.things import KIND_BY_WORD, KindOfThing
 from antdsl.program.tables.units import default_unit, dimension_words, measure
 from antdsl.resources import library_names
 from antdsl.syntax import nodes
-from antdsl.syntax.words import FORMS
+from antdsl.syntax.words import EXAMPLE_LINES
 
-Rule = Callable[[Key], str | None]
+HelpRule = Callable[[NameKey], str | None]
 # The words that members of a species begin with; an attribute has none.
 MEMBER_WORDS: Mapping[type, str] = {nodes.ParamDecl: "param", nodes.Let: "let", nodes.Latch: "latch", nodes.Fuzzy: "fuzzy"}
 
@@ -50,17 +50,17 @@ def signature(node: nodes.Behaviour) -> str:
     return f"{node.name.text}({', '.join(parts)}) -> {flat(node.returns.span.text)}"
 
 
-def _event(key: Key) -> str | None:
+def _event(key: NameKey) -> str | None:
     known = {"spawn": "happens once, at birth", "collision": "its body begins to touch another's"}
     return markdown(f"on {key[1]}", known.get(key[1], "an event: seen once, in the step after it was raised"))
 
 
-def _element(key: Key) -> str | None:
+def _element(key: NameKey) -> str | None:
     return markdown(key[-1], "one element of the set at a time")
 
 
-def _describe_built_in(key: Key) -> str | None:
-    row = vocabulary.BUILTIN_ATTRIBUTES.get(key[1])
+def _describe_built_in(key: NameKey) -> str | None:
+    row = vocabulary.BUILTIN_ATTRIBUTE_BY_NAME.get(key[1])
     if row is None:
         return None
     details = ([f"default {row.default}"] if row.default else []) + (["may be set"] if row.settable else [])
@@ -68,7 +68,7 @@ def _describe_built_in(key: Key) -> str | None:
     return markdown(f"{key[1]}: {row.type}\n{form}", "; ".join([row.help, *details]), "every animal has it")
 
 
-def builtin_form(name: str, row: Builtin) -> str:
+def builtin_form(name: str, row: BuiltinRow) -> str:
     """Return the form of a built-in, such as `clamp(x: number A, to: range A) -> number A`."""
     parts = []
     for arg in row.args:
@@ -77,30 +77,30 @@ def builtin_form(name: str, row: Builtin) -> str:
     return f"{name}({', '.join(parts)}) -> {row.result}"
 
 
-def _builtin(key: Key) -> str | None:
+def _builtin(key: NameKey) -> str | None:
     said = [rule(key) for rule in (_called, _reducer, _describe_form)]
     return "\n\n".join(each for each in said if each) or None
 
 
-def _called(key: Key) -> str | None:
-    rows = vocabulary.BUILTINS.get(key[1], ())
+def _called(key: NameKey) -> str | None:
+    rows = vocabulary.BUILTINS_BY_NAME.get(key[1], ())
     if not rows:
         return None
-    return markdown("\n".join([*(builtin_form(key[1], row) for row in rows), samples.CALL_FORMS[key[1]]]), rows[0].help)
+    return markdown("\n".join([*(builtin_form(key[1], row) for row in rows), samples.CALL_SAMPLES[key[1]]]), rows[0].help)
 
 
-def _reducer(key: Key) -> str | None:
-    help = vocabulary.REDUCERS.get(key[1])
-    return None if help is None else markdown(f"{key[1]}(n in SET: …)\n{samples.SET_FORMS[key[1]]}", help)
+def _reducer(key: NameKey) -> str | None:
+    help = vocabulary.REDUCER_HELP.get(key[1])
+    return None if help is None else markdown(f"{key[1]}(n in SET: …)\n{samples.SET_QUERY_SAMPLES[key[1]]}", help)
 
 
-def _describe_form(key: Key) -> str | None:
+def _describe_form(key: NameKey) -> str | None:
     row = tables.WHOLES.get(key[1])
     return None if row is None else markdown(f"{key[1]}(…)\n{row.sample}", row.help)
 
 
-def _builtin_argument(key: Key) -> str | None:
-    for row in vocabulary.BUILTINS.get(key[1], ()):
+def _builtin_argument(key: NameKey) -> str | None:
+    for row in vocabulary.BUILTINS_BY_NAME.get(key[1], ()):
         for arg in row.args:
             if arg.name == key[2]:
                 default = f"default {arg.default}" if arg.default is not None else "may be left out" if arg.optional else ""
@@ -108,14 +108,14 @@ def _builtin_argument(key: Key) -> str | None:
     return None
 
 
-def _word(key: Key) -> str | None:
+def _word(key: NameKey) -> str | None:
     word = key[1]
     row = tables.WORDS_OF_STATES.get(word) or tables.VALUES.get(word)
-    type = vocabulary.RUN_NAMES.get(word) or vocabulary.SENSED_NAMES.get(word)
+    type = vocabulary.RUN_VALUE_TYPES.get(word) or vocabulary.SENSE_TYPE_BY_NAME.get(word)
     return None if row is None else markdown(f"{word}: {type}\n{row.sample}" if type else row.sample, row.help)
 
 
-def _unit(key: Key) -> str | None:
+def _unit(key: NameKey) -> str | None:
     """Describe a unit, alone or made of others: `mm/s`, `%/s`. None for an unknown one."""
     known = measure(key[1])
     if known is None:
@@ -125,19 +125,19 @@ def _unit(key: Key) -> str | None:
     factor = known.factor / base_unit.factor if base_unit is not None else known.factor  # angles are in radians behind `deg`
     worth = f"1 {key[1]} = {factor:.6g} {base}".strip() if key[1] != base and not known.u and not known.step else ""
     rate = f"so much a second: `x += 3 {key[1]}` in a state" if known.dim.time == -1 and not known.step else ""
-    of_steps = "" if not known.step or key[1] in tables.UNIT_HELP else tables.STEPS
+    of_steps = "" if not known.step or key[1] in tables.UNIT_HELP else tables.STEP_UNIT_NOTE
     return markdown(f"3 {key[1]}", dimension_words(known.dim), tables.UNIT_HELP.get(key[1], ""), worth, rate, of_steps)
 
 
-def _make_typed_word_rule(table: Any, what: str, form: str) -> Rule:
-    def rule(key: Key) -> str | None:
+def _make_typed_word_rule(table: Any, what: str, form: str) -> HelpRule:
+    def rule(key: NameKey) -> str | None:
         return markdown(f"{key[1]}: {table[key[1]]}\n{form.format(key[1])}", what) if key[1] in table else None
 
     return rule
 
 
-def _make_word_rule(table: Mapping[str, tables.Word | KindOfThing], what: str, notation: str = "ant") -> Rule:
-    def rule(key: Key) -> str | None:
+def _make_word_rule(table: Mapping[str, tables.Word | KindOfThing], what: str, notation: str = "ant") -> HelpRule:
+    def rule(key: NameKey) -> str | None:
         row = table.get(key[1])
         return None if row is None else markdown(row.sample, row.help, what, notation=notation)
 
@@ -151,78 +151,78 @@ def describe_keyword(word: str, begins: bool) -> str | None:
         return markdown(tables.INNER_WORDS[word].sample, tables.INNER_WORDS[word].help) if word in tables.INNER_WORDS else None
     if word not in tables.FORM_HELP:
         return None
-    form = FORMS.get(word, "when touching(meal) take 1 load from meal -> carry" if word == "take" else word)
+    form = EXAMPLE_LINES.get(word, "when touching(meal) take 1 load from meal -> carry" if word == "take" else word)
     return markdown(form.replace("` or `", "\n"), tables.FORM_HELP[word])
 
 
-def _type_word(key: Key) -> str | None:
-    known = vocabulary.TYPE_WORDS.get(key[1])
+def _type_word(key: NameKey) -> str | None:
+    known = vocabulary.TYPE_BY_WORD.get(key[1])
     if known is None:
         return None
-    unit = default_unit(known) if isinstance(known, Dim) else ""
+    unit = default_unit(known) if isinstance(known, Dimension) else ""
     return markdown(
         f"behaviour mine(x: {key[1]}) -> push {{ … }}", f"numbers in `{unit}`" if unit else tables.TYPE_HELP[key[1]], "a type"
     )
 
 
-def _steered(key: Key) -> str | None:
+def _steered(key: NameKey) -> str | None:
     return markdown("state", "what the states of the animal steer")
 
 
-def _colour(key: Key) -> str | None:
-    red, green, blue = COLOURS[key[1]]
+def _colour(key: NameKey) -> str | None:
+    red, green, blue = COLOUR_BY_NAME[key[1]]
     return markdown(f'state rest "At rest" {key[1]} {{ … }}', f"a colour for states: {red}, {green}, {blue} of 255")
 
 
-LANGUAGE: dict[str, Rule] = {
+HELP_RULES: dict[str, HelpRule] = {
     "given": _describe_built_in, "builtin": _builtin, "builtin-argument": _builtin_argument, "word": _word, "unit": _unit,
     "steered": _steered, "event": _event, "element": _element,
-    "setting": _make_word_rule(tables.SETTINGS, "setting of a field"),
-    "kind": _make_word_rule(KINDS_OF_THINGS, "kind of thing of the world"), "type": _type_word,
-    "item-given": _make_typed_word_rule(vocabulary.ITEM_ATTRIBUTES, "every item has it", "nearest(food).{}"),
+    "setting": _make_word_rule(tables.SETTING_HELP, "setting of a field"),
+    "kind": _make_word_rule(KIND_BY_WORD, "kind of thing of the world"), "type": _type_word,
+    "item-given": _make_typed_word_rule(vocabulary.ITEM_ATTRIBUTE_TYPES, "every item has it", "nearest(food).{}"),
     "hit-given": _make_typed_word_rule(
-        vocabulary.HIT_ATTRIBUTES, "what a ray met has it", "ray(heading, reach: 20 mm, on: stones).{}"
+        vocabulary.HIT_ATTRIBUTE_TYPES, "what a ray met has it", "ray(heading, reach: 20 mm, on: stones).{}"
     ),
-    "motion": _make_typed_word_rule(MOTION, "how the crowd moves", "motion.{}"),
-    "geometry": _make_typed_word_rule(GEOMETRY, "how an animal's body stands: for specs", "any({} > 0)"),
+    "motion": _make_typed_word_rule(MOTION_MEASURES, "how the crowd moves", "motion.{}"),
+    "geometry": _make_typed_word_rule(GEOMETRY_MEASURES, "how an animal's body stands: for specs", "any({} > 0)"),
     "scene": _make_word_rule(tables.SCENE_KEYS, "key of a scene", "yaml"), "colour": _colour,
     "body": lambda key: markdown(key[1], "a clip, layer, channel or group of joints of the body that a scene gives the animal"),
 }  # fmt: skip
 # What a bare word may mean: in words, the table it stands in, and the rule that tells it.
-_MEANINGS: tuple[tuple[str, Collection[str], Rule], ...] = (
+_WORD_MEANINGS: tuple[tuple[str, Collection[str], HelpRule], ...] = (
     ("begins a line", tables.FORM_HELP, lambda key: describe_keyword(key[1], True)),
     ("inside a line", tables.INNER_WORDS, lambda key: describe_keyword(key[1], False)),
-    ("a call", vocabulary.BUILTINS, _called),
-    ("of a set", vocabulary.REDUCERS, _reducer),
+    ("a call", vocabulary.BUILTINS_BY_NAME, _called),
+    ("of a set", vocabulary.REDUCER_HELP, _reducer),
     ("of all agents, in a spec", tables.WHOLES, _describe_form),
-    ("every animal has it", vocabulary.BUILTIN_ATTRIBUTES, _describe_built_in),
+    ("every animal has it", vocabulary.BUILTIN_ATTRIBUTE_BY_NAME, _describe_built_in),
     ("a value", {**tables.WORDS_OF_STATES, **tables.VALUES}, _word),
-    ("a unit", vocabulary.UNITS, _unit),
-    ("kind of thing of the world", KINDS_OF_THINGS, LANGUAGE["kind"]),
-    ("setting of a field", tables.SETTINGS, LANGUAGE["setting"]),
-    ("a type", vocabulary.TYPE_WORDS, _type_word),
-    ("what a ray met has it", vocabulary.HIT_ATTRIBUTES, LANGUAGE["hit-given"]),
-    ("every item has it", vocabulary.ITEM_ATTRIBUTES, LANGUAGE["item-given"]),
-    ("how the crowd moves", MOTION, LANGUAGE["motion"]),
-    ("how an animal's body stands: for specs", GEOMETRY, LANGUAGE["geometry"]),
-    ("key of a scene", tables.SCENE_KEYS, LANGUAGE["scene"]),
-    ("a colour", COLOURS, _colour),
-    ("an event", EVENTS, _event),
+    ("a unit", vocabulary.UNIT_BY_NAME, _unit),
+    ("kind of thing of the world", KIND_BY_WORD, HELP_RULES["kind"]),
+    ("setting of a field", tables.SETTING_HELP, HELP_RULES["setting"]),
+    ("a type", vocabulary.TYPE_BY_WORD, _type_word),
+    ("what a ray met has it", vocabulary.HIT_ATTRIBUTE_TYPES, HELP_RULES["hit-given"]),
+    ("every item has it", vocabulary.ITEM_ATTRIBUTE_TYPES, HELP_RULES["item-given"]),
+    ("how the crowd moves", MOTION_MEASURES, HELP_RULES["motion"]),
+    ("how an animal's body stands: for specs", GEOMETRY_MEASURES, HELP_RULES["geometry"]),
+    ("key of a scene", tables.SCENE_KEYS, HELP_RULES["scene"]),
+    ("a colour", COLOUR_BY_NAME, _colour),
+    ("an event", BUILTIN_EVENTS, _event),
 )
 
 
 def words() -> set[str]:
     """Return all words that `about` knows. Of units, compound ones are left out."""
     own = {word for _, node in _library() for word in (node.name.text, *(argument.name.text for argument in node.arguments))}
-    arguments = {arg.name for rows in vocabulary.BUILTINS.values() for row in rows for arg in row.args}
-    meant = {word for _, table, _ in _MEANINGS for word in table}
-    return {*meant, *own, *arguments, *library_names(), *vocabulary.RESERVED}
+    arguments = {arg.name for rows in vocabulary.BUILTINS_BY_NAME.values() for row in rows for arg in row.args}
+    meant = {word for _, table, _ in _WORD_MEANINGS for word in table}
+    return {*meant, *own, *arguments, *library_names(), *vocabulary.RESERVED_WORDS}
 
 
 def explain_word(word: str) -> str | None:
     """Return all meanings of a word of the language, of a scene or of the library, as Markdown, each separate; None for an
     unknown word. A unit may be compound, and have a number before it."""
-    meanings = [(title, rule(("", word))) for title, table, rule in _MEANINGS if word in table]
+    meanings = [(title, rule(("", word))) for title, table, rule in _WORD_MEANINGS if word in table]
     unit = word.lstrip("0123456789. ")
     if not meanings and (known := _unit(("unit", unit))):
         meanings, word = [("a unit", known)], unit
@@ -237,25 +237,25 @@ def explain_word(word: str) -> str | None:
         names = ", ".join(f"`{node.name.text}`" for brings, node in _library() if brings == word)
         meanings.append(("a library", markdown(f"use {word}", f"the library: {names}")))
     said = [(title, text) for title, text in meanings if text]
-    if not said and word in vocabulary.RESERVED:
+    if not said and word in vocabulary.RESERVED_WORDS:
         said = [("", "a word of the language that does not work yet")]
     if not said:
         return None
     if len(said) == 1:
         return f"# {word}\n\n{said[0][1]}\n"
-    parts = (f"## {title}\n\n{text.removesuffix(f'{_GAP}{title}')}" for title, text in said)
+    parts = (f"## {title}\n\n{text.removesuffix(f'{_PARAGRAPH_BREAK}{title}')}" for title, text in said)
     return f"# {word}\n\n" + "\n\n".join(parts) + "\n"
 
 
-_GAP = "\n\n"
+_PARAGRAPH_BREAK = "\n\n"
 
 
 def _arguments(word: str) -> Iterator[str]:
     """What takes an argument of that name."""
-    for called, rows in vocabulary.BUILTINS.items():
+    for called, rows in vocabulary.BUILTINS_BY_NAME.items():
         for row in rows:
             if any(arg.name == word for arg in row.args):
-                yield markdown(f"{builtin_form(called, row)}\n{samples.CALL_FORMS[called]}", f"argument of `{called}`")
+                yield markdown(f"{builtin_form(called, row)}\n{samples.CALL_SAMPLES[called]}", f"argument of `{called}`")
     if word in tables.PLAY_HELP:
         yield markdown(f"play CLIP({word}: …)\n{tables.PLAY_HELP[word]}", "argument of `play`")
     for _, node in _library():

@@ -8,29 +8,37 @@ from pathlib import Path
 from typing import Any
 
 from antdsl.bounded import real_path
-from antdsl.program.expectations import MOTION
-from antdsl.program.names.bindings import Bindings, Key
+from antdsl.program.expectations import MOTION_MEASURES
+from antdsl.program.names.bindings import NameBindings, NameKey
 from antdsl.program.names.declared import Declaration, declarations
-from antdsl.program.tables.effects import EFFECTS
-from antdsl.program.tables.vocabulary import BUILTIN_ATTRIBUTES, BUILTINS, REDUCERS, RUN_NAMES, SENSED_NAMES
+from antdsl.program.tables.effects import EFFECT_BY_OPERATION
+from antdsl.program.tables.vocabulary import (
+    BUILTIN_ATTRIBUTE_BY_NAME,
+    BUILTINS_BY_NAME,
+    REDUCER_HELP,
+    RUN_VALUE_TYPES,
+    SENSE_TYPE_BY_NAME,
+)
 from antdsl.program.traverse import written_nodes
-from antdsl.program.types.aggregates import WHOLES
+from antdsl.program.types.aggregates import AGGREGATE_WORDS
 from antdsl.program.types.states import STATE_WORDS
 from antdsl.resources import library_file
 from antdsl.source import Span
 from antdsl.syntax import nodes
-from antdsl.syntax.words import WORD_SETTINGS
+from antdsl.syntax.words import WORD_SETTING_VALUES
 
-_WORDS = frozenset({*RUN_NAMES, *SENSED_NAMES, *STATE_WORDS, "self", "true", "false", "it", "at_start", "motion"})
-_CALLED = frozenset({*BUILTINS, *REDUCERS, *WHOLES, "at_start"})
+_LANGUAGE_WORDS = frozenset(
+    {*RUN_VALUE_TYPES, *SENSE_TYPE_BY_NAME, *STATE_WORDS, "self", "true", "false", "it", "at_start", "motion"}
+)
+_CALLED_WORDS = frozenset({*BUILTINS_BY_NAME, *REDUCER_HELP, *AGGREGATE_WORDS, "at_start"})
 
 
 @dataclass(frozen=True, slots=True)
-class Occurrence:
+class NameOccurrence:
     """A name in the text. A word with two meanings, as in `take 1 load from meal`, has two occurrences."""
 
     span: Span
-    key: Key
+    key: NameKey
     declares: bool = False
 
 
@@ -45,7 +53,7 @@ class SpeciesTable:
 
 
 @dataclass(slots=True)
-class Names:
+class ProgramNames:
     """The declarations of one file, by key and by kind. `libraries` are the files that `use` names."""
 
     path: Path
@@ -57,13 +65,13 @@ class Names:
     libraries: dict[str, Path] = field(default_factory=dict)
     modules: dict[str, Path] = field(default_factory=dict)
     events: dict[str, nodes.Name] = field(default_factory=dict)
-    declared: dict[Key, Declaration] = field(default_factory=dict)
-    declaration_keys: dict[Span, Key] = field(default_factory=dict)  # where names are declared, again ones too
+    declared: dict[NameKey, Declaration] = field(default_factory=dict)
+    declaration_keys: dict[Span, NameKey] = field(default_factory=dict)  # where names are declared, again ones too
 
 
-def names_of(path: Path, file: nodes.File) -> Names:
+def names_of(path: Path, file: nodes.File) -> ProgramNames:
     """Return the tables of a file. If a name is declared twice, the first declaration counts, as for the checker."""
-    names = Names(path, file)
+    names = ProgramNames(path, file)
     for each in declarations(file):
         names.declared.setdefault(each.key, each)
         kind, *_, last = each.key
@@ -95,57 +103,57 @@ def names_of(path: Path, file: nodes.File) -> Names:
 # --- every name ------------------------------------------------------------------------------------------------------
 
 
-def occurrences(names: Names, bindings: Bindings) -> list[Occurrence]:
+def occurrences(names: ProgramNames, bindings: NameBindings) -> list[NameOccurrence]:
     """Return every name of a file: declared there, bound by the checker, or a word of the language by its position.
 
     If the checker did not resolve or did not reach a name, its kind begins with `?`."""
-    bound: dict[Span, dict[Key, None]] = {}
+    bound: dict[Span, dict[NameKey, None]] = {}
     for span, declared in bindings.uses:
         key = names.declaration_keys.get(declared) or _element_key(names, declared) if isinstance(declared, Span) else declared
         bound.setdefault(span, {})[key] = None
-    index = _Index(names, bound)
+    index = _OccurrenceIndexer(names, bound)
     for item in names.file.items:
         index.visit(item)
     return index.found
 
 
-def _element_key(names: Names, declared: Span) -> Key:
+def _element_key(names: ProgramNames, declared: Span) -> NameKey:
     """Return the key of a symbol that is visible in one expression or handler only. Its name is unique only together with its
     position."""
     return ("element", str(names.file.file_span(declared).start), declared.text)
 
 
 @dataclass(slots=True)
-class _Index:
+class _OccurrenceIndexer:
     """One walk over a file. `meant`: the meaning of a word at a position that is neither declared there nor bound, and whether
     the word is a declaration."""
 
-    names: Names
-    bound: dict[Span, dict[Key, None]]
-    meant: dict[Span, tuple[Key, bool] | None] = field(default_factory=dict)
-    found: list[Occurrence] = field(default_factory=list)
+    names: ProgramNames
+    bound: dict[Span, dict[NameKey, None]]
+    meant: dict[Span, tuple[NameKey, bool] | None] = field(default_factory=dict)
+    found: list[NameOccurrence] = field(default_factory=list)
 
     def visit(self, item: nodes.TopItem) -> None:
         for part, _ in written_nodes(item):
             if isinstance(part, nodes.Name):
                 self.name(part, item)
-            elif type(part) in _BY_PLACE:
-                for field_name, kind in _BY_PLACE[type(part)]:
+            elif type(part) in _KINDS_BY_NODE_TYPE:
+                for field_name, kind in _KINDS_BY_NODE_TYPE[type(part)]:
                     self.mark_by_position(getattr(part, field_name), kind)
-            if type(part) in _RULES:
-                _RULES[type(part)](self, part)
+            if type(part) in _MARKERS_BY_NODE_TYPE:
+                _MARKERS_BY_NODE_TYPE[type(part)](self, part)
 
     def name(self, name: nodes.Name, item: nodes.TopItem) -> None:
         span = Span(name.span.source, name.span.start, name.span.start + len(name.text))  # without the colon of an argument
         declared = self.names.declaration_keys.get(name.span)
         if declared is not None:
-            self.found.append(Occurrence(span, declared, True))
+            self.found.append(NameOccurrence(span, declared, True))
         elif name.span in self.bound:
-            self.found += [Occurrence(span, key) for key in self.bound[name.span]]
+            self.found += [NameOccurrence(span, key) for key in self.bound[name.span]]
         elif (meant := self.meant.get(name.span)) is not None:
-            self.found.append(Occurrence(span, self.resolve_nearby(meant[0], item), meant[1]))
+            self.found.append(NameOccurrence(span, self.resolve_nearby(meant[0], item), meant[1]))
 
-    def resolve_nearby(self, key: Key, item: nodes.TopItem) -> Key:
+    def resolve_nearby(self, key: NameKey, item: nodes.TopItem) -> NameKey:
         """Return the key of a name that the checker did not reach: the name of that kind in the enclosing behaviour or species,
         if there is one."""
         if key[0] in ("?", "?state") and isinstance(item, (nodes.Behaviour, nodes.Species)):
@@ -163,7 +171,7 @@ class _Index:
 
     def text(self, text: object, kind: str = "file") -> None:
         if isinstance(text, nodes.Text):
-            self.found.append(Occurrence(text.span, (kind, str(real_path(self.names.path.parent.joinpath(text.text))))))
+            self.found.append(NameOccurrence(text.span, (kind, str(real_path(self.names.path.parent.joinpath(text.text))))))
 
     def use(self, node: nodes.Use) -> None:
         if node.alias is not None:
@@ -176,10 +184,10 @@ class _Index:
         self.text(node.target)
 
     def quantity(self, node: nodes.Quantity) -> None:
-        self.found.append(Occurrence(node.unit_span, ("unit", node.unit)))
+        self.found.append(NameOccurrence(node.unit_span, ("unit", node.unit)))
 
     def setting(self, node: nodes.Setting) -> None:
-        if node.name.text in WORD_SETTINGS:
+        if node.name.text in WORD_SETTING_VALUES:
             self.meant[node.value.span] = None  # `add`, `first` and so on are no names there
 
     def target(self, node: nodes.Target) -> None:
@@ -206,10 +214,12 @@ class _Index:
 
     def reference(self, node: nodes.NameRef) -> None:
         name = node.name.text
-        self.mark_by_position(node.name, "given" if name in BUILTIN_ATTRIBUTES else "word" if name in _WORDS else "?")
+        self.mark_by_position(
+            node.name, "given" if name in BUILTIN_ATTRIBUTE_BY_NAME else "word" if name in _LANGUAGE_WORDS else "?"
+        )
 
     def member(self, node: nodes.Member) -> None:
-        motion = isinstance(node.owner, nodes.NameRef) and node.owner.name.text == "motion" and node.name.text in MOTION
+        motion = isinstance(node.owner, nodes.NameRef) and node.owner.name.text == "motion" and node.name.text in MOTION_MEASURES
         self.mark_by_position(node.name, "motion" if motion else "word" if node.name.text in STATE_WORDS else "?member")
 
     def call(self, node: nodes.Call) -> None:
@@ -217,11 +227,11 @@ class _Index:
         called = function.name.text if isinstance(function, (nodes.NameRef, nodes.Member)) else ""
         if isinstance(function, (nodes.NameRef, nodes.Member)):
             bare = isinstance(function, nodes.NameRef)
-            self.mark_by_position(function.name, "builtin" if bare and called in _CALLED else "?behaviour")
+            self.mark_by_position(function.name, "builtin" if bare and called in _CALLED_WORDS else "?behaviour")
         self.arguments(called, node)
 
     def ask(self, node: nodes.Ask) -> None:
-        row = EFFECTS.get(node.verb)
+        row = EFFECT_BY_OPERATION.get(node.verb)
         if row is not None and row.target:
             kind = row.target if row.target in ("field", "event", "species") else "thing"
             self.mark_by_position(node.name, kind)
@@ -236,7 +246,7 @@ class _Index:
 
 
 # Names of which the place in the tree says what they are, or what they are looked for as: by node and field.
-_BY_PLACE: dict[type, tuple[tuple[str, str], ...]] = {
+_KINDS_BY_NODE_TYPE: dict[type, tuple[tuple[str, str], ...]] = {
     nodes.TypeName: (("name", "type"), ("of", "?")), nodes.WorldItem: (("kind", "kind"),), nodes.Setting: (("name", "setting"),),
     nodes.AnimalProperty: (("name", "given"),), nodes.Use: (("library", "library"),), nodes.NoneOf: (("of", "?"),),
     nodes.State: (("colour", "colour"),), nodes.FieldDecl: (("surfaces", "thing"),),
@@ -244,10 +254,13 @@ _BY_PLACE: dict[type, tuple[tuple[str, str], ...]] = {
     nodes.Start: (("state", "?state"),), nodes.Target: (("name", "?state"),), nodes.Weight: (("target", "?state"),),
     nodes.Change: (("any_except", "?state"),),
 }  # fmt: skip
-_RULES: dict[type, Callable[[_Index, Any], None]] = {
-    nodes.Use: _Index.use, nodes.Spec: _Index.spec, nodes.SpecLine: _Index.spec_line, nodes.Quantity: _Index.quantity,
-    nodes.Setting: _Index.setting, nodes.Layer: _Index.layer, nodes.On: _Index.handler, nodes.NameRef: _Index.reference,
-    nodes.Comprehension: _Index.comprehension, nodes.IndexAll: _Index.each_of, nodes.Member: _Index.member,
-    nodes.Call: _Index.call,
-    nodes.Ask: _Index.ask, nodes.Target: _Index.target,
+_MARKERS_BY_NODE_TYPE: dict[type, Callable[[_OccurrenceIndexer, Any], None]] = {
+    nodes.Use: _OccurrenceIndexer.use, nodes.Spec: _OccurrenceIndexer.spec, nodes.SpecLine: _OccurrenceIndexer.spec_line,
+    nodes.Quantity: _OccurrenceIndexer.quantity,
+    nodes.Setting: _OccurrenceIndexer.setting, nodes.Layer: _OccurrenceIndexer.layer, nodes.On: _OccurrenceIndexer.handler,
+    nodes.NameRef: _OccurrenceIndexer.reference,
+    nodes.Comprehension: _OccurrenceIndexer.comprehension, nodes.IndexAll: _OccurrenceIndexer.each_of,
+    nodes.Member: _OccurrenceIndexer.member,
+    nodes.Call: _OccurrenceIndexer.call,
+    nodes.Ask: _OccurrenceIndexer.ask, nodes.Target: _OccurrenceIndexer.target,
 }  # fmt: skip

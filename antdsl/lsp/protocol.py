@@ -7,22 +7,22 @@ from pathlib import Path
 from lsprotocol import types as lsp
 
 from antdsl.diagnostics import Diagnostic
-from antdsl.lsp.features.actions import Action
-from antdsl.lsp.features.hints import Hint
-from antdsl.lsp.features.outline import Fold, Symbol
-from antdsl.lsp.features.proposals import Item
-from antdsl.lsp.text import Edit, Range, uri_of
-from antdsl.lsp.workspace import Document, Workspace
+from antdsl.lsp.features.actions import QuickFix
+from antdsl.lsp.features.hints import InlayHint
+from antdsl.lsp.features.outline import FoldedRange, OutlineSymbol
+from antdsl.lsp.features.proposals import CompletionItem
+from antdsl.lsp.text import TextEdit, TextRange, uri_of
+from antdsl.lsp.workspace import OpenDocument, Workspace
 
-SOURCE = "antdsl"
-_SYMBOLS = {
+DIAGNOSTIC_SOURCE = "antdsl"
+_SYMBOL_KINDS = {
     "species": lsp.SymbolKind.Class, "state": lsp.SymbolKind.EnumMember, "behaviour": lsp.SymbolKind.Function,
     "param": lsp.SymbolKind.Constant, "attribute": lsp.SymbolKind.Property, "value": lsp.SymbolKind.Variable,
     "machine": lsp.SymbolKind.Enum, "layers": lsp.SymbolKind.Array, "field": lsp.SymbolKind.Field, "thing": lsp.SymbolKind.Object,
     "world": lsp.SymbolKind.Namespace, "spec": lsp.SymbolKind.Method, "event": lsp.SymbolKind.Event, "key": lsp.SymbolKind.Key,
     "file": lsp.SymbolKind.File,
 }  # fmt: skip
-_ITEMS = {
+_COMPLETION_KINDS = {
     "keyword": lsp.CompletionItemKind.Keyword, "state": lsp.CompletionItemKind.EnumMember, "unit": lsp.CompletionItemKind.Unit,
     "function": lsp.CompletionItemKind.Function, "argument": lsp.CompletionItemKind.Field,
     "variable": lsp.CompletionItemKind.Variable, "property": lsp.CompletionItemKind.Property,
@@ -31,12 +31,12 @@ _ITEMS = {
 }  # fmt: skip
 
 
-def range_of(range: Range) -> lsp.Range:
+def range_of(range: TextRange) -> lsp.Range:
     (line, column), (end_line, end_column) = range
     return lsp.Range(lsp.Position(line, column), lsp.Position(end_line, end_column))
 
 
-def diagnostic(workspace: Workspace, document: Document, complaint: Diagnostic) -> lsp.Diagnostic:
+def diagnostic(workspace: Workspace, document: OpenDocument, complaint: Diagnostic) -> lsp.Diagnostic:
     """Return a finding in the protocol's form: its message with the help, its code, and the related locations."""
     related = []
     for label in complaint.labels:
@@ -52,18 +52,18 @@ def diagnostic(workspace: Workspace, document: Document, complaint: Diagnostic) 
         complaint.message + (f"\n{complaint.help}" if complaint.help else ""),
         severity,
         complaint.code,
-        source=SOURCE,
+        source=DIAGNOSTIC_SOURCE,
         related_information=related or None,
         tags=[lsp.DiagnosticTag.Unnecessary] if idle else None,
     )
 
 
-def item(proposal: Item, snippets: bool) -> lsp.CompletionItem:
+def item(proposal: CompletionItem, snippets: bool) -> lsp.CompletionItem:
     snippet = proposal.snippet and snippets
     insert = proposal.insert if proposal.insert and (snippet or not proposal.snippet) else None
     return lsp.CompletionItem(
         proposal.label,
-        kind=_ITEMS[proposal.kind],
+        kind=_COMPLETION_KINDS[proposal.kind],
         detail=proposal.detail or None,
         documentation=lsp.MarkupContent(lsp.MarkupKind.Markdown, proposal.help) if proposal.help else None,
         insert_text=insert,
@@ -71,12 +71,12 @@ def item(proposal: Item, snippets: bool) -> lsp.CompletionItem:
     )
 
 
-def symbol(document: Document, entry: Symbol) -> lsp.DocumentSymbol:
+def symbol(document: OpenDocument, entry: OutlineSymbol) -> lsp.DocumentSymbol:
     name = document.range(entry.name_span)
     full_range = document.range(entry.span)
     return lsp.DocumentSymbol(
         entry.name or "…",
-        _SYMBOLS[entry.kind],
+        _SYMBOL_KINDS[entry.kind],
         range_of((min(full_range[0], name[0]), max(full_range[1], name[1]))),
         range_of(name),
         entry.detail or None,
@@ -84,12 +84,12 @@ def symbol(document: Document, entry: Symbol) -> lsp.DocumentSymbol:
     )
 
 
-def fold(region: Fold) -> lsp.FoldingRange:
+def fold(region: FoldedRange) -> lsp.FoldingRange:
     kind = lsp.FoldingRangeKind.Comment if region.comment else lsp.FoldingRangeKind.Region
     return lsp.FoldingRange(region.first, region.last, kind=kind)
 
 
-def hint(document: Document, inlay: Hint) -> lsp.InlayHint:
+def hint(document: OpenDocument, inlay: InlayHint) -> lsp.InlayHint:
     start, end = document.range(inlay.span)
     line, column = start if inlay.is_before else end
     return lsp.InlayHint(
@@ -101,7 +101,7 @@ def hint(document: Document, inlay: Hint) -> lsp.InlayHint:
     )
 
 
-def text_edits(document: Document, edits: list[Edit]) -> list[lsp.TextEdit]:
+def text_edits(document: OpenDocument, edits: list[TextEdit]) -> list[lsp.TextEdit]:
     return [lsp.TextEdit(range_of(document.text.range(each.start, each.end)), each.text) for each in edits]
 
 
@@ -109,7 +109,7 @@ def changes(edits: dict[Path, list[lsp.TextEdit]], uris: dict[Path, str]) -> lsp
     return lsp.WorkspaceEdit(changes={uris.get(path, uri_of(path)): each for path, each in edits.items()})
 
 
-def action(workspace: Workspace, document: Document, fix: Action, uri: str) -> lsp.CodeAction:
+def action(workspace: Workspace, document: OpenDocument, fix: QuickFix, uri: str) -> lsp.CodeAction:
     return lsp.CodeAction(
         fix.title,
         kind=lsp.CodeActionKind.QuickFix,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from antdsl.program.tables import senses, set_senses
 
-_PLAIN_FORMS = {
+_PLAIN_CALL_SAMPLES = {
     "abs": "abs(load - 1)",
     "clamp": "clamp(speed, 5 mm/s .. 20 mm/s)",
     "floor": "floor(load)",
@@ -35,12 +35,12 @@ _PLAIN_FORMS = {
     "falling": "falling(distance(nearest(food)), 0 mm .. 40 mm)",
     "around": "around(load, 0 .. 1)",
 }
-CALL_FORMS = {
-    **_PLAIN_FORMS,
+CALL_SAMPLES = {
+    **_PLAIN_CALL_SAMPLES,
     **{row.name: row.sample for row in senses.find_words("call") if row.sample},
-    **{row.op: row.sample for row in set_senses.SET_SENSES.values()},
+    **{row.op: row.sample for row in set_senses.SET_SENSE_BY_OPERATION.values()},
 }
-SET_FORMS = {
+SET_QUERY_SAMPLES = {
     "sum": "sum(n in neighbours(20 mm): n.load)",
     "mean": "mean(n in neighbours(20 mm): n.velocity)",
     "min": "min(n in neighbours(20 mm): distance(n))",

@@ -6,19 +6,19 @@ import re
 from collections.abc import Iterator
 from typing import Any
 
-from antdsl.lsp.features.proposals import Item
+from antdsl.lsp.features.proposals import CompletionItem
 from antdsl.lsp.language import help_text
 from antdsl.lsp.words import scene_key_help
-from antdsl.lsp.workspace import Document, Workspace
+from antdsl.lsp.workspace import OpenDocument, Workspace
 from antdsl.program.names.declared import declaration
 from antdsl.program.tables.columns import ATTRIBUTES
-from antdsl.program.tables.things import KINDS_OF_THINGS, WITH_FACES
+from antdsl.program.tables.things import KIND_BY_WORD, WITH_FACES
 from antdsl.scene import model
 from antdsl.scene.thing_models import ItemThing
 from antdsl.syntax import nodes
-from antdsl.syntax.words import FIELD_SETTINGS, FIXED_SETTINGS
+from antdsl.syntax.words import FIELD_SETTING_WORDS, FIXED_FIELD_SETTINGS
 
-_KEY = re.compile(r"^(\s*)(?:- )?([A-Za-z_.][A-Za-z_0-9.]*):")
+_KEY_PATTERN = re.compile(r"^(\s*)(?:- )?([A-Za-z_.][A-Za-z_0-9.]*):")
 
 
 def path_at(text: str, offset: int) -> tuple[tuple[str, ...], str]:
@@ -31,7 +31,7 @@ def path_at(text: str, offset: int) -> tuple[tuple[str, ...], str]:
     level = indent if line.strip() else 10**9 if indent else 0
     level = indent
     for earlier in reversed(text[:begin].splitlines()):
-        match = _KEY.match(earlier)
+        match = _KEY_PATTERN.match(earlier)
         if match is None or earlier.lstrip().startswith("#"):
             continue
         depth = len(match.group(1))
@@ -60,7 +60,7 @@ def _open_keys(line: str) -> list[str]:
     return [each for each in stack if each] + ([first.group(1) + ":"] if first is not None and not stack else [])
 
 
-def complete_scene(workspace: Workspace, document: Document, offset: int) -> list[Item]:
+def complete_scene(workspace: Workspace, document: OpenDocument, offset: int) -> list[CompletionItem]:
     """The proposals at an offset of a scene."""
     path, line = path_at(document.text.text, offset)
     value = re.search(r"([A-Za-z_.][A-Za-z_0-9.]*):\s*[A-Za-z_0-9./]*$", line)
@@ -72,14 +72,14 @@ def complete_scene(workspace: Workspace, document: Document, offset: int) -> lis
     return list(_keys(workspace, document, tuple(part for part in path if not part.endswith(":")), line))
 
 
-def _crowd_programs(workspace: Workspace, document: Document) -> Iterator[Document]:
+def _crowd_programs(workspace: Workspace, document: OpenDocument) -> Iterator[OpenDocument]:
     for path in workspace.linked_files(document.path):
         other = workspace.document(path)
         if other is not None and other.is_program:
             yield other
 
 
-def _keys(workspace: Workspace, document: Document, path: tuple[str, ...], line: str) -> Iterator[Item]:
+def _keys(workspace: Workspace, document: OpenDocument, path: tuple[str, ...], line: str) -> Iterator[CompletionItem]:
     if not path and not line.lstrip().startswith("-"):
         yield from _fields(model.SceneModel)
     elif path[:1] == ("world",):
@@ -88,53 +88,53 @@ def _keys(workspace: Workspace, document: Document, path: tuple[str, ...], line:
         yield from _settings(workspace, document)
     elif path == ("fields",):
         yield from (
-            Item(name, "property", "field", "", f"{name}: ")
+            CompletionItem(name, "property", "field", "", f"{name}: ")
             for p in _crowd_programs(workspace, document)
             for name in p.names.fields
         )
     elif path == ("layers",):
         yield from (
-            Item(name, "property", "species", "", f"{name}: ")
+            CompletionItem(name, "property", "species", "", f"{name}: ")
             for p in _crowd_programs(workspace, document)
             for name in p.names.species
         )
     elif path[:1] == ("fields",):
         yield from _fields(model.FieldStart)
     elif path == ("output", "attributes"):
-        yield from (Item(name, "property", "attribute of a frame") for name in ATTRIBUTES)
+        yield from (CompletionItem(name, "property", "attribute of a frame") for name in ATTRIBUTES)
     else:
         part_model = next((model.PARTS[part] for part in reversed(path) if part in model.PARTS), None)
         if part_model is not None:
             yield from _fields(part_model)
 
 
-def _fields(part: type[model.Part]) -> Iterator[Item]:
+def _fields(part: type[model.Part]) -> Iterator[CompletionItem]:
     for name, field in part.model_fields.items():
         key = field.alias or name
-        yield Item(key, "property", "must be given" if field.is_required() else "", scene_key_help(key), f"{key}: ")
+        yield CompletionItem(key, "property", "must be given" if field.is_required() else "", scene_key_help(key), f"{key}: ")
 
 
-def _world(workspace: Workspace, document: Document, path: tuple[str, ...]) -> Iterator[Item]:
+def _world(workspace: Workspace, document: OpenDocument, path: tuple[str, ...]) -> Iterator[CompletionItem]:
     things = {name: item for each in _crowd_programs(workspace, document) for name, item in each.names.things.items()}
     if len(path) == 1:
         for name, item in things.items():
-            form = KINDS_OF_THINGS[item.kind.text].snippet if item.kind.text in KINDS_OF_THINGS else ""
-            yield Item(name, "thing", item.kind.text, help_text(item), f"{name}: {form}", bool(form))
+            form = KIND_BY_WORD[item.kind.text].snippet if item.kind.text in KIND_BY_WORD else ""
+            yield CompletionItem(name, "thing", item.kind.text, help_text(item), f"{name}: {form}", bool(form))
         return
     thing = things.get(path[1])
     if thing is not None and thing.kind.text == "items":
         if len(path) > 2:
             yield from _fields(ItemThing)
             for each in thing.attributes:
-                yield Item(each.name.text, "property", f"value of {path[1]}", "", f"{each.name.text}: ")
+                yield CompletionItem(each.name.text, "property", f"value of {path[1]}", "", f"{each.name.text}: ")
         return
     for head, part in model.THING_MODELS.items():
-        yield Item(head, "property", "says what it is", scene_key_help(head), f"{head}: ")
+        yield CompletionItem(head, "property", "says what it is", scene_key_help(head), f"{head}: ")
         if head == "mesh":
             yield from _fields(part)
 
 
-def _settings(workspace: Workspace, document: Document) -> Iterator[Item]:
+def _settings(workspace: Workspace, document: OpenDocument) -> Iterator[CompletionItem]:
     for program in _crowd_programs(workspace, document):
         for species, table in program.names.species.items():
             for name, member in table.own.items():
@@ -143,30 +143,30 @@ def _settings(workspace: Workspace, document: Document) -> Iterator[Item]:
                     value = " ".join(node.value.span.text.split())
                     bounds = f" in {' '.join(node.range.span.text.split())}" if node.range is not None else ""
                     help = help_text(node)
-                    yield Item(f"{species}.{name}", "property", f"{value}{bounds}", help, f"{species}.{name}: {value}")
+                    yield CompletionItem(f"{species}.{name}", "property", f"{value}{bounds}", help, f"{species}.{name}: {value}")
         for name, field in program.names.fields.items():
             for setting in field.settings:
-                if setting.name.text in FIELD_SETTINGS and setting.name.text not in FIXED_SETTINGS:
+                if setting.name.text in FIELD_SETTING_WORDS and setting.name.text not in FIXED_FIELD_SETTINGS:
                     word, value = setting.name.text, setting.value.span.text
-                    yield Item(f"{name}.{word}", "property", value, "setting of a field", f"{name}.{word}: {value}")
+                    yield CompletionItem(f"{name}.{word}", "property", value, "setting of a field", f"{name}.{word}: {value}")
 
 
-def _values(workspace: Workspace, document: Document, key: str, path: tuple[str, ...]) -> Iterator[Item]:
+def _values(workspace: Workspace, document: OpenDocument, key: str, path: tuple[str, ...]) -> Iterator[CompletionItem]:
     things: dict[str, Any] = {n: i for each in _crowd_programs(workspace, document) for n, i in each.names.things.items()}
     if key == "species":
         for each in _crowd_programs(workspace, document):
-            yield from (Item(n, "thing", "species") for n, t in each.names.species.items() if t.node is not None)
+            yield from (CompletionItem(n, "thing", "species") for n, t in each.names.species.items() if t.node is not None)
     elif key in ("from", "extends"):
         suffix = (".ant",) if key == "from" and "crowd" in path else (".yaml", ".yml")
         for file in workspace.files():
             if file.suffix in suffix and file.is_relative_to(document.path.parent) and file != document.path:
-                yield Item(file.relative_to(document.path.parent).as_posix(), "file")
+                yield CompletionItem(file.relative_to(document.path.parent).as_posix(), "file")
     elif key in ("units", "up"):
-        yield from (Item(word, "unit") for word in (("mm", "cm", "m") if key == "units" else ("x", "y", "z")))
+        yield from (CompletionItem(word, "unit") for word in (("mm", "cm", "m") if key == "units" else ("x", "y", "z")))
     elif key in ("on", "border"):
-        yield from (Item(n, "thing", i.kind.text) for n, i in things.items() if i.kind.text in WITH_FACES)
+        yield from (CompletionItem(n, "thing", i.kind.text) for n, i in things.items() if i.kind.text in WITH_FACES)
     elif key in ("around", "toward", "away", "solved"):
-        yield from (Item(n, "thing", i.kind.text) for n, i in things.items() if i.kind.text in ("items", "curve"))
-        yield from (Item(name, "thing", "item") for name in document.scene.items)
+        yield from (CompletionItem(n, "thing", i.kind.text) for n, i in things.items() if i.kind.text in ("items", "curve"))
+        yield from (CompletionItem(name, "thing", "item") for name in document.scene.items)
     elif key == "density":
-        yield from (Item(n, "thing", "map") for n, i in things.items() if i.kind.text == "map")
+        yield from (CompletionItem(n, "thing", "map") for n, i in things.items() if i.kind.text == "map")

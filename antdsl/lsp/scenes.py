@@ -8,18 +8,18 @@ from pathlib import Path
 from typing import Any
 
 from antdsl.bounded import real_path
-from antdsl.lsp.names import Occurrence
-from antdsl.program.names.bindings import Key
-from antdsl.program.tables.vocabulary import ITEM_ATTRIBUTES
-from antdsl.scene.document import MappingNode, Node, ScalarNode, SequenceNode, read_document
+from antdsl.lsp.names import NameOccurrence
+from antdsl.program.names.bindings import NameKey
+from antdsl.program.tables.vocabulary import ITEM_ATTRIBUTE_TYPES
+from antdsl.scene.document import DocumentNode, MappingNode, ScalarNode, SequenceNode, read_document
 from antdsl.scene.model import FILE_HEADS
 from antdsl.scene.thing_models import ItemThing
 from antdsl.source import Source, Span
-from antdsl.syntax.words import FIELD_SETTINGS
+from antdsl.syntax.words import FIELD_SETTING_WORDS
 
-_WORD = re.compile(r"[a-z][a-z_0-9]*")
+_NAME_PATTERN = re.compile(r"[a-z][a-z_0-9]*")
 # Keys with values that name a thing or an item, perhaps one of the scene that this one extends.
-_NAMING = frozenset(("on", "around", "toward", "away", "border", "solved", "density"))
+_NAMING_KEYS = frozenset(("on", "around", "toward", "away", "border", "solved", "density"))
 
 
 @dataclass(slots=True)
@@ -28,13 +28,13 @@ class SceneIndex:
 
     path: Path
     document: MappingNode | None
-    occurrences: list[Occurrence] = field(default_factory=list)
+    occurrences: list[NameOccurrence] = field(default_factory=list)
     files: list[Path] = field(default_factory=list)
     fps: str | None = None
     items: dict[str, Span] = field(default_factory=dict)  # names that this scene gives to single items
 
-    def add_occurrence(self, span: Span, key: Key, declares: bool = False) -> None:
-        self.occurrences.append(Occurrence(span, key, declares))
+    def add_occurrence(self, span: Span, key: NameKey, declares: bool = False) -> None:
+        self.occurrences.append(NameOccurrence(span, key, declares))
 
 
 def scene_index(path: Path, text: str) -> SceneIndex:
@@ -43,7 +43,7 @@ def scene_index(path: Path, text: str) -> SceneIndex:
     index = SceneIndex(path, document)
     if document is None:
         return index
-    for key, look in _PARTS.items():
+    for key, look in _INDEXERS_BY_KEY.items():
         if key in document.entries:
             look(index, document.entries[key])
     fps = document.entries.get("fps")
@@ -52,11 +52,11 @@ def scene_index(path: Path, text: str) -> SceneIndex:
     return index
 
 
-def _mapping(node: Node | None) -> list[tuple[str, Span, Node]]:
+def _mapping(node: DocumentNode | None) -> list[tuple[str, Span, DocumentNode]]:
     return [(key, node.keys[key], value) for key, value in node.entries.items()] if isinstance(node, MappingNode) else []
 
 
-def _file(index: SceneIndex, node: Node) -> None:
+def _file(index: SceneIndex, node: DocumentNode) -> None:
     if isinstance(node, ScalarNode) and ":" not in node.text:
         path = real_path(index.path.parent.joinpath(node.text))
         index.add_occurrence(node.span, ("file", str(path)))
@@ -64,7 +64,7 @@ def _file(index: SceneIndex, node: Node) -> None:
             index.files.append(path)
 
 
-def _world(index: SceneIndex, node: Node) -> None:
+def _world(index: SceneIndex, node: DocumentNode) -> None:
     things = {name for name, _, _ in _mapping(node)}
     for thing, span, value in _mapping(node):
         index.add_occurrence(span, ("thing", thing))
@@ -81,32 +81,32 @@ def _world(index: SceneIndex, node: Node) -> None:
                 _add_named_thing(index, word, inner, things)
 
 
-def _item(index: SceneIndex, thing: str, node: Node, things: set[str]) -> None:
+def _item(index: SceneIndex, thing: str, node: DocumentNode, things: set[str]) -> None:
     _attributes(index, thing, node)
     for word, _, inner in _mapping(node):
         if word == "on":
             _add_named_thing(index, word, inner, things)
 
 
-def _attributes(index: SceneIndex, thing: str, node: Node) -> None:
-    known = {*ItemThing.model_fields, *ITEM_ATTRIBUTES}
+def _attributes(index: SceneIndex, thing: str, node: DocumentNode) -> None:
+    known = {*ItemThing.model_fields, *ITEM_ATTRIBUTE_TYPES}
     for word, span, _ in _mapping(node):
         if word not in known:
             index.add_occurrence(span, ("attribute", thing, word))
 
 
-def _add_named_thing(index: SceneIndex, key: str, node: Node, things: set[str]) -> None:
+def _add_named_thing(index: SceneIndex, key: str, node: DocumentNode, things: set[str]) -> None:
     """Record a value that may name a thing of the world or an item; `?scene` where only the base scene can decide."""
     if isinstance(node, ScalarNode):
         if node.text in things:
             index.add_occurrence(node.span, ("thing", node.text))
         elif node.text in index.items:
             index.add_occurrence(node.span, ("scene-item", node.text))
-        elif key in _NAMING and _WORD.fullmatch(node.text) and not node.quoted:
+        elif key in _NAMING_KEYS and _NAME_PATTERN.fullmatch(node.text) and not node.quoted:
             index.add_occurrence(node.span, ("?scene", node.text))
 
 
-def _crowd(index: SceneIndex, node: Node) -> None:
+def _crowd(index: SceneIndex, node: DocumentNode) -> None:
     world = index.document.entries.get("world") if index.document is not None else None
     things = {name for name, _, _ in _mapping(world)}
     for line in node.items if isinstance(node, SequenceNode) else ():
@@ -123,19 +123,19 @@ def _crowd(index: SceneIndex, node: Node) -> None:
                         _add_named_thing(index, key, inner, things)
 
 
-def _set(index: SceneIndex, node: Node) -> None:
+def _set(index: SceneIndex, node: DocumentNode) -> None:
     for name, span, _ in _mapping(node):
         owner, dot, word = name.partition(".")
         if not dot or span.end - span.start != len(name):
             continue
         first = Span(span.source, span.start, span.start + len(owner))
         second = Span(span.source, span.start + len(owner) + 1, span.end)
-        field = word in FIELD_SETTINGS
+        field = word in FIELD_SETTING_WORDS
         index.add_occurrence(first, ("field" if field else "species", owner))
         index.add_occurrence(second, ("setting", word) if field else ("own", owner, word))
 
 
-def _fields(index: SceneIndex, node: Node) -> None:
+def _fields(index: SceneIndex, node: DocumentNode) -> None:
     for name, span, value in _mapping(node):
         index.add_occurrence(span, ("field", name))
         for key, _, inner in _mapping(value):
@@ -143,7 +143,7 @@ def _fields(index: SceneIndex, node: Node) -> None:
                 _add_named_thing(index, key, inner, set())
 
 
-def _layers(index: SceneIndex, node: Node) -> None:
+def _layers(index: SceneIndex, node: DocumentNode) -> None:
     """Record the layers of a node. A layer is named by its text, or by the first word of its text."""
     for species, span, value in _mapping(node):
         index.add_occurrence(span, ("species", species))
@@ -152,21 +152,21 @@ def _layers(index: SceneIndex, node: Node) -> None:
                 continue
             begin = item.span.start + item.quoted
             plain = item.span.source.text[begin : begin + len(item.text)] == item.text  # no `\\` in it
-            for number, word in enumerate(_WORD.finditer(item.text) if plain else ()):
+            for number, word in enumerate(_NAME_PATTERN.finditer(item.text) if plain else ()):
                 place = Span(item.span.source, begin + word.start(), begin + word.end())
                 index.add_occurrence(place, ("?layer", species, word[0]) if number else ("?behaviour", word[0]))
 
 
-def _extends(index: SceneIndex, node: Node) -> None:
+def _extends(index: SceneIndex, node: DocumentNode) -> None:
     _file(index, node)
 
 
-def _camera(index: SceneIndex, node: Node) -> None:
+def _camera(index: SceneIndex, node: DocumentNode) -> None:
     for word, _, value in _mapping(node):
         if word == "usd":
             _file(index, value)
 
 
-_PARTS: dict[str, Any] = {
+_INDEXERS_BY_KEY: dict[str, Any] = {
     "world": _world, "extends": _extends, "crowd": _crowd, "set": _set, "fields": _fields, "layers": _layers, "camera": _camera,
 }  # fmt: skip

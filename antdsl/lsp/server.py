@@ -27,14 +27,14 @@ from antdsl.lsp.language import describe_keyword
 from antdsl.lsp.scene_help import complete_scene
 from antdsl.lsp.text import path_of, uri_of
 from antdsl.lsp.words import scene_key_help
-from antdsl.lsp.workspace import Document, Workspace
+from antdsl.lsp.workspace import OpenDocument, Workspace
 from antdsl.whole import write_parts
 
 T = TypeVar("T")
 _log = logging.getLogger(__name__)
 
 
-class Server(LanguageServer):
+class AntLanguageServer(LanguageServer):
     """The pygls server with our documents. `uris` has the URI of each open document as the editor sent it, since editors expect
     that URI in answers."""
 
@@ -54,7 +54,7 @@ class Server(LanguageServer):
             file_path = Path.cwd() / (name if name.endswith((".ant", ".yaml", ".yml")) else f"{name}.ant")
         return file_path
 
-    def document(self, uri: str) -> Document | None:
+    def document(self, uri: str) -> OpenDocument | None:
         return self.files.document(self.path(uri))
 
     def location(self, target: navigation.NameLocation) -> lsp.Location:
@@ -96,24 +96,24 @@ class Server(LanguageServer):
         self.text_document_publish_diagnostics(lsp.PublishDiagnosticsParams(self.uris[path], diagnostics, document.version))
 
 
-server = Server()
+language_server = AntLanguageServer()
 
 
-@server.feature(lsp.SHUTDOWN)
-def _shutdown(ls: Server, *params: object) -> None:
+@language_server.feature(lsp.SHUTDOWN)
+def _shutdown(ls: AntLanguageServer, *params: object) -> None:
     ls.asked_to_end = True
 
 
-@server.feature(lsp.EXIT)
-def _exit(ls: Server, *params: object) -> None:
+@language_server.feature(lsp.EXIT)
+def _exit(ls: AntLanguageServer, *params: object) -> None:
     ls.left_early = not ls.asked_to_end
 
 
 # --- documents -------------------------------------------------------------------------------------------------------
 
 
-@server.feature(lsp.INITIALIZED)
-def _initialized(ls: Server, params: lsp.InitializedParams) -> None:
+@language_server.feature(lsp.INITIALIZED)
+def _initialized(ls: AntLanguageServer, params: lsp.InitializedParams) -> None:
     encoding = ls.workspace.position_encoding
     ls.files.encoding = encoding.value if isinstance(encoding, lsp.PositionEncodingKind) else encoding or "utf-16"
     ls.files.roots = [path for uri in ls.workspace.folders if (path := path_of(uri)) is not None]
@@ -121,24 +121,24 @@ def _initialized(ls: Server, params: lsp.InitializedParams) -> None:
         ls.files.roots = [root]
 
 
-@server.feature(lsp.WORKSPACE_DID_CHANGE_WORKSPACE_FOLDERS)
-def _folders(ls: Server, params: lsp.DidChangeWorkspaceFoldersParams) -> None:
+@language_server.feature(lsp.WORKSPACE_DID_CHANGE_WORKSPACE_FOLDERS)
+def _folders(ls: AntLanguageServer, params: lsp.DidChangeWorkspaceFoldersParams) -> None:
     removed_paths = {path_of(folder.uri) for folder in params.event.removed}
     added = [path for folder in params.event.added if (path := path_of(folder.uri)) is not None]
     ls.files.roots = [root for root in ls.files.roots if root not in removed_paths] + added
     ls.files.search_again()
 
 
-@server.feature(lsp.TEXT_DOCUMENT_DID_OPEN)
-def _did_open(ls: Server, params: lsp.DidOpenTextDocumentParams) -> None:
+@language_server.feature(lsp.TEXT_DOCUMENT_DID_OPEN)
+def _did_open(ls: AntLanguageServer, params: lsp.DidOpenTextDocumentParams) -> None:
     path = ls.path(params.text_document.uri)
     ls.uris[path] = params.text_document.uri
     ls.files.put(path, params.text_document.text, params.text_document.version)
     ls.check_soon(path)
 
 
-@server.feature(lsp.TEXT_DOCUMENT_DID_CHANGE)
-def _did_change(ls: Server, params: lsp.DidChangeTextDocumentParams) -> None:
+@language_server.feature(lsp.TEXT_DOCUMENT_DID_CHANGE)
+def _did_change(ls: AntLanguageServer, params: lsp.DidChangeTextDocumentParams) -> None:
     path = ls.path(params.text_document.uri)
     document = ls.files.open.get(path)
     if document is None:
@@ -154,8 +154,8 @@ def _did_change(ls: Server, params: lsp.DidChangeTextDocumentParams) -> None:
     ls.check_soon(path)
 
 
-@server.feature(lsp.TEXT_DOCUMENT_DID_CLOSE)
-def _did_close(ls: Server, params: lsp.DidCloseTextDocumentParams) -> None:
+@language_server.feature(lsp.TEXT_DOCUMENT_DID_CLOSE)
+def _did_close(ls: AntLanguageServer, params: lsp.DidCloseTextDocumentParams) -> None:
     path = ls.path(params.text_document.uri)
     ls.files.close(path)
     ls.uris.pop(path, None)
@@ -163,17 +163,17 @@ def _did_close(ls: Server, params: lsp.DidCloseTextDocumentParams) -> None:
     _recheck_open_documents(ls)
 
 
-@server.feature(lsp.TEXT_DOCUMENT_DID_SAVE)
-def _did_save(ls: Server, params: lsp.DidSaveTextDocumentParams) -> None:
+@language_server.feature(lsp.TEXT_DOCUMENT_DID_SAVE)
+def _did_save(ls: AntLanguageServer, params: lsp.DidSaveTextDocumentParams) -> None:
     _recheck_open_documents(ls)
 
 
-@server.feature(lsp.WORKSPACE_DID_CHANGE_WATCHED_FILES)
-def _did_change_watched_files(ls: Server, params: lsp.DidChangeWatchedFilesParams) -> None:
+@language_server.feature(lsp.WORKSPACE_DID_CHANGE_WATCHED_FILES)
+def _did_change_watched_files(ls: AntLanguageServer, params: lsp.DidChangeWatchedFilesParams) -> None:
     _recheck_open_documents(ls)
 
 
-def _recheck_open_documents(ls: Server) -> None:
+def _recheck_open_documents(ls: AntLanguageServer) -> None:
     """Check all open documents again after a change on disk. This costs almost nothing where nothing changed."""
     ls.files.search_again()
     for path in ls.files.open:
@@ -183,16 +183,16 @@ def _recheck_open_documents(ls: Server) -> None:
 # --- questions about a place -----------------------------------------------------------------------------------------
 
 
-def _answer_at(ls: Server, params: Any, answer: Callable[[Document, int], T]) -> T | None:
+def _answer_at(ls: AntLanguageServer, params: Any, answer: Callable[[OpenDocument, int], T]) -> T | None:
     document = ls.document(params.text_document.uri)
     if document is None:
         return None
     return answer(document, document.text.offset(params.position.line, params.position.character))
 
 
-@server.feature(lsp.TEXT_DOCUMENT_HOVER)
-def _hover(ls: Server, params: lsp.HoverParams) -> lsp.Hover | None:
-    def answer(document: Document, offset: int) -> lsp.Hover | None:
+@language_server.feature(lsp.TEXT_DOCUMENT_HOVER)
+def _hover(ls: AntLanguageServer, params: lsp.HoverParams) -> lsp.Hover | None:
+    def answer(document: OpenDocument, offset: int) -> lsp.Hover | None:
         names = document.at(offset)
         said = {
             text: each.span
@@ -214,9 +214,11 @@ def _markdown(text: str) -> lsp.MarkupContent:
     return lsp.MarkupContent(lsp.MarkupKind.Markdown, text)
 
 
-@server.feature(lsp.TEXT_DOCUMENT_COMPLETION, lsp.CompletionOptions(trigger_characters=[".", ">", "(", " ", ":", "/", ",", "{"]))
-def _completion(ls: Server, params: lsp.CompletionParams) -> lsp.CompletionList | None:
-    def answer(document: Document, offset: int) -> lsp.CompletionList:
+@language_server.feature(
+    lsp.TEXT_DOCUMENT_COMPLETION, lsp.CompletionOptions(trigger_characters=[".", ">", "(", " ", ":", "/", ",", "{"])
+)
+def _completion(ls: AntLanguageServer, params: lsp.CompletionParams) -> lsp.CompletionList | None:
+    def answer(document: OpenDocument, offset: int) -> lsp.CompletionList:
         proposals = complete(ls.files, document, offset) if document.is_program else complete_scene(ls.files, document, offset)
         snippets = ls.supports_snippets()
         return lsp.CompletionList(False, [protocol.item(each, snippets) for each in proposals])
@@ -224,15 +226,15 @@ def _completion(ls: Server, params: lsp.CompletionParams) -> lsp.CompletionList 
     return _answer_at(ls, params, answer)
 
 
-@server.feature(lsp.TEXT_DOCUMENT_DEFINITION)
-def _definition(ls: Server, params: lsp.DefinitionParams) -> list[lsp.Location] | None:
+@language_server.feature(lsp.TEXT_DOCUMENT_DEFINITION)
+def _definition(ls: AntLanguageServer, params: lsp.DefinitionParams) -> list[lsp.Location] | None:
     return _answer_at(
         ls, params, lambda document, offset: [ls.location(each) for each in navigation.definition(ls.files, document, offset)]
     )
 
 
-@server.feature(lsp.TEXT_DOCUMENT_REFERENCES)
-def _references(ls: Server, params: lsp.ReferenceParams) -> list[lsp.Location] | None:
+@language_server.feature(lsp.TEXT_DOCUMENT_REFERENCES)
+def _references(ls: AntLanguageServer, params: lsp.ReferenceParams) -> list[lsp.Location] | None:
     declaration = params.context.include_declaration
     return _answer_at(
         ls,
@@ -241,18 +243,18 @@ def _references(ls: Server, params: lsp.ReferenceParams) -> list[lsp.Location] |
     )
 
 
-@server.feature(lsp.TEXT_DOCUMENT_DOCUMENT_HIGHLIGHT)
-def _highlight(ls: Server, params: lsp.DocumentHighlightParams) -> list[lsp.DocumentHighlight] | None:
-    def answer(document: Document, offset: int) -> list[lsp.DocumentHighlight]:
+@language_server.feature(lsp.TEXT_DOCUMENT_DOCUMENT_HIGHLIGHT)
+def _highlight(ls: AntLanguageServer, params: lsp.DocumentHighlightParams) -> list[lsp.DocumentHighlight] | None:
+    def answer(document: OpenDocument, offset: int) -> list[lsp.DocumentHighlight]:
         locations = navigation.references(ls.files, document, offset)
         return [lsp.DocumentHighlight(protocol.range_of(each.range)) for each in locations if each.document is document]
 
     return _answer_at(ls, params, answer)
 
 
-@server.feature(lsp.TEXT_DOCUMENT_PREPARE_RENAME)
-def _prepare_rename(ls: Server, params: lsp.PrepareRenameParams) -> lsp.Range | None:
-    def answer(document: Document, offset: int) -> lsp.Range:
+@language_server.feature(lsp.TEXT_DOCUMENT_PREPARE_RENAME)
+def _prepare_rename(ls: AntLanguageServer, params: lsp.PrepareRenameParams) -> lsp.Range | None:
+    def answer(document: OpenDocument, offset: int) -> lsp.Range:
         try:
             return protocol.range_of(document.range(navigation.renamable_name(ls.files, document, offset).span))
         except navigation.RenameRefused as why:
@@ -261,9 +263,9 @@ def _prepare_rename(ls: Server, params: lsp.PrepareRenameParams) -> lsp.Range | 
     return _answer_at(ls, params, answer)
 
 
-@server.feature(lsp.TEXT_DOCUMENT_RENAME, lsp.RenameOptions(prepare_provider=True))
-def _rename(ls: Server, params: lsp.RenameParams) -> lsp.WorkspaceEdit | None:
-    def answer(document: Document, offset: int) -> lsp.WorkspaceEdit:
+@language_server.feature(lsp.TEXT_DOCUMENT_RENAME, lsp.RenameOptions(prepare_provider=True))
+def _rename(ls: AntLanguageServer, params: lsp.RenameParams) -> lsp.WorkspaceEdit | None:
+    def answer(document: OpenDocument, offset: int) -> lsp.WorkspaceEdit:
         try:
             locations = navigation.rename_symbol(ls.files, document, offset, params.new_name)
         except navigation.RenameRefused as why:
@@ -279,37 +281,37 @@ def _rename(ls: Server, params: lsp.RenameParams) -> lsp.WorkspaceEdit | None:
 # --- questions about a document --------------------------------------------------------------------------------------
 
 
-@server.feature(lsp.TEXT_DOCUMENT_DOCUMENT_SYMBOL)
-def _symbols(ls: Server, params: lsp.DocumentSymbolParams) -> list[lsp.DocumentSymbol]:
+@language_server.feature(lsp.TEXT_DOCUMENT_DOCUMENT_SYMBOL)
+def _symbols(ls: AntLanguageServer, params: lsp.DocumentSymbolParams) -> list[lsp.DocumentSymbol]:
     document = ls.document(params.text_document.uri)
     return [protocol.symbol(document, each) for each in symbols(document)] if document is not None else []
 
 
-@server.feature(lsp.TEXT_DOCUMENT_FOLDING_RANGE)
-def _folding(ls: Server, params: lsp.FoldingRangeParams) -> list[lsp.FoldingRange]:
+@language_server.feature(lsp.TEXT_DOCUMENT_FOLDING_RANGE)
+def _folding(ls: AntLanguageServer, params: lsp.FoldingRangeParams) -> list[lsp.FoldingRange]:
     document = ls.document(params.text_document.uri)
     return [protocol.fold(each) for each in folds(document)] if document is not None else []
 
 
-_LEGEND = lsp.SemanticTokensLegend(list(tokens.TYPES), list(tokens.MODIFIERS))
+_TOKEN_LEGEND = lsp.SemanticTokensLegend(list(tokens.TOKEN_TYPES), list(tokens.TOKEN_MODIFIERS))
 
 
-@server.feature(lsp.TEXT_DOCUMENT_SEMANTIC_TOKENS_FULL, _LEGEND)
-def _tokens(ls: Server, params: lsp.SemanticTokensParams) -> lsp.SemanticTokens:
+@language_server.feature(lsp.TEXT_DOCUMENT_SEMANTIC_TOKENS_FULL, _TOKEN_LEGEND)
+def _tokens(ls: AntLanguageServer, params: lsp.SemanticTokensParams) -> lsp.SemanticTokens:
     document = ls.document(params.text_document.uri)
     return lsp.SemanticTokens(tokens.tokens(document) if document is not None and document.is_program else [])
 
 
-@server.feature(lsp.TEXT_DOCUMENT_SEMANTIC_TOKENS_RANGE, _LEGEND)
-def _range_tokens(ls: Server, params: lsp.SemanticTokensRangeParams) -> lsp.SemanticTokens:
+@language_server.feature(lsp.TEXT_DOCUMENT_SEMANTIC_TOKENS_RANGE, _TOKEN_LEGEND)
+def _range_tokens(ls: AntLanguageServer, params: lsp.SemanticTokensRangeParams) -> lsp.SemanticTokens:
     document = ls.document(params.text_document.uri)
     if document is None or not document.is_program:
         return lsp.SemanticTokens([])
     return lsp.SemanticTokens(tokens.tokens(document, params.range.start.line, params.range.end.line))
 
 
-@server.feature(lsp.TEXT_DOCUMENT_INLAY_HINT)
-def _hints(ls: Server, params: lsp.InlayHintParams) -> list[lsp.InlayHint]:
+@language_server.feature(lsp.TEXT_DOCUMENT_INLAY_HINT)
+def _hints(ls: AntLanguageServer, params: lsp.InlayHintParams) -> list[lsp.InlayHint]:
     document = ls.document(params.text_document.uri)
     if document is None or not document.is_program:
         return []
@@ -317,8 +319,8 @@ def _hints(ls: Server, params: lsp.InlayHintParams) -> list[lsp.InlayHint]:
     return [each for each in all_hints if params.range.start.line <= each.position.line <= params.range.end.line]
 
 
-@server.feature(lsp.TEXT_DOCUMENT_CODE_ACTION, lsp.CodeActionOptions([lsp.CodeActionKind.QuickFix]))
-def _actions(ls: Server, params: lsp.CodeActionParams) -> list[lsp.CodeAction]:
+@language_server.feature(lsp.TEXT_DOCUMENT_CODE_ACTION, lsp.CodeActionOptions([lsp.CodeActionKind.QuickFix]))
+def _actions(ls: AntLanguageServer, params: lsp.CodeActionParams) -> list[lsp.CodeAction]:
     document = ls.document(params.text_document.uri)
     if document is None:
         return []
@@ -328,14 +330,14 @@ def _actions(ls: Server, params: lsp.CodeActionParams) -> list[lsp.CodeAction]:
     return [protocol.action(ls.files, document, each, params.text_document.uri) for each in fixes]
 
 
-@server.feature(lsp.TEXT_DOCUMENT_FORMATTING)
-def _format(ls: Server, params: lsp.DocumentFormattingParams) -> list[lsp.TextEdit] | None:
+@language_server.feature(lsp.TEXT_DOCUMENT_FORMATTING)
+def _format(ls: AntLanguageServer, params: lsp.DocumentFormattingParams) -> list[lsp.TextEdit] | None:
     document = ls.document(params.text_document.uri)
     edits = formatting_edits(document) if document is not None and document.is_program else None
     return protocol.text_edits(document, edits) if document is not None and edits is not None else None
 
 
-class _Output(io.RawIOBase):
+class _MessageOutput(io.RawIOBase):
     """Messages to the editor. After the first failed write, no more are written: an error message about it would fail too.
 
     `problem` is the reason; None where all messages were written, or where the editor is gone."""
@@ -358,10 +360,10 @@ def start() -> bool:
     """Serve an editor over standard input and output until it ends the session. Return False if it left without a shutdown
     request. Raises OSError where messages could not be written."""
     logging.basicConfig(level=logging.WARNING, format="%(levelname)s %(name)s: %(message)s")  # to standard error
-    output = _Output(os.dup(1))
+    output = _MessageOutput(os.dup(1))
     with os.fdopen(os.dup(0), "rb") as reader:
         os.dup2(2, 1)  # nothing that a library prints can get between the messages
-        server.start_io(reader, output)  # type: ignore[arg-type]
+        language_server.start_io(reader, output)  # type: ignore[arg-type]
     if output.problem is not None:
         raise output.problem
-    return not server.left_early
+    return not language_server.left_early

@@ -8,12 +8,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from urllib.parse import unquote, urlsplit
 
-Place = tuple[int, int]  # line and column, both from 0; the column in units of the editor's encoding
-Range = tuple[Place, Place]
+LineColumn = tuple[int, int]  # line and column, both from 0; the column in units of the editor's encoding
+TextRange = tuple[LineColumn, LineColumn]
 
 
 @dataclass(frozen=True, slots=True)
-class Edit:
+class TextEdit:
     """Text to put in place of the characters from `start` to `end`."""
 
     start: int
@@ -26,7 +26,7 @@ def normalise_line_ends(text: str) -> str:
     return text.removeprefix("\ufeff").replace("\r\n", "\n").replace("\r", "\n") if "\r" in text or "\ufeff" in text[:1] else text
 
 
-class Text:
+class DocumentText:
     """Text with LF line ends. `encoding` is the unit of the editor's columns: utf-16 (the protocol's default), utf-8 or
     utf-32."""
 
@@ -64,13 +64,13 @@ class Text:
             taken += self._units(character)
         return start + len(text)
 
-    def place(self, offset: int) -> Place:
+    def place(self, offset: int) -> LineColumn:
         offset = max(0, min(offset, len(self.text)))
         line = bisect_right(self.starts, offset) - 1
         prefix = self.text[self.starts[line] : offset]
         return line, len(prefix) if prefix.isascii() else self.units(prefix)
 
-    def range(self, start: int, end: int) -> Range:
+    def range(self, start: int, end: int) -> TextRange:
         return self.place(start), self.place(max(start, end))
 
     def units(self, text: str) -> int:
@@ -82,14 +82,14 @@ class Text:
             return len(character.encode("utf-8", "surrogatepass"))
         return 2 if self.encoding == "utf-16" and character > "\uffff" else 1
 
-    def with_text(self, text: str) -> Text:
+    def with_text(self, text: str) -> DocumentText:
         """Return another text with the same encoding."""
-        return Text(normalise_line_ends(text), self.encoding)
+        return DocumentText(normalise_line_ends(text), self.encoding)
 
-    def edited(self, start: Place, end: Place, text: str) -> Text:
+    def edited(self, start: LineColumn, end: LineColumn, text: str) -> DocumentText:
         """Return the text with a range replaced."""
         first, last = self.offset(*start), self.offset(*end)
-        return Text(self.text[:first] + normalise_line_ends(text) + self.text[max(first, last) :], self.encoding)
+        return DocumentText(self.text[:first] + normalise_line_ends(text) + self.text[max(first, last) :], self.encoding)
 
 
 def path_of(uri: str) -> Path | None:

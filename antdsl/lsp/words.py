@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from antdsl.program.tables.effects import EFFECTS
+from antdsl.program.tables.effects import EFFECT_BY_OPERATION
 from antdsl.program.tables.senses import find_words
-from antdsl.program.tables.things import KINDS_OF_THINGS
+from antdsl.program.tables.things import KIND_BY_WORD
 
 
 class Word(NamedTuple):
@@ -37,7 +37,7 @@ VALUES = {
     "motion": Word("how the crowd moves: `motion.turn_p99` and the like", "finally: motion.turn_p99 < 200 deg/s"),
 }
 # Settings of a field.
-SETTINGS = {
+SETTING_HELP = {
     "cell": Word("how large its cells are", "field trail on ground { cell 4 mm }"),
     "half_life": Word("the time in which half of it is gone", "field trail on ground { cell 4 mm; half_life 8 s }"),
     "evaporate": Word("the share that goes in a time, such as `10 %/s`", "field heat on ground { cell 10 mm; evaporate 10 %/s }"),
@@ -62,7 +62,7 @@ FORM_HELP = {
     "face": "which way the body turns, whichever way it goes",
     "when": "leads to another state",
     "interrupt": "a change that leaves before all others",
-    **{row.op: row.help for row in EFFECTS.values()},
+    **{row.op: row.help for row in EFFECT_BY_OPERATION.values()},
     "give": "hands an amount to an item",
     "take": "gets an amount from an item, as part of the condition",
     "enter": "once, when the state begins",
@@ -162,7 +162,7 @@ PLAY_HELP = {
     "up": "the clip that it gives way to uphill",
     "down": "the clip that it gives way to downhill",
 }
-STEPS = "by the step, and so by the frames per second: `antdsl check --strict` tells of it"
+STEP_UNIT_NOTE = "by the step, and so by the frames per second: `antdsl check --strict` tells of it"
 # Units of which more is to be said than what they are worth.
 UNIT_HELP = {
     "step": "one step of the simulation: `response 1 step`, `keeps 90 %/step`. For models that are defined per tick: "
@@ -183,7 +183,7 @@ TYPE_HELP = {
     "item": "one item, or none",
     "agent": "one agent, or none",
     "field": "a field by its name",
-    **{row.word: row.typed for row in KINDS_OF_THINGS.values() if row.typed},
+    **{row.word: row.typed for row in KIND_BY_WORD.values() if row.typed},
 }
 # Queries over all items, agents or cells in a spec.
 WHOLES = {

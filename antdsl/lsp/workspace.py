@@ -17,13 +17,13 @@ from antdsl.bounded import real_path
 from antdsl.diagnostics import Diagnostic, Report
 from antdsl.diagnostics.ignoring import apply_ignores
 from antdsl.files import find_files
-from antdsl.loading import Parsed
-from antdsl.lsp.names import Names, Occurrence, names_of, occurrences
+from antdsl.loading import ParsedFileCache
+from antdsl.lsp.names import NameOccurrence, ProgramNames, names_of, occurrences
 from antdsl.lsp.scenes import SceneIndex, scene_index
-from antdsl.lsp.text import Range, Text, normalise_line_ends
+from antdsl.lsp.text import DocumentText, TextRange, normalise_line_ends
 from antdsl.pipeline import check_scene_text, compile_files
-from antdsl.program.memo import Memo
-from antdsl.program.names.bindings import Bindings
+from antdsl.program.memo import CheckMemo
+from antdsl.program.names.bindings import NameBindings
 from antdsl.source import Source, Span
 from antdsl.syntax import nodes
 from antdsl.syntax.parts import IncrementalParser
@@ -32,17 +32,17 @@ if TYPE_CHECKING:
     from antdsl.program.model import Program
     from antdsl.scene import Scene
 
-PROGRAM = ".ant"
-NO_BINDINGS = Bindings()
-_MOST = 8  # symbols that one word can stand for
-_SCENE = re.compile(r"^(?:antdsl|crowd|extends)[ \t]*:", re.MULTILINE)  # keys that scenes have, and few other files
+PROGRAM_SUFFIX = ".ant"
+NO_BINDINGS = NameBindings()
+_MAX_MEANINGS = 8  # symbols that one word can stand for
+_SCENE_KEY_PATTERN = re.compile(r"^(?:antdsl|crowd|extends)[ \t]*:", re.MULTILINE)  # keys that scenes have, and few other files
 
 
 @dataclass(frozen=True)
 class Index:
     """The names of a document in text order, with the start offset of each."""
 
-    occurrences: list[Occurrence]
+    occurrences: list[NameOccurrence]
     starts: list[int]
 
     @cached_property
@@ -53,29 +53,29 @@ class Index:
 
 
 @dataclass(eq=False)
-class Document:
+class OpenDocument:
     """A file in its current state, in the editor or on disk. `stamp` is None for an open buffer. `resolve` returns the bindings
     of the file and all files that it uses."""
 
     path: Path
-    text: Text
-    resolve: Callable[[Path], Bindings]
+    text: DocumentText
+    resolve: Callable[[Path], NameBindings]
     stamp: tuple[int, int] | None = None
     version: int | None = None
     earlier: SceneIndex | None = None  # of the text before, for while this one is no YAML
     parts: IncrementalParser = field(default_factory=IncrementalParser)  # go from one version of an open buffer to the next
-    _index: tuple[Bindings, Index] | None = None
+    _index: tuple[NameBindings, Index] | None = None
 
     @property
     def is_program(self) -> bool:
-        return self.path.suffix == PROGRAM
+        return self.path.suffix == PROGRAM_SUFFIX
 
     @cached_property
     def parsed(self) -> tuple[nodes.File, Report]:
         return self.parts.parse(Source(str(self.path), self.text.text))
 
     @cached_property
-    def names(self) -> Names:
+    def names(self) -> ProgramNames:
         return names_of(self.path, self.parsed[0])
 
     @cached_property
@@ -95,7 +95,7 @@ class Document:
         return self._index[1]
 
     @property
-    def occurrences(self) -> list[Occurrence]:
+    def occurrences(self) -> list[NameOccurrence]:
         return self.index.occurrences
 
     @cached_property
@@ -115,16 +115,16 @@ class Document:
     def _full_span(self, span: Span) -> Span:
         return self.parsed[0].file_span(span) if self.is_program else span
 
-    def range(self, span: Span) -> Range:
+    def range(self, span: Span) -> TextRange:
         return self.text.range(self.start(span), self.end(span))
 
-    def at(self, offset: int) -> list[Occurrence]:
+    def at(self, offset: int) -> list[NameOccurrence]:
         """Return the names at an offset. A name that starts at or covers the offset precedes one that ends there."""
         index = self.index
-        name_occurrences: list[Occurrence] = []
+        name_occurrences: list[NameOccurrence] = []
         for number in range(bisect_right(index.starts, offset) - 1, -1, -1):
             each = index.occurrences[number]
-            if self.end(each.span) < offset or len(name_occurrences) > _MOST:
+            if self.end(each.span) < offset or len(name_occurrences) > _MAX_MEANINGS:
                 break
             name_occurrences.insert(0, each)
         return sorted(name_occurrences, key=lambda each: self.end(each.span) == offset)
@@ -140,7 +140,7 @@ class Document:
 
 
 @dataclass(frozen=True, slots=True)
-class CheckResult:
+class DocumentCheck:
     """The result of checking a document. `program` and `scene` are None where errors prevented them."""
 
     program: Program | None
@@ -154,25 +154,27 @@ class Workspace:
 
     roots: list[Path] = field(default_factory=list)
     encoding: str = "utf-16"
-    open: dict[Path, Document] = field(default_factory=dict)
-    _disk: dict[Path, Document] = field(default_factory=dict)
-    _checked: dict[Path, tuple[object, CheckResult]] = field(default_factory=dict)
+    open: dict[Path, OpenDocument] = field(default_factory=dict)
+    _disk: dict[Path, OpenDocument] = field(default_factory=dict)
+    _checked: dict[Path, tuple[object, DocumentCheck]] = field(default_factory=dict)
     _good: dict[Path, Program] = field(default_factory=dict)
-    _memos: dict[Path, Memo] = field(default_factory=dict)
+    _memos: dict[Path, CheckMemo] = field(default_factory=dict)
     _searched: tuple[float, list[Path]] = (0.0, [])  # until when these files count as all
 
     # --- documents ---
 
-    def put(self, path: Path, text: str, version: int | None = None) -> Document:
+    def put(self, path: Path, text: str, version: int | None = None) -> OpenDocument:
         """Add an open buffer, or replace its text."""
-        document = self.open[path] = Document(path, Text(normalise_line_ends(text), self.encoding), self.bindings, None, version)
+        document = self.open[path] = OpenDocument(
+            path, DocumentText(normalise_line_ends(text), self.encoding), self.bindings, None, version
+        )
         return document
 
-    def change(self, path: Path, text: Text, version: int | None) -> Document:
+    def change(self, path: Path, text: DocumentText, version: int | None) -> OpenDocument:
         previous_document = self.open.get(path)
         earlier = previous_document.scene if previous_document is not None and not previous_document.is_program else None
         parts = previous_document.parts if previous_document is not None else IncrementalParser()
-        document = self.open[path] = Document(path, text, self.bindings, None, version, earlier, parts)
+        document = self.open[path] = OpenDocument(path, text, self.bindings, None, version, earlier, parts)
         return document
 
     def close(self, path: Path) -> None:
@@ -181,7 +183,7 @@ class Workspace:
         self._good.pop(path, None)
         self._memos.pop(path, None)
 
-    def document(self, path: Path) -> Document | None:
+    def document(self, path: Path) -> OpenDocument | None:
         """Return a file as in the editor, or else as on disk; None when it cannot be read."""
         open_document = self.open.get(path)
         if open_document is not None:
@@ -197,10 +199,10 @@ class Workspace:
             source, _ = syntax.read(path)
             if source is None:
                 return None
-            known = self._disk[path] = Document(path, Text(source.text, self.encoding), self.bindings, stamp)
+            known = self._disk[path] = OpenDocument(path, DocumentText(source.text, self.encoding), self.bindings, stamp)
         return known
 
-    def span_of(self, span: Span) -> tuple[Document, Range] | None:
+    def span_of(self, span: Span) -> tuple[OpenDocument, TextRange] | None:
         """Return the document that contains a span, and the span's location in it."""
         for document in (*self.open.values(), *self._disk.values()):
             if document.is_program and "parsed" in document.__dict__:
@@ -212,7 +214,7 @@ class Workspace:
 
     # --- checking ---
 
-    def check(self, path: Path) -> CheckResult | None:
+    def check(self, path: Path) -> DocumentCheck | None:
         """Return the checked document; it is checked again where a file that it depends on has changed. None if there is no
         document."""
         document = self.document(path)
@@ -231,7 +233,7 @@ class Workspace:
         """Return all inputs of a check: the related documents in their current state."""
         return [(each, self.document(each)) for each in self.linked_files(path)]
 
-    def bindings(self, path: Path) -> Bindings:
+    def bindings(self, path: Path) -> NameBindings:
         """Return the resolved names of a program, as far as its text is valid."""
         checked = self.check(path)
         return NO_BINDINGS if checked is None or checked.program is None else checked.program.bindings
@@ -241,9 +243,9 @@ class Workspace:
         checked = self.check(path)
         return self._good.get(path) or (checked.program if checked is not None else None)
 
-    def parsed(self, path: Path) -> Parsed:
+    def parsed(self, path: Path) -> ParsedFileCache:
         """Return the cached parse results for the chain. Documents open in the editor have priority."""
-        programs: Parsed = {}
+        programs: ParsedFileCache = {}
         for each in {*self.open, *self.linked_files(path), *self._libraries()}:
             document = self.document(each)
             if document is not None and document.is_program:
@@ -256,24 +258,24 @@ class Workspace:
 
         return [Path(os.path.realpath(path)) for path in behaviours_folder().glob("*.ant")]
 
-    def _check_program(self, document: Document) -> CheckResult:
+    def _check_program(self, document: OpenDocument) -> DocumentCheck:
         # a text that had to be read as a whole has nothing in common with the one before, which may come back
         has_parts = document.path in self.open and document.parsed[0].parts
-        memo = self._memos.setdefault(document.path, Memo()) if has_parts else None
+        memo = self._memos.setdefault(document.path, CheckMemo()) if has_parts else None
         program, report = compile_files([document.path], parsed=self.parsed(document.path), memo=memo)
-        return CheckResult(program, None, report)
+        return DocumentCheck(program, None, report)
 
-    def _check_scene(self, document: Document) -> CheckResult:
+    def _check_scene(self, document: OpenDocument) -> DocumentCheck:
         texts = {each.path: each.text.text.encode("utf-8", "surrogatepass") for each in (document, *self.open.values())}
-        texts = {path: data for path, data in texts.items() if path.suffix != PROGRAM}
+        texts = {path: data for path, data in texts.items() if path.suffix != PROGRAM_SUFFIX}
         scene, program, report = check_scene_text(document.path, texts, parsed=self.parsed(document.path))
-        return CheckResult(program, scene, report)
+        return DocumentCheck(program, scene, report)
 
     def complaints(self, path: Path) -> list[Diagnostic]:
         """Return the findings in this document; a finding about the complete document has no span. A YAML file that is not a
         scene has no findings, because editors send every YAML file."""
         document = self.document(path)
-        if document is not None and not document.is_program and not _SCENE.search(document.text.text):
+        if document is not None and not document.is_program and not _SCENE_KEY_PATTERN.search(document.text.text):
             return []
         checked = self.check(path)
         if checked is None:
@@ -292,7 +294,7 @@ class Workspace:
         stack = [path]
         while stack:
             each = stack.pop()
-            if each in paths or len(paths) > limits.USED_FILES:
+            if each in paths or len(paths) > limits.MAX_USED_FILES:
                 continue
             paths[each] = None
             document = self.document(each)
@@ -317,9 +319,11 @@ class Workspace:
     def extending_scenes(self, path: Path) -> list[Path]:
         """Return a scene, the scenes that it extends, and all scenes that extend one of these."""
         behind = {
-            each: {p for p in self.linked_files(each) if p.suffix != PROGRAM} for each in self.files() if each.suffix != PROGRAM
+            each: {p for p in self.linked_files(each) if p.suffix != PROGRAM_SUFFIX}
+            for each in self.files()
+            if each.suffix != PROGRAM_SUFFIX
         }
-        mine = behind.get(path, {p for p in self.linked_files(path) if p.suffix != PROGRAM})
+        mine = behind.get(path, {p for p in self.linked_files(path) if p.suffix != PROGRAM_SUFFIX})
         others = {each for each, linked in behind.items() if linked & mine} | mine
         return [path, *sorted(others - {path})]
 

@@ -20,24 +20,24 @@ from antdsl.child_processes import isolate
 from antdsl.machine_code import library, machine, shipped
 from antdsl.whole import write_atomically
 
-_MOST = 8  # processes: each takes 200 MB, and two seconds to import what it compiles
-_Place = tuple[str, str]  # a module, and a name in it
-_Task = tuple[_Place, tuple[str, ...]]  # what is compiled, and for which targets
+_MAX_PROCESSES = 8  # processes: each takes 200 MB, and two seconds to import what it compiles
+_QualifiedName = tuple[str, str]  # a module, and a name in it
+_CompileTask = tuple[_QualifiedName, tuple[str, ...]]  # what is compiled, and for which targets
 
 
-def build(folder: Path, entries: Sequence[library.Entry], targets: Iterable[str], processes: int = 1) -> int:
+def build(folder: Path, entries: Sequence[library.LibraryEntry], targets: Iterable[str], processes: int = 1) -> int:
     """Write the object files of targets into a folder, which is created. Return the number of files compiled: those that the
     folder did not have.
 
     `entries` are kernels and texts; with several `processes`, those of the package."""
-    keys: dict[str, dict[_Place, str]] = {}
+    keys: dict[str, dict[_QualifiedName, str]] = {}
     objects_by_target: dict[str, dict[str, bytes]] = {}
     for name in targets:
-        target = shipped.TARGETS[name]
-        stored = shipped.Objects(shipped.file_of(folder, name))
+        target = shipped.TARGET_BY_NAME[name]
+        stored = shipped.ObjectFile(shipped.file_of(folder, name))
         keys[name] = {_entry_key(each): shipped.key(named, target) for each in entries if (named := each.text_key(target))}
         objects_by_target[name] = {key: code for key in keys[name].values() if (code := stored.get(key)) is not None}
-    tasks: list[_Task] = []
+    tasks: list[_CompileTask] = []
     for each in entries:
         place = _entry_key(each)
         missing = tuple(name for name in keys if place in keys[name] and keys[name][place] not in objects_by_target[name])
@@ -53,11 +53,11 @@ def build(folder: Path, entries: Sequence[library.Entry], targets: Iterable[str]
     return sum(len(names) for _, names in tasks)
 
 
-def _entry_key(entry: library.Entry) -> _Place:
+def _entry_key(entry: library.LibraryEntry) -> _QualifiedName:
     return entry.__module__, entry.__name__
 
 
-def _compile_tasks(tasks: list[_Task], entries: Sequence[library.Entry], processes: int) -> Iterator[list[bytes]]:
+def _compile_tasks(tasks: list[_CompileTask], entries: Sequence[library.LibraryEntry], processes: int) -> Iterator[list[bytes]]:
     """What each task gives, in their order."""
     if processes < 2 or len(tasks) < 2:
         known = {_entry_key(each): each for each in entries}
@@ -68,19 +68,19 @@ def _compile_tasks(tasks: list[_Task], entries: Sequence[library.Entry], process
         yield from pool.map(_compile_task, tasks)
 
 
-def _compile_task(task: _Task) -> list[bytes]:
+def _compile_task(task: _CompileTask) -> list[bytes]:
     place, names = task
     return _object_codes(_library()[place], names)
 
 
 @cache
-def _library() -> dict[_Place, library.Entry]:
+def _library() -> dict[_QualifiedName, library.LibraryEntry]:
     """The package's kernels and texts, in a process of the pool."""
     return {_entry_key(each): each for each in library.load()}
 
 
-def _object_codes(entry: library.Entry, names: tuple[str, ...]) -> list[bytes]:
-    return [machine.object_code(entry.text(shipped.TARGETS[name]), shipped.TARGETS[name]) for name in names]
+def _object_codes(entry: library.LibraryEntry, names: tuple[str, ...]) -> list[bytes]:
+    return [machine.object_code(entry.text(shipped.TARGET_BY_NAME[name]), shipped.TARGET_BY_NAME[name]) for name in names]
 
 
 def main() -> int:
@@ -89,7 +89,7 @@ def main() -> int:
     host = parser.parse_args().host
     isolate()  # before processes are started
     why = machine.unavailable()
-    targets = list(shipped.TARGETS)
+    targets = list(shipped.TARGET_BY_NAME)
     if host and not why:
         own = shipped.target_name(machine.host())
         why = "" if own else f"this machine ({machine.host().triple}, {machine.host().cpu}) is not one of {', '.join(targets)}"
@@ -100,8 +100,8 @@ def main() -> int:
     start = time.monotonic()
     entries = library.load()
     core_count = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-    count = build(shipped.FOLDER, entries, targets, min(core_count, _MOST))
-    size = sum(shipped.file_of(shipped.FOLDER, name).stat().st_size for name in targets)
+    count = build(shipped.OBJECTS_FOLDER, entries, targets, min(core_count, _MAX_PROCESSES))
+    size = sum(shipped.file_of(shipped.OBJECTS_FOLDER, name).stat().st_size for name in targets)
     words = f"{len(entries)} kernels and texts for {', '.join(targets)}: {size / 1e6:.1f} MB"
     print(f"{words}, {count} compiled in {time.monotonic() - start:.0f} s")
     return 0

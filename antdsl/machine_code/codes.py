@@ -10,28 +10,28 @@ from threading import Lock
 from antdsl.machine_code import machine, object_cache, shipped
 
 _MOST_FUNCTIONS = 256  # functions with code in memory
-_known: OrderedDict[str, machine.Code] = OrderedDict()
-_guard = Lock()
+_code_by_key: OrderedDict[str, machine.LoadedCode] = OrderedDict()
+_code_lock = Lock()
 
 
-def code(named: str, write: Callable[[], str] | None = None) -> machine.Code:
+def code(named: str, write: Callable[[], str] | None = None) -> machine.LoadedCode:
     """Return the functions of a text, ready to run on this processor. With `write`, the text is the result of `write`, and
     `named` is its unique name. Raises RuntimeError for an invalid text."""
     target = machine.host()
     key = object_cache.key(named, target, versions=object_cache.versions())
-    with _guard:
-        if key in _known:
-            _known.move_to_end(key)
-            return _known[key]
+    with _code_lock:
+        if key in _code_by_key:
+            _code_by_key.move_to_end(key)
+            return _code_by_key[key]
     stored = _find_stored_code(named, target, key)
     object_file = machine.object_code(named if write is None else write(), target) if stored is None else stored
     loaded_code = machine.load(object_file)
     if stored is None:
         _objects().put(key, object_file)
-    with _guard:
-        _known[key] = loaded_code
-        while len(_known) > _MOST_FUNCTIONS:
-            _known.popitem(last=False)
+    with _code_lock:
+        _code_by_key[key] = loaded_code
+        while len(_code_by_key) > _MOST_FUNCTIONS:
+            _code_by_key.popitem(last=False)
     return loaded_code
 
 
@@ -39,8 +39,8 @@ def is_available(named: str) -> bool:
     """Return whether the code of a text, or of its name, is in memory or stored."""
     target = machine.host()
     key = object_cache.key(named, target, versions=object_cache.versions())
-    with _guard:
-        if key in _known:
+    with _code_lock:
+        if key in _code_by_key:
             return True
     return _find_stored_code(named, target, key) is not None
 
@@ -68,8 +68,8 @@ def messages() -> list[str]:
 
 def forget() -> None:
     """Release all code in memory that is not in use, as in a process that begins; the contents of folders stay."""
-    with _guard:
-        _known.clear()
+    with _code_lock:
+        _code_by_key.clear()
     _objects.cache_clear()
     shipped.forget()
 

@@ -6,38 +6,38 @@ sets the mode register and calls an inner function that does the work. So no ope
 from __future__ import annotations
 
 from antdsl.machine_code.kinds import I32, I64, PTR
-from antdsl.machine_code.module import Module
+from antdsl.machine_code.module import LlvmModule
 
-ARGUMENTS = "ptr %t, i64 %begin, i64 %end"
-_USUAL = 0x1F80  # of MXCSR: nothing is flushed, to nearest, no operation traps
+ENTRY_ARGUMENTS = "ptr %t, i64 %begin, i64 %end"
+_DEFAULT_MXCSR = 0x1F80  # of MXCSR: nothing is flushed, to nearest, no operation traps
 
 
-def inner_text(module: Module, name: str, body: str, line_table: str = "") -> str:
+def inner_text(module: LlvmModule, name: str, body: str, line_table: str = "") -> str:
     """Return the text of a function of (table of addresses, first row, row after the last) with a given body. `line_table` is the
     metadata of the body, if any."""
-    inside = f"define internal void @{name}.inside({ARGUMENTS}) noinline{line_table} {{\nentry:\n{body}\n  ret void\n}}"
+    inside = f"define internal void @{name}.inside({ENTRY_ARGUMENTS}) noinline{line_table} {{\nentry:\n{body}\n  ret void\n}}"
     return outer_text(module, name) + inside
 
 
-def outer_text(module: Module, name: str) -> str:
+def outer_text(module: LlvmModule, name: str) -> str:
     """Return the text of the function that is called from outside. It calls the function that does the work, named with `.inside`
     at the end."""
     prologue, epilogue = _x86(module) if module.target.x86 else _arm(module) if module.target.arm else ("", "")
-    call = f"  call void @{name}.inside({ARGUMENTS})"
-    return f"define void @{name}({ARGUMENTS}) {{\nentry:\n{prologue}{call}\n{epilogue}  ret void\n}}\n"
+    call = f"  call void @{name}.inside({ENTRY_ARGUMENTS})"
+    return f"define void @{name}({ENTRY_ARGUMENTS}) {{\nentry:\n{prologue}{call}\n{epilogue}  ret void\n}}\n"
 
 
-def _x86(module: Module) -> tuple[str, str]:
+def _x86(module: LlvmModule) -> tuple[str, str]:
     module.declare("llvm.x86.sse.stmxcsr", "void", [PTR])
     module.declare("llvm.x86.sse.ldmxcsr", "void", [PTR])
     prologue = (
-        f"  %saved = alloca {I32}\n  %usual = alloca {I32}\n  store {I32} {_USUAL}, ptr %usual\n"
+        f"  %saved = alloca {I32}\n  %usual = alloca {I32}\n  store {I32} {_DEFAULT_MXCSR}, ptr %usual\n"
         "  call void @llvm.x86.sse.stmxcsr(ptr %saved)\n  call void @llvm.x86.sse.ldmxcsr(ptr %usual)\n"
     )
     return prologue, "  call void @llvm.x86.sse.ldmxcsr(ptr %saved)\n"
 
 
-def _arm(module: Module) -> tuple[str, str]:
+def _arm(module: LlvmModule) -> tuple[str, str]:
     module.declare("llvm.aarch64.get.fpcr", I64, [])
     module.declare("llvm.aarch64.set.fpcr", "void", [I64])
     prologue = f"  %saved = call {I64} @llvm.aarch64.get.fpcr()\n  call void @llvm.aarch64.set.fpcr({I64} 0)\n"

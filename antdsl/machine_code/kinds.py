@@ -8,19 +8,19 @@ from typing import Any
 
 import numpy as np
 
-WIDTH = 8  # agents, or turns of a loop, in SIMD lanes
+LANE_COUNT = 8  # agents, or turns of a loop, in SIMD lanes
 F32, F64, BOOL, I8, I32, I64, PTR = "float", "double", "i1", "i8", "i32", "i64", "ptr"
-TYPES: Mapping[Any, str] = {
+KIND_BY_DTYPE: Mapping[Any, str] = {
     np.dtype(np.float32): F32, np.dtype(np.float64): F64, np.dtype(np.bool_): BOOL, np.dtype(np.int32): I32,
     np.dtype(np.int64): I64, np.dtype(np.uint64): I64, np.dtype(np.intp): I64, np.dtype(np.int8): I8, np.dtype(np.uint8): I8,
 }  # fmt: skip
-FLOATS = (F32, F64)
-BITS = {BOOL: 1, I8: 8, I32: 32, I64: 64}
+FLOAT_KINDS = (F32, F64)
+BITS_BY_KIND = {BOOL: 1, I8: 8, I32: 32, I64: 64}
 
 
 def literal(value: Any, kind: str) -> str:
     """Return a number in LLVM's language; a float as its bits."""
-    if kind in FLOATS:
+    if kind in FLOAT_KINDS:
         number = float(np.float32(value)) if kind == F32 else float(value)
         return f"0x{struct.unpack('>Q', struct.pack('>d', number))[0]:016X}"
     if kind == BOOL:

@@ -13,15 +13,28 @@ from typing import Any
 
 import numpy as np
 
-from antdsl.machine_code.kernels.ir import Function, Instruction, verify
+from antdsl.machine_code.kernels.ir import Instruction, IrFunction, verify
 from antdsl.machine_code.kernels.rendering import function_text
 from antdsl.machine_code.kernels.values import Number, text_type
 from antdsl.machine_code.kernels.vectors import Vectors
-from antdsl.machine_code.kinds import BITS, BOOL, F32, F64, FLOATS, I8, I32, I64, PTR, TYPES, WIDTH, literal
-from antdsl.machine_code.module import Module
+from antdsl.machine_code.kinds import (
+    BITS_BY_KIND,
+    BOOL,
+    F32,
+    F64,
+    FLOAT_KINDS,
+    I8,
+    I32,
+    I64,
+    KIND_BY_DTYPE,
+    LANE_COUNT,
+    PTR,
+    literal,
+)
+from antdsl.machine_code.module import LlvmModule
 
-_COMPARED = {"lt": "slt", "le": "sle", "gt": "sgt", "ge": "sge", "eq": "eq", "ne": "ne"}  # rows of whole numbers
-_MAGIC = 6755399441055744.0  # 1.5 * 2**52: in a sum with it a whole number stands in the last bits
+_INTEGER_COMPARISONS = {"lt": "slt", "le": "sle", "gt": "sgt", "ge": "sge", "eq": "eq", "ne": "ne"}  # rows of whole numbers
+_ROUNDING_MAGIC = 6755399441055744.0  # 1.5 * 2**52: in a sum with it a whole number stands in the last bits
 
 
 def _operator(word: str, *, swapped: bool = False) -> Callable[[Lanes, Any], Lanes]:
@@ -51,7 +64,7 @@ class Lanes(Number):
         return NotImplemented if options else self.e.apply_function(function, *inputs)
 
     def astype(self, dtype: Any) -> Lanes:
-        return self.e.convert(self, TYPES[np.dtype(dtype)])
+        return self.e.convert(self, KIND_BY_DTYPE[np.dtype(dtype)])
 
     def __neg__(self) -> Lanes:
         return self.e.op("fneg", self.kind, self)
@@ -75,7 +88,7 @@ class Lanes(Number):
 class LaneBuilder(Vectors[Lanes]):
     """Writer of one function. Blocks nest: values of an inner block are not known outside it, so `known` is a stack."""
 
-    def __init__(self, module: Module) -> None:
+    def __init__(self, module: LlvmModule) -> None:
         super().__init__("plan", "plan")
         self.module = module
         self.known: list[dict[Any, Any]] = [{}]
@@ -95,7 +108,7 @@ class LaneBuilder(Vectors[Lanes]):
         self.do("return", *results)
         self.blocks[0].body[:0] = self._begun
         result, full_name = results[0].type if results else "void", f"@{name}.inside" if outer else f"@{name}"
-        definition = Function(full_name, self.file, list(arguments), attribute, result, self.slots, self.blocks)
+        definition = IrFunction(full_name, self.file, list(arguments), attribute, result, self.slots, self.blocks)
         verify([definition], self.module.made)
         self.module.functions[name] = outer + function_text(definition, self.module.declared)
         self.module.made[full_name] = replace(definition, slots=[], blocks=[])
@@ -139,23 +152,23 @@ class LaneBuilder(Vectors[Lanes]):
         value = self.known[-1][key] = make()
         return value
 
-    def call(self, name: str, kind: str, *arguments: Number, lanes: int = WIDTH) -> Lanes:
+    def call(self, name: str, kind: str, *arguments: Number, lanes: int = LANE_COUNT) -> Lanes:
         """Call a function of the module that returns a number."""
         return self.op("call", kind, *arguments, x=f"@{name}", lanes=lanes)
 
     def apply_function(self, function: Any, *inputs: Any) -> Any:
         """What a NumPy function does to lanes."""
-        return _OF_NUMPY[function](self, *inputs) if function in _OF_NUMPY else NotImplemented
+        return _EMITTER_BY_UFUNC[function](self, *inputs) if function in _EMITTER_BY_UFUNC else NotImplemented
 
     # --- values --------------------------------------------------------------------------------------------------------
 
-    def constant(self, value: Any, kind: str, lanes: int = WIDTH) -> Lanes:
+    def constant(self, value: Any, kind: str, lanes: int = LANE_COUNT) -> Lanes:
         text = literal(value, kind)
         return self.named_number(kind, text if lanes == 1 else f"splat ({kind} {text})", lanes, value)
 
     def iota(self) -> Lanes:
         """The number of each lane."""
-        return self.named_number(I64, f"<{', '.join(f'i64 {k}' for k in range(WIDTH))}>", WIDTH)
+        return self.named_number(I64, f"<{', '.join(f'i64 {k}' for k in range(LANE_COUNT))}>", LANE_COUNT)
 
     def _as_operand(self, value: Any, like: Lanes) -> Lanes:
         """A value for an operation with another one: numbers of Python take its kind, as in NumPy."""
@@ -163,8 +176,8 @@ class LaneBuilder(Vectors[Lanes]):
             return value
         kind = like.kind
         if isinstance(value, np.generic):
-            kind = TYPES[value.dtype]
-        elif isinstance(value, float) and kind not in FLOATS:
+            kind = KIND_BY_DTYPE[value.dtype]
+        elif isinstance(value, float) and kind not in FLOAT_KINDS:
             kind = F64
         return self.constant(value, kind, like.lanes)
 
@@ -187,8 +200,8 @@ class LaneBuilder(Vectors[Lanes]):
     def binary(self, word: str, a: Any, b: Any) -> Lanes:
         """An operation or a comparison of two values, by its name in `OPS` without the letter for the kind."""
         left, right = self.match_kinds(a, b)
-        row = f"f{word}" if left.kind in FLOATS else _COMPARED.get(word, word)
-        return self.op(row, BOOL if word in _COMPARED else left.kind, left, right)
+        row = f"f{word}" if left.kind in FLOAT_KINDS else _INTEGER_COMPARISONS.get(word, word)
+        return self.op(row, BOOL if word in _INTEGER_COMPARISONS else left.kind, left, right)
 
     def clamp(self, value: Lanes, low: Lanes, high: Lanes) -> Lanes:
         """A value cut to bounds that are numbers."""
@@ -215,11 +228,11 @@ class LaneBuilder(Vectors[Lanes]):
             return value
         if kind == BOOL:
             return value != 0
-        if value.kind in FLOATS:
-            row = "fptosi" if kind not in FLOATS else "fpext" if kind == F64 else "fptrunc"
-        elif kind in FLOATS:
+        if value.kind in FLOAT_KINDS:
+            row = "fptosi" if kind not in FLOAT_KINDS else "fpext" if kind == F64 else "fptrunc"
+        elif kind in FLOAT_KINDS:
             row = "uitofp" if value.kind == BOOL else "sitofp"
-        elif BITS[kind] < BITS[value.kind]:
+        elif BITS_BY_KIND[kind] < BITS_BY_KIND[value.kind]:
             row = "trunc"
         else:
             row = "zext" if value.kind == BOOL else "sext"
@@ -228,11 +241,11 @@ class LaneBuilder(Vectors[Lanes]):
     def to_int32(self, value: Lanes) -> Lanes:
         """Convert an integer in float64, below 2**31, to i32 by the bits of its sum with 1.5 * 2**52. Other values give an
         unspecified number, but never an undefined one."""
-        return self.convert(self.bits(value + _MAGIC, I64), I32)
+        return self.convert(self.bits(value + _ROUNDING_MAGIC, I64), I32)
 
     def rounded_bits(self, value: Lanes) -> Lanes:
         """A whole number of float64 below 2**51 as i64."""
-        return self.bits(np.rint(value) + _MAGIC, I64) - self.bits(self.constant(_MAGIC, F64), I64)
+        return self.bits(np.rint(value) + _ROUNDING_MAGIC, I64) - self.bits(self.constant(_ROUNDING_MAGIC, F64), I64)
 
     def bits(self, value: Lanes, kind: str) -> Lanes:
         """The same bits as another kind of one width."""
@@ -252,7 +265,7 @@ class LaneBuilder(Vectors[Lanes]):
 
     def from_bits(self, bits: Lanes) -> Lanes:
         """A condition from the bits of one i8."""
-        return self.op("mask", BOOL, bits, lanes=WIDTH)
+        return self.op("mask", BOOL, bits, lanes=LANE_COUNT)
 
     def has_bit(self, word: Lanes, lane: Lanes) -> Lanes:
         """Whether a bit of a single i64 is 1."""
@@ -277,7 +290,7 @@ class LaneBuilder(Vectors[Lanes]):
     def read(self, base: Number, index: Lanes | int, kind: str) -> Lanes:
         """Read eight elements from an index on; for BOOL, bytes become conditions."""
         stored = I8 if kind == BOOL else kind
-        value = self.op("load", stored, self.address(base, index, stored), x=", align 1", lanes=WIDTH)
+        value = self.op("load", stored, self.address(base, index, stored), x=", align 1", lanes=LANE_COUNT)
         return self.convert(value, kind)
 
     def write(self, base: Number, index: Lanes | int, value: Lanes) -> None:
@@ -290,7 +303,7 @@ class LaneBuilder(Vectors[Lanes]):
         """Store those of eight elements for which a condition holds. No other code may write to the eight meanwhile."""
         stored = self.as_stored(value)
         place = self.address(base, index, stored.kind)
-        old_value = self.op("load", stored.kind, place, x=", align 1", lanes=WIDTH)
+        old_value = self.op("load", stored.kind, place, x=", align 1", lanes=LANE_COUNT)
         self.do("store", self.where(mask, stored, old_value), place, x=", align 1")
 
     def as_stored(self, value: Lanes) -> Lanes:
@@ -309,15 +322,15 @@ class LaneBuilder(Vectors[Lanes]):
         """Load elements of an array at indices, which must be within it. It uses eight single loads, which are faster than the
         gather instruction of many processors."""
         stored = I8 if kind == BOOL else kind
-        each = (self.read_one(base, self.convert(self.one(index, lane), I64), stored) for lane in range(WIDTH))
+        each = (self.read_one(base, self.convert(self.one(index, lane), I64), stored) for lane in range(LANE_COUNT))
         return self.convert(self.combine_lanes(each), kind)
 
 
-def elementwise(module: Module, name: str, kinds: tuple[str, ...], formula: Callable[..., Any]) -> str:
+def elementwise(module: LlvmModule, name: str, kinds: tuple[str, ...], formula: Callable[..., Any]) -> str:
     """Add a function of lanes that computes a NumPy formula, unless it exists; return its name."""
     if name not in module.functions:
         e = LaneBuilder(module)
-        inputs = [e.named_number(kind, f"%x{k}", WIDTH) for k, kind in enumerate(kinds)]
+        inputs = [e.named_number(kind, f"%x{k}", LANE_COUNT) for k, kind in enumerate(kinds)]
         e.end(name, inputs, formula(*inputs), attribute="noinline")
     return name
 
@@ -361,13 +374,13 @@ def _ldexp(e: LaneBuilder, a: Lanes, power: Lanes) -> Lanes:
 def _fmod(e: LaneBuilder, a: Any, b: Any) -> Lanes:
     """Return the exact remainder, with the sign of a. Most values are less than b already; others are computed lane by lane."""
     left, right = e.match_kinds(a, b)
-    result = e.slot(left.kind, WIDTH)
+    result = e.slot(left.kind, LANE_COUNT)
     e.put(result, left)
     with e.inside(e.any_lane(~(_unary("fabs")(e, left) < _unary("fabs")(e, right)))):
-        for lane in range(WIDTH):
+        for lane in range(LANE_COUNT):
             rest = e.op("frem", left.kind, e.one(left, lane), e.one(right, lane))
             e.put(e.address(result, lane, left.kind), rest)
-    return e.load(result, left.kind, WIDTH)
+    return e.load(result, left.kind, LANE_COUNT)
 
 
 def _unary(row: str) -> Callable[[LaneBuilder, Lanes], Lanes]:
@@ -379,7 +392,7 @@ def _binary(word: str) -> Callable[[LaneBuilder, Any, Any], Lanes]:
 
 
 # What NumPy's functions do to lanes: the same bits, NaN and signs of zero too.
-_OF_NUMPY: Mapping[Any, Callable[..., Any]] = {
+_EMITTER_BY_UFUNC: Mapping[Any, Callable[..., Any]] = {
     np.add: _binary("add"), np.subtract: _binary("sub"), np.multiply: _binary("mul"), np.true_divide: _binary("div"),
     np.less: _binary("lt"), np.less_equal: _binary("le"), np.greater: _binary("gt"), np.greater_equal: _binary("ge"),
     np.equal: _binary("eq"), np.not_equal: _binary("ne"),

@@ -17,10 +17,10 @@ from antdsl.bounded import read_bounded
 from antdsl.limits import MIB
 from antdsl.machine_code import codes, machine
 
-_DECORATED: Final = re.compile(rb"^@(kernel|library_text)\b", re.MULTILINE)
+_DECORATOR_PATTERN: Final = re.compile(rb"^@(kernel|library_text)\b", re.MULTILINE)
 
 
-class Entry(Protocol):
+class LibraryEntry(Protocol):
     """A kernel or a text. `text_key` stands for its text in keys. Both may depend on the target; a text is empty for a processor
     that cannot run it."""
 
@@ -32,27 +32,27 @@ class Entry(Protocol):
     def text(self, target: machine.Target) -> str: ...
 
 
-_entries: WeakSet[Any] = WeakSet()
+_library_entries: WeakSet[Any] = WeakSet()
 
 
-def add(entry: Entry) -> None:
+def add(entry: LibraryEntry) -> None:
     """Add a kernel or a text, for as long as it exists."""
-    _entries.add(entry)
+    _library_entries.add(entry)
 
 
 def modules() -> list[str]:
     """The names of all modules of the package that have a kernel or a text, in order."""
     package = Path(antdsl.__file__).parent
-    paths = [path for path in package.rglob("*.py") if _DECORATED.search(read_bounded(path, MIB))]
+    paths = [path for path in package.rglob("*.py") if _DECORATOR_PATTERN.search(read_bounded(path, MIB))]
     return sorted(".".join(path.relative_to(package.parent).with_suffix("").parts) for path in paths)
 
 
-def load() -> list[Entry]:
+def load() -> list[LibraryEntry]:
     """All kernels and texts of the package, in the order of their modules and names. Imports their modules."""
     names = modules()
     for name in names:
         import_module(name)
-    own = [each for each in list(_entries) if each.__module__.startswith(f"{antdsl.__name__}.")]
+    own = [each for each in list(_library_entries) if each.__module__.startswith(f"{antdsl.__name__}.")]
     entries = {(each.__module__, each.__name__): each for each in own}
     if len(entries) < len(own):
         raise ValueError("two kernels of a module have one name")
@@ -76,7 +76,7 @@ class LibraryText:
 
     text = text_key = __call__
 
-    def code(self) -> machine.Code:
+    def code(self) -> machine.LoadedCode:
         """Its functions, ready to run on this processor."""
         return codes.code(self(machine.host()))
 

@@ -13,19 +13,19 @@ from functools import cache
 from threading import Lock
 from typing import Any
 
-_LOCK = Lock()  # LLVM's context is shared by all of this process
+_LLVM_LOCK = Lock()  # LLVM's context is shared by all of this process
 if hasattr(os, "register_at_fork"):  # a process that was forked amid LLVM's work would find its locks held for ever
-    os.register_at_fork(before=_LOCK.acquire, after_in_parent=_LOCK.release, after_in_child=_LOCK.release)
-_NUMBERS = re.compile("[0-9]+")
-_OLDEST = (0, 45)  # of llvmlite, which reads what is written here
-ALL_PASSES = "whole"  # text that begins with this as a remark is gone over by all passes of LLVM
-_FUSED = ("fma", "fma4", "avx512f")  # what no instruction may come from, so that none can be fused
+    os.register_at_fork(before=_LLVM_LOCK.acquire, after_in_parent=_LLVM_LOCK.release, after_in_child=_LLVM_LOCK.release)
+_NUMBER_PATTERN = re.compile("[0-9]+")
+_OLDEST_LLVMLITE_VERSION = (0, 45)  # of llvmlite, which reads what is written here
+ALL_PASSES_COMMENT = "whole"  # text that begins with this as a remark is gone over by all passes of LLVM
+_DISABLED_FUSED_FEATURES = ("fma", "fma4", "avx512f")  # what no instruction may come from, so that none can be fused
 # Of processors with registers of 512 bits those since 2019: from there on their use slows nothing down. They imply `fma`, which
 # nothing that is written here asks for.
-_WIDE = "avx512vbmi2"
+_DISABLED_WIDE_FEATURE = "avx512vbmi2"
 # A number that can be written to. llvmlite sets a page aside for such numbers where an object file has one. LLVM puts addresses
 # of functions of C there, of which llvmlite takes no account.
-_WRITTEN = '\n@"a number" = global i64 1\n'
+_PROBE_MODULE_TEXT = '\n@"a number" = global i64 1\n'
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,10 +52,10 @@ class Target:
         return self.triple.partition("-")[0] in ("aarch64", "arm64")
 
 
-ANY = Target("x86_64-unknown-linux-gnu", "x86-64-v3", "+avx2,-fma")  # for what is to be the same on each machine
+PORTABLE_TARGET = Target("x86_64-unknown-linux-gnu", "x86-64-v3", "+avx2,-fma")  # for what is to be the same on each machine
 
 
-class NoMachineCode(RuntimeError):
+class MachineCodeUnavailable(RuntimeError):
     """Error for machine code that is needed but cannot be compiled here; the message says why and what to do."""
 
 
@@ -79,7 +79,7 @@ def unavailable() -> str:
         return 'llvmlite is not installed: pip install "llvmlite>=0.45"'
     except (OSError, RuntimeError, AttributeError) as problem:  # not loadable, or made without this processor
         return f"llvmlite cannot be used ({problem}): pip install --force-reinstall llvmlite"
-    if tuple(int(part) for part in _NUMBERS.findall(llvmlite.__version__)[:2]) < _OLDEST:
+    if tuple(int(part) for part in _NUMBER_PATTERN.findall(llvmlite.__version__)[:2]) < _OLDEST_LLVMLITE_VERSION:
         return f'llvmlite {llvmlite.__version__} is too old: pip install "llvmlite>=0.45"'
     return ""
 
@@ -92,7 +92,7 @@ def is_available() -> bool:
 def require() -> None:
     """Raise NoMachineCode where no code can be made."""
     if why := unavailable():
-        raise NoMachineCode(why)
+        raise MachineCodeUnavailable(why)
 
 
 @cache
@@ -107,22 +107,22 @@ def format_features(features: Mapping[str, bool]) -> str:
     """Return a processor's features in LLVM's form, without those that could fuse instructions, except with 512-bit registers.
 
     Disabled features come last: one feature may imply another (`xop` implies `fma4`), and later entries override earlier ones."""
-    missing = ("fma4",) if features.get(_WIDE) else _FUSED
+    missing = ("fma4",) if features.get(_DISABLED_WIDE_FEATURE) else _DISABLED_FUSED_FEATURES
     words = [f"{'+' if on else '-'}{name}" for name, on in sorted(features.items()) if name not in missing]
     return ",".join(words + [f"-{name}" for name in missing if name in features])
 
 
 def object_code(text: str, target: Target) -> bytes:
     """Compile a text to an object file. Raises RuntimeError for an invalid text, which is a mistake of ours."""
-    with _LOCK:
-        machine, module = _optimised_module(text + _WRITTEN, target)
+    with _LLVM_LOCK:
+        machine, module = _optimised_module(text + _PROBE_MODULE_TEXT, target)
         code: bytes = machine.emit_object(module)
         return code
 
 
 def assembly(text: str, target: Target) -> str:
     """Compile a text to assembly."""
-    with _LOCK:
+    with _LLVM_LOCK:
         machine, module = _optimised_module(text, target)
         assembly_text: str = machine.emit_assembly(module)
         return assembly_text
@@ -135,7 +135,7 @@ def _optimised_module(text: str, target: Target) -> tuple[Any, Any]:
     module = llvm.parse_assembly(text)
     module.triple, module.data_layout = target.triple, str(machine.target_data)
     module.verify()
-    runs_all_passes = text.startswith(f"; {ALL_PASSES}")
+    runs_all_passes = text.startswith(f"; {ALL_PASSES_COMMENT}")
     options = llvm.create_pipeline_tuning_options(speed_level=2 if runs_all_passes else 0)
     if runs_all_passes:
         options.loop_vectorization = options.slp_vectorization = True
@@ -163,7 +163,7 @@ def _target_machine(target: Target) -> Any:
 
 
 @dataclass(slots=True)
-class Code:
+class LoadedCode:
     """Functions that can be called, with the objects that keep them in memory."""
 
     _engine: Any
@@ -192,16 +192,16 @@ class Code:
         return location
 
 
-def load(code: bytes) -> Code:
+def load(code: bytes) -> LoadedCode:
     """Load an object file into memory, ready to run.
 
     Code and constants are in one block (`use_lmm`): code refers to its constants by 32-bit offsets. In a process with gigabytes
     of arrays, separate blocks may be further apart, and then LLVM ends the process. LLVM receives the file as the code of an
     empty text. Otherwise it would compile that text, which takes three times as long as everything else."""
     llvm = _llvm()
-    with _LOCK:
+    with _LLVM_LOCK:
         loader = llvm.Target.from_triple(host().triple).create_target_machine(opt=0, reloc="pic", codemodel="default")
         engine = llvm.create_mcjit_compiler(llvm.parse_assembly(""), loader, use_lmm=True)
         engine.set_object_cache(getbuffer_func=lambda _: code)
         engine.finalize_object()
-        return Code(engine)
+        return LoadedCode(engine)

@@ -9,15 +9,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl.machine_code.kinds import WIDTH
+from antdsl.machine_code.kinds import LANE_COUNT
 
-_of_buffer: Callable[[Any], Any] = ctypes.c_char.from_buffer
-_place_of = ctypes.addressof
+_char_from_buffer: Callable[[Any], Any] = ctypes.c_char.from_buffer
+_address_of_char = ctypes.addressof
 
 
 def padded_copy(array: NDArray[Any]) -> NDArray[Any]:
     """Return a copy followed by eight spare rows of zeros."""
-    padded = np.zeros((len(array) + WIDTH, *array.shape[1:]), array.dtype)
+    padded = np.zeros((len(array) + LANE_COUNT, *array.shape[1:]), array.dtype)
     padded[: len(array)] = array
     view: NDArray[Any] = padded[: len(array)]
     return view
@@ -32,7 +32,7 @@ def padded_rows(array: NDArray[Any], rows: NDArray[np.intp]) -> NDArray[Any]:
 
 def padded_empty(count: int, dtype: np.dtype[Any]) -> NDArray[Any]:
     """Return an uninitialised array [count], followed by eight spare zeros."""
-    padded = np.empty(count + WIDTH, dtype)
+    padded = np.empty(count + LANE_COUNT, dtype)
     padded[count:] = 0
     view: NDArray[Any] = padded[:count]
     return view
@@ -43,13 +43,13 @@ def has_padding(array: NDArray[Any]) -> bool:
     padded = array.base
     if not isinstance(padded, np.ndarray) or padded.ndim != 1 or padded.dtype != array.dtype or not array.flags.c_contiguous:
         return False
-    return len(padded) >= len(array) + WIDTH and address(padded) == address(array)
+    return len(padded) >= len(array) + LANE_COUNT and address(padded) == address(array)
 
 
 def address(array: NDArray[Any]) -> int:
     """Return the start address of an array. Raises ValueError where it is not contiguous."""
     try:
-        return _place_of(_of_buffer(array))  # a third of the time of `array.ctypes.data`
+        return _address_of_char(_char_from_buffer(array))  # a third of the time of `array.ctypes.data`
     except (TypeError, ValueError):  # read-only, empty, or not in one piece
         pass
     if not array.flags.c_contiguous:

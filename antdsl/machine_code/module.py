@@ -6,20 +6,20 @@ import re
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from antdsl.machine_code.kernels.ir import Function
+    from antdsl.machine_code.kernels.ir import IrFunction
     from antdsl.machine_code.machine import Target
 
-_NAMED = re.compile(r"@[\w.]+")
+_NAME_PATTERN = re.compile(r"@[\w.]+")
 
 
-class Module:
+class LlvmModule:
     """Texts of functions by name, and declarations of the LLVM functions that they call."""
 
     def __init__(self, target: Target) -> None:
         self.target = target
         self.declared: dict[str, str] = {}  # by names with an @
         self.functions: dict[str, str] = {}
-        self.made: dict[str, Function] = {}  # what is known of those that are written, without their instructions
+        self.made: dict[str, IrFunction] = {}  # what is known of those that are written, without their instructions
 
     def declare(self, name: str, result: str, arguments: list[str]) -> None:
         self.declared.setdefault(f"@{name}", f"declare {result} @{name}({', '.join(arguments)})")
@@ -39,7 +39,7 @@ class Module:
         while coming:
             name = coming.pop()
             if name not in output and name in self.functions:
-                output[name] = set(_NAMED.findall(self.functions[name]))
+                output[name] = set(_NAME_PATTERN.findall(self.functions[name]))
                 coming += [each[1:] for each in output[name]]
         named = set[str]().union(*output.values())
         declared = [text for name, text in self.declared.items() if name in named]

@@ -25,18 +25,20 @@ from antdsl.diagnostics.model import printable
 from antdsl.limits import MIB
 from antdsl.machine_code import signing
 from antdsl.user_folders import cache_folder
-from antdsl.whole import PART, write_atomically
+from antdsl.whole import PART_SUFFIX, write_atomically
 
 if TYPE_CHECKING:
     from antdsl.machine_code.machine import Target
 
-VARIABLE: Final = "ANTDSL_NATIVE_CACHE"
-CAP: Final = 256 * MIB
-_IN_MEMORY: Final = 16 * MIB
-_LARGEST: Final = 64 * MIB  # of one object file
-_KEY = re.compile("[0-9a-f]{64}")
-_LEFT_OVER = re.compile(rf"\.[0-9a-f]{{40}}\.[0-9a-f]{{12}}{re.escape(PART)}")  # by a run that ended while it wrote
-_ABANDONED: Final = 3600.0  # s since such a file was written to; before, another run may be at it
+CACHE_VARIABLE: Final = "ANTDSL_NATIVE_CACHE"
+MAX_CACHE_BYTES: Final = 256 * MIB
+_MAX_MEMORY_BYTES: Final = 16 * MIB
+_MAX_OBJECT_BYTES: Final = 64 * MIB  # of one object file
+_KEY_PATTERN = re.compile("[0-9a-f]{64}")
+_TEMPORARY_FILE_PATTERN = re.compile(
+    rf"\.[0-9a-f]{{40}}\.[0-9a-f]{{12}}{re.escape(PART_SUFFIX)}"
+)  # by a run that ended while it wrote
+_ABANDONED_AFTER_SECONDS: Final = 3600.0  # s since such a file was written to; before, another run may be at it
 IR_VERSION: Final = "3"  # of texts: another number where one means something else, or `machine.py` is not all that compiles it
 ABI_VERSION: Final = "1"  # of calls: another number where code finds its arguments, or what it calls, in another place
 
@@ -56,9 +58,9 @@ class StoreKind(NamedTuple):
     fallback: str  # what is done where a file is not used
 
 
-CODE: Final = StoreKind(
+CODE_STORE: Final = StoreKind(
     "native",
-    VARIABLE,
+    CACHE_VARIABLE,
     ".object",
     "compiled code",
     "is",
@@ -116,10 +118,12 @@ class ObjectCache:
     removed first. `largest`: bytes of one result. `messages`: sentences for the user on why something is not stored or was not
     used, each once."""
 
-    def __init__(self, folder: Path | None = None, *, kind: StoreKind = CODE, cap: int = CAP, largest: int | None = None) -> None:
+    def __init__(
+        self, folder: Path | None = None, *, kind: StoreKind = CODE_STORE, cap: int = MAX_CACHE_BYTES, largest: int | None = None
+    ) -> None:
         self.messages: list[str] = []
         self._kind = kind
-        self._largest = _LARGEST if largest is None else largest
+        self._largest = _MAX_OBJECT_BYTES if largest is None else largest
         self._cap = cap
         self._memory: OrderedDict[str, bytes] = OrderedDict()
         self._lock = Lock()
@@ -156,7 +160,7 @@ class ObjectCache:
             with self._lock:
                 self._memory[key] = code
                 self._memory.move_to_end(key)
-                while sum(map(len, self._memory.values())) > _IN_MEMORY:
+                while sum(map(len, self._memory.values())) > _MAX_MEMORY_BYTES:
                     self._memory.popitem(last=False)
 
     def prepare(self) -> None:
@@ -252,13 +256,13 @@ def _remove_oldest(folder: Path, cap: int, keep: str) -> None:
     with os.scandir(folder) as entries:
         for entry in entries:
             stored = stored_name.fullmatch(entry.name)
-            if not (stored or _LEFT_OVER.fullmatch(entry.name)):
+            if not (stored or _TEMPORARY_FILE_PATTERN.fullmatch(entry.name)):
                 continue
             with suppress(OSError):
                 file_stat = entry.stat(follow_symlinks=False)
                 if stored:
                     stored_files.append((file_stat.st_mtime_ns, entry.name, file_stat.st_size))
-                elif time.time() - file_stat.st_mtime > _ABANDONED:
+                elif time.time() - file_stat.st_mtime > _ABANDONED_AFTER_SECONDS:
                     os.unlink(entry.path)
     above = sum(size for _, _, size in stored_files) - cap
     for _, name, size in sorted(stored_files):
@@ -271,7 +275,7 @@ def _remove_oldest(folder: Path, cap: int, keep: str) -> None:
 
 
 def _require_key(key: str) -> None:
-    if not _KEY.fullmatch(key):
+    if not _KEY_PATTERN.fullmatch(key):
         raise ValueError(f"{key!r} is not 64 hexadecimal digits")
 
 

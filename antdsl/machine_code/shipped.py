@@ -20,18 +20,27 @@ from antdsl.limits import MIB
 from antdsl.machine_code import object_cache
 from antdsl.machine_code.machine import Target
 
-FOLDER: Final = Path(__file__).resolve().parent / "objects"
-_LARGEST: Final = 64 * MIB  # of one file
-_MAGIC: Final = b"antdsl objects 1"
-_HEAD: Final = struct.Struct(f"<{len(_MAGIC)}s32sQ")  # magic, hash of the index, number of entries
-_ENTRY: Final = struct.Struct("<32sQQ32s")  # key, position behind the index, size, hash
+OBJECTS_FOLDER: Final = Path(__file__).resolve().parent / "objects"
+_MAX_FILE_BYTES: Final = 64 * MIB  # of one file
+_FILE_MAGIC: Final = b"antdsl objects 1"
+_HEADER_STRUCT: Final = struct.Struct(f"<{len(_FILE_MAGIC)}s32sQ")  # magic, hash of the index, number of entries
+_ENTRY_STRUCT: Final = struct.Struct("<32sQQ32s")  # key, position behind the index, size, hash
 # What code for these levels of x86-64 may use (x86-64 psABI, section 3.1.1), without `fma`, and with products without carry,
 # which all processors of the levels have. `machine` says why registers of 512 bits need `avx512vbmi2`.
-_V3: Final = (
+_X86_V3_FEATURES: Final = (
     "64bit", "cmov", "cx8", "fxsr", "mmx", "sse", "sse2", "cx16", "popcnt", "sahf", "sse3", "sse4.1", "sse4.2", "ssse3", "crc32",
     "avx", "avx2", "bmi", "bmi2", "f16c", "lzcnt", "movbe", "xsave", "pclmul",
 )  # fmt: skip
-_V4: Final = (*_V3, "avx512f", "avx512bw", "avx512cd", "avx512dq", "avx512vl", "avx512vbmi2", "vpclmulqdq")
+_X86_V4_FEATURES: Final = (
+    *_X86_V3_FEATURES,
+    "avx512f",
+    "avx512bw",
+    "avx512cd",
+    "avx512dq",
+    "avx512vl",
+    "avx512vbmi2",
+    "vpclmulqdq",
+)
 
 
 def _features(present: tuple[str, ...], absent: tuple[str, ...]) -> str:
@@ -39,9 +48,9 @@ def _features(present: tuple[str, ...], absent: tuple[str, ...]) -> str:
 
 
 # By name, the widest first. What is absent are fused operations, as `machine.named` has it.
-TARGETS: Final[Mapping[str, Target]] = {
-    "x86-64-v4": Target("x86_64-unknown-linux-gnu", "x86-64-v4", _features(_V4, ("fma4",))),
-    "x86-64-v3": Target("x86_64-unknown-linux-gnu", "x86-64-v3", _features(_V3, ("fma", "fma4", "avx512f"))),
+TARGET_BY_NAME: Final[Mapping[str, Target]] = {
+    "x86-64-v4": Target("x86_64-unknown-linux-gnu", "x86-64-v4", _features(_X86_V4_FEATURES, ("fma4",))),
+    "x86-64-v3": Target("x86_64-unknown-linux-gnu", "x86-64-v3", _features(_X86_V3_FEATURES, ("fma", "fma4", "avx512f"))),
     "aarch64": Target("aarch64-unknown-linux-gnu", "generic", "+neon"),
 }
 
@@ -53,7 +62,7 @@ def target_name(host: Target) -> str | None:
     if "linux" not in host.triple:
         return None
     present = _present_features(host)
-    for name, target in TARGETS.items():
+    for name, target in TARGET_BY_NAME.items():
         levels = target.x86 and host.x86 and _present_features(target) <= present
         if levels or (target.arm and host.arm):
             return name
@@ -72,7 +81,7 @@ def key(named: str, target: Target) -> str:
 def find_object(named: str, host: Target) -> bytes | None:
     """Return the object file for a text, or for its name, on this processor; None where the installation has none."""
     name = target_name(host)
-    return None if name is None else _open_objects(FOLDER, name).get(key(named, TARGETS[name]))
+    return None if name is None else _open_objects(OBJECTS_FOLDER, name).get(key(named, TARGET_BY_NAME[name]))
 
 
 def file_of(folder: Path, name: str) -> Path:
@@ -82,29 +91,31 @@ def file_of(folder: Path, name: str) -> Path:
 
 def messages() -> list[str]:
     """Sentences for the user on why object files of the installation are not used, each once."""
-    return [] if _damaged is None else [f"compiled code in `{printable(str(_damaged))}` is damaged: install antdsl again"]
+    return (
+        [] if _damaged_file is None else [f"compiled code in `{printable(str(_damaged_file))}` is damaged: install antdsl again"]
+    )
 
 
 def forget() -> None:
     """Close the files, so that they are opened again when needed."""
-    global _damaged
-    _damaged = None
+    global _damaged_file
+    _damaged_file = None
     _open_objects.cache_clear()
 
 
 @cache
-def _open_objects(folder: Path, name: str) -> Objects:
-    return Objects(file_of(folder, name))
+def _open_objects(folder: Path, name: str) -> ObjectFile:
+    return ObjectFile(file_of(folder, name))
 
 
-class Objects:
+class ObjectFile:
     """The object files in one file, by key. Its index is read once. A file that is missing or of another form has none."""
 
     def __init__(self, path: Path) -> None:
         self._path = path
         self._index: dict[bytes, tuple[int, int, bytes]] = {}
         try:
-            with open_bounded(path, _LARGEST) as file:
+            with open_bounded(path, _MAX_FILE_BYTES) as file:
                 self._read_index(file)
         except FileNotFoundError:
             pass
@@ -112,14 +123,14 @@ class Objects:
             _report(path)
 
     def _read_index(self, file: IO[bytes]) -> None:
-        head = file.read(_HEAD.size)
-        magic, checked, count = _HEAD.unpack(head) if len(head) == _HEAD.size else (b"", b"", 0)
-        index = file.read(min(_LARGEST, count * _ENTRY.size))
-        if magic != _MAGIC or _hash(index) != checked:
+        head = file.read(_HEADER_STRUCT.size)
+        magic, checked, count = _HEADER_STRUCT.unpack(head) if len(head) == _HEADER_STRUCT.size else (b"", b"", 0)
+        index = file.read(min(_MAX_FILE_BYTES, count * _ENTRY_STRUCT.size))
+        if magic != _FILE_MAGIC or _hash(index) != checked:
             _report(self._path)
             return
-        for key, position, size, content in _ENTRY.iter_unpack(index):
-            self._index[key] = (_HEAD.size + len(index) + position, size, content)
+        for key, position, size, content in _ENTRY_STRUCT.iter_unpack(index):
+            self._index[key] = (_HEADER_STRUCT.size + len(index) + position, size, content)
 
     def __len__(self) -> int:
         return len(self._index)
@@ -131,7 +142,7 @@ class Objects:
             return None
         position, size, content = entry
         try:
-            with open_bounded(self._path, _LARGEST) as file:
+            with open_bounded(self._path, _MAX_FILE_BYTES) as file:
                 file.seek(position)
                 code = file.read(size)
         except OSError:
@@ -146,18 +157,22 @@ def pack_objects(codes: Mapping[str, bytes]) -> bytes:
     """The content of a file with these object files, by key. It depends on nothing else."""
     index, position = [], 0
     for key, code in sorted(codes.items()):
-        index.append(_ENTRY.pack(bytes.fromhex(key), position, len(code), _hash(code)))
+        index.append(_ENTRY_STRUCT.pack(bytes.fromhex(key), position, len(code), _hash(code)))
         position += len(code)
     entries = b"".join(index)
-    return _HEAD.pack(_MAGIC, _hash(entries), len(index)) + entries + b"".join(code for _, code in sorted(codes.items()))
+    return (
+        _HEADER_STRUCT.pack(_FILE_MAGIC, _hash(entries), len(index))
+        + entries
+        + b"".join(code for _, code in sorted(codes.items()))
+    )
 
 
-_damaged: Path | None = None
+_damaged_file: Path | None = None
 
 
 def _report(path: Path) -> None:
-    global _damaged
-    _damaged = path
+    global _damaged_file
+    _damaged_file = path
 
 
 def _hash(data: bytes) -> bytes:

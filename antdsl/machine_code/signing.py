@@ -21,9 +21,9 @@ from antdsl.whole import create_complete
 
 SIGNATURE_BYTES = 32
 _KEY_BYTES = 32
-_ATTEMPTS = 50  # of reading or creating the key
-_PAUSE = 0.01  # s between two of them, while another process creates it
-_MACHINE_IDS = ("/etc/machine-id", "/var/lib/dbus/machine-id", "/etc/hostid")
+_MAX_KEY_ATTEMPTS = 50  # of reading or creating the key
+_RETRY_PAUSE_SECONDS = 0.01  # s between two of them, while another process creates it
+_MACHINE_ID_FILES = ("/etc/machine-id", "/var/lib/dbus/machine-id", "/etc/hostid")
 
 
 class Signer:
@@ -59,15 +59,15 @@ def signer(*, create: bool) -> Signer | None:
     With `create`, a missing key is created, and a key that others may know, or of another length, is replaced. OSError says why
     no key is possible."""
     path = key_file()
-    for attempt in range(_ATTEMPTS):
+    for attempt in range(_MAX_KEY_ATTEMPTS):
         try:
             return Signer(_read_key(path))
         except OSError as problem:
             if not create:
                 return None
             make_private_folder(path.parent)
-            if isinstance(problem, NotPrivate) and _has_two_names(path) and attempt < _ATTEMPTS // 2:
-                time.sleep(_PAUSE)  # another process is just creating it
+            if isinstance(problem, NotPrivate) and _has_two_names(path) and attempt < _MAX_KEY_ATTEMPTS // 2:
+                time.sleep(_RETRY_PAUSE_SECONDS)  # another process is just creating it
                 continue
             if not isinstance(problem, FileNotFoundError):
                 with suppress(FileNotFoundError):
@@ -107,7 +107,7 @@ def machine_id() -> str:
             if ctypes.CDLL(None).gethostuuid(number, wait) == 0:
                 return bytes(number).hex()
         return ""
-    for path in _MACHINE_IDS:
+    for path in _MACHINE_ID_FILES:
         with suppress(OSError):
             if identifier := read_bounded(path, 4096).decode("ascii", "replace").strip():
                 return identifier

@@ -13,23 +13,27 @@ from __future__ import annotations
 from functools import cache
 
 from antdsl.machine_code import machine
-from antdsl.machine_code.kernels.direct.argument_text import PARTS, RESULTS, RESULTS_WORD, WORDS
+from antdsl.machine_code.kernels.direct.argument_text import MAX_JOB_PARTS, MAX_TABLE_WORDS, PART_RESULTS_WORD, RESULT_WORDS
 from antdsl.machine_code.library import library_text, read_language
 
-LINE = 8  # words of a cache line: values that several threads write to have separate lines
+CACHE_LINE_WORDS = 8  # words of a cache line: values that several threads write to have separate lines
 # Places in a pool's words. `left` and `done` of a job; `waits`: whether the one who asks sleeps.
-LEFT, DONE_COUNT, WAITS = 0, LINE, 2 * LINE
+PARTS_LEFT_WORD, DONE_COUNT_WORD, CALLER_WAITS_WORD = 0, CACHE_LINE_WORDS, 2 * CACHE_LINE_WORDS
 # The job: its code, its table or list, the words of a table, its parts, and the numbers of which each part takes some.
-CODE, TABLE, LENGTH, OF, COUNT = range(3 * LINE, 3 * LINE + 5)
+JOB_CODE_WORD, JOB_TABLE_WORD, TABLE_LENGTH_WORD, PART_COUNT_WORD, ROW_COUNT_WORD = range(
+    3 * CACHE_LINE_WORDS, 3 * CACHE_LINE_WORDS + 5
+)
 # What stays: how many workers, turns before one sleeps, the lock of who asks, functions that take and release a lock; and `END`,
 # whether workers are to go.
-WORKERS, TURNS, LOCK, ACQUIRE, RELEASE, END = range(4 * LINE, 4 * LINE + 6)
-SLEEPS = RESULTS_WORD + PARTS * RESULTS  # for each worker whether it sleeps, and its lock
-EVEN = 16  # parts of a kernel begin at multiples of it: at whole registers, and lines of what they write
+WORKER_COUNT_WORD, SPIN_TURNS_WORD, CALLER_LOCK_WORD, ACQUIRE_FUNCTION_WORD, RELEASE_FUNCTION_WORD, SHOULD_END_WORD = range(
+    4 * CACHE_LINE_WORDS, 4 * CACHE_LINE_WORDS + 6
+)
+FIRST_SLEEP_WORD = PART_RESULTS_WORD + MAX_JOB_PARTS * RESULT_WORDS  # for each worker whether it sleeps, and its lock
+PART_ALIGNMENT = 16  # parts of a kernel begin at multiples of it: at whole registers, and lines of what they write
 
 
 @cache
-def code() -> machine.Code:
+def code() -> machine.LoadedCode:
     """Return the code of the workers' functions.
 
     `run(pool, code, table, words, parts)` does a job together with the workers: a kernel's code for numbers from 0 to the last
@@ -49,13 +53,16 @@ def text(target: machine.Target) -> str:
     output = read_language("workers.ll").replace("$PAUSE$", pause)
     if pause:
         output += "declare void @llvm.x86.sse2.pause()\n" if target.x86 else "declare void @llvm.aarch64.hint(i32)\n"
-    for name, place in _OFFSETS.items():
+    for name, place in _WORD_OFFSETS.items():
         output = output.replace(f"${name}$", str(place))
     return output
 
 
-_OFFSETS = {
-    "LEFT": LEFT, "DONE": DONE_COUNT, "WAITS": WAITS, "CODE": CODE, "TABLE": TABLE, "LENGTH": LENGTH, "OF": OF, "COUNT": COUNT,
-    "WORKERS": WORKERS, "TURNS": TURNS, "LOCK": LOCK, "ACQUIRE": ACQUIRE, "RELEASE": RELEASE, "END": END, "GIVEN": RESULTS_WORD,
-    "SLEEPS": SLEEPS, "LINE": LINE, "RESULTS": RESULTS, "WORDS": WORDS, "EVEN": -EVEN,
+_WORD_OFFSETS = {
+    "LEFT": PARTS_LEFT_WORD, "DONE": DONE_COUNT_WORD, "WAITS": CALLER_WAITS_WORD, "CODE": JOB_CODE_WORD,
+    "TABLE": JOB_TABLE_WORD, "LENGTH": TABLE_LENGTH_WORD, "OF": PART_COUNT_WORD, "COUNT": ROW_COUNT_WORD,
+    "WORKERS": WORKER_COUNT_WORD, "TURNS": SPIN_TURNS_WORD, "LOCK": CALLER_LOCK_WORD, "ACQUIRE": ACQUIRE_FUNCTION_WORD,
+    "RELEASE": RELEASE_FUNCTION_WORD, "END": SHOULD_END_WORD, "GIVEN": PART_RESULTS_WORD,
+    "SLEEPS": FIRST_SLEEP_WORD, "LINE": CACHE_LINE_WORDS, "RESULTS": RESULT_WORDS, "WORDS": MAX_TABLE_WORDS,
+    "EVEN": -PART_ALIGNMENT,
 }  # fmt: skip

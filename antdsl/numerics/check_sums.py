@@ -20,30 +20,37 @@ from numpy.typing import NDArray
 from antdsl.machine_code import machine
 from antdsl.machine_code.entries import inner_text
 from antdsl.machine_code.kernels.direct import ArgumentSpec, make_builtin
-from antdsl.machine_code.kernels.direct.argument_text import INTEGER, RESULTS
+from antdsl.machine_code.kernels.direct.argument_text import INTEGER_KIND, RESULT_WORDS
 from antdsl.machine_code.library import library_text
 from antdsl.machine_code.memory import address
-from antdsl.machine_code.module import Module
+from antdsl.machine_code.module import LlvmModule
 
-LEAST = 1_024  # bytes; of fewer the call takes as long as it saves
-_BLOCK = 16  # bytes of a factor
-_REGISTERS = 4  # read at once
-_ALL = 0xFFFFFFFF
-_POLYNOMIAL = 0x104C11DB7
-_BYTE = np.dtype(np.uint8)
-_DATA, _LENGTH, _PREVIOUS_CRC = RESULTS, RESULTS + 1, RESULTS + 2  # words of a call's table; the first is what is given back
-_Words = ctypes.c_int64 * (_PREVIOUS_CRC + 1)
-_FEATURE, _WIDE = "+pclmul", ("+vpclmulqdq", "+avx512vbmi2")  # as LLVM names them; the wide ones are used where `machine` does
+MIN_BYTES_FOR_KERNEL = 1_024  # bytes; of fewer the call takes as long as it saves
+_BLOCK_BYTES = 16  # bytes of a factor
+_REGISTERS_PER_STEP = 4  # read at once
+_ALL_32_BITS = 0xFFFFFFFF
+_CRC_POLYNOMIAL = 0x104C11DB7
+_BYTE_DTYPE = np.dtype(np.uint8)
+_DATA_WORD, _LENGTH_WORD, _PREVIOUS_CRC_WORD = (
+    RESULT_WORDS,
+    RESULT_WORDS + 1,
+    RESULT_WORDS + 2,
+)  # words of a call's table; the first is what is given back
+_CallTable = ctypes.c_int64 * (_PREVIOUS_CRC_WORD + 1)
+_CARRYLESS_FEATURE, _WIDE_FEATURES = (
+    "+pclmul",
+    ("+vpclmulqdq", "+avx512vbmi2"),
+)  # as LLVM names them; the wide ones are used where `machine` does
 
 
 def crc32(data: bytes | memoryview, previous_crc: int = 0) -> int:
     """Return the CRC-32 of `data` (contiguous bytes). With `previous_crc`, the CRC-32 of the preceding bytes, return that of both
     together."""
     data = memoryview(data).cast("B")
-    if len(data) < LEAST:
+    if len(data) < MIN_BYTES_FOR_KERNEL:
         return zlib.crc32(data, previous_crc)
     fold = _fold()
-    return zlib.crc32(data, previous_crc) if fold is None else fold(np.frombuffer(data, _BYTE), previous_crc)
+    return zlib.crc32(data, previous_crc) if fold is None else fold(np.frombuffer(data, _BYTE_DTYPE), previous_crc)
 
 
 @cache
@@ -59,23 +66,23 @@ def _fold() -> Callable[[NDArray[np.uint8], int], int] | None:
     function = code.function("fold")  # what is called lies in `code`
 
     def fold(data: NDArray[np.uint8], previous_crc: int) -> int:
-        table = _Words(*[0] * _DATA, address(data), len(data), previous_crc)
+        table = _CallTable(*[0] * _DATA_WORD, address(data), len(data), previous_crc)
         function(ctypes.addressof(table), 0, 0)
         return table[0]
 
     fold.code = code  # type: ignore[attr-defined]
-    parameters = [ArgumentSpec((0,), _DATA, dtype=_BYTE, axes=1), ArgumentSpec((1,), _PREVIOUS_CRC, INTEGER)]
-    return make_builtin("fold", code, parameters, _PREVIOUS_CRC + 1, [INTEGER], fold) or fold
+    parameters = [ArgumentSpec((0,), _DATA_WORD, dtype=_BYTE_DTYPE, axes=1), ArgumentSpec((1,), _PREVIOUS_CRC_WORD, INTEGER_KIND)]
+    return make_builtin("fold", code, parameters, _PREVIOUS_CRC_WORD + 1, [INTEGER_KIND], fold) or fold
 
 
 def has_carryless_products(target: machine.Target) -> bool:
     """Return whether a processor has carry-less products."""
-    return target.x86 and _FEATURE in target.features.split(",")
+    return target.x86 and _CARRYLESS_FEATURE in target.features.split(",")
 
 
 def blocks_per_register(target: machine.Target) -> int:
     """Return the number of blocks in a register that are multiplied at once."""
-    return 4 if set(_WIDE) <= set(target.features.split(",")) else 1
+    return 4 if set(_WIDE_FEATURES) <= set(target.features.split(",")) else 1
 
 
 def _power_remainder(bits: int) -> int:
@@ -84,7 +91,7 @@ def _power_remainder(bits: int) -> int:
     remainder = 1
     for _ in range(bits):
         remainder <<= 1
-        remainder ^= _POLYNOMIAL if remainder >> 32 else 0
+        remainder ^= _CRC_POLYNOMIAL if remainder >> 32 else 0
     return int(f"{remainder:032b}"[::-1], 2) << 1
 
 
@@ -93,7 +100,7 @@ def _table() -> str:
     entries = []
     for byte in range(256):
         for _ in range(8):
-            byte = byte >> 1 ^ (int(f"{_POLYNOMIAL & _ALL:032b}"[::-1], 2) if byte & 1 else 0)
+            byte = byte >> 1 ^ (int(f"{_CRC_POLYNOMIAL & _ALL_32_BITS:032b}"[::-1], 2) if byte & 1 else 0)
         entries.append(f"i32 {byte}")
     return f"@table = internal constant [256 x i32] [{', '.join(entries)}]"
 
@@ -107,7 +114,7 @@ def text(target: machine.Target) -> str:
     carry-less products."""
     if not has_carryless_products(target):
         return ""
-    module, many = Module(target), blocks_per_register(target)
+    module, many = LlvmModule(target), blocks_per_register(target)
     kinds = {count: (f"<{2 * count} x i64>", "" if count == 1 else f".{128 * count}") for count in {1, many}}
     for kind, ending in kinds.values():
         module.declare(f"llvm.x86.pclmulqdq{ending}", kind, [kind, kind, "i8"])
@@ -121,7 +128,7 @@ def text(target: machine.Target) -> str:
         return name
 
     def loaded(at: str, register: int) -> str:
-        where = put(f"getelementptr i8, ptr {at}, i64 {_BLOCK * many * register}")
+        where = put(f"getelementptr i8, ptr {at}, i64 {_BLOCK_BYTES * many * register}")
         return put(f"load {wide}, ptr {where}, align 1")
 
     def moved(remainder: str, bits: int, onto: str, count: int) -> str:
@@ -155,38 +162,38 @@ def text(target: machine.Target) -> str:
 
     place, length, previous = (
         put(f"load {kind}, ptr {put(f'getelementptr i64, ptr %t, i64 {k}')}")
-        for kind, k in (("ptr", _DATA), ("i64", _LENGTH), ("i64", _PREVIOUS_CRC))
+        for kind, k in (("ptr", _DATA_WORD), ("i64", _LENGTH_WORD), ("i64", _PREVIOUS_CRC_WORD))
     )
-    stride = _REGISTERS * _BLOCK * many
-    words = put(f"udiv i64 {length}, {stride}"), put(f"xor i64 {previous}, {_ALL}")
-    first = [loaded(place, register) for register in range(_REGISTERS)]
+    stride = _REGISTERS_PER_STEP * _BLOCK_BYTES * many
+    words = put(f"udiv i64 {length}, {stride}"), put(f"xor i64 {previous}, {_ALL_32_BITS}")
+    first = [loaded(place, register) for register in range(_REGISTERS_PER_STEP)]
     first[0] = put(f"xor {wide} {first[0]}, {put(f'insertelement {wide} zeroinitializer, i64 {words[1]}, i64 0')}")
     lines.append("  br label %head\nhead:")
-    remainder = [f"%remainder{register}" for register in range(_REGISTERS)]
+    remainder = [f"%remainder{register}" for register in range(_REGISTERS_PER_STEP)]
     lines.append("  %done = phi i64 [ 1, %inside ], [ %next, %turn ]")
-    lines += [f"  {remainder[k]} = phi {wide} [ {first[k]}, %inside ], [ %then{k}, %turn ]" for k in range(_REGISTERS)]
+    lines += [f"  {remainder[k]} = phi {wide} [ {first[k]}, %inside ], [ %then{k}, %turn ]" for k in range(_REGISTERS_PER_STEP)]
     lines.append(f"  %more = icmp slt i64 %done, {words[0]}\n  br i1 %more, label %turn, label %last\nturn:")
     at = put(f"getelementptr i8, ptr {place}, i64 {put(f'mul i64 %done, {stride}')}")
-    for k in range(_REGISTERS):
+    for k in range(_REGISTERS_PER_STEP):
         then = moved(remainder[k], 8 * stride, loaded(at, k), many)
         lines.append(f"  %then{k} = bitcast {wide} {then} to {wide}")
     lines.append("  %next = add i64 %done, 1\n  br label %head\nlast:")
     accumulator = remainder[0]
-    for k in range(1, _REGISTERS):
-        accumulator = moved(accumulator, 8 * _BLOCK * many, remainder[k], many)
+    for k in range(1, _REGISTERS_PER_STEP):
+        accumulator = moved(accumulator, 8 * _BLOCK_BYTES * many, remainder[k], many)
     parts = [
         put(f"shufflevector {wide} {accumulator}, {wide} poison, <2 x i32> <i32 {2 * k}, i32 {2 * k + 1}>") for k in range(many)
     ]
     accumulator = parts[0]
     for part in parts[1:]:
-        accumulator = moved(accumulator, 8 * _BLOCK, part, 1)
+        accumulator = moved(accumulator, 8 * _BLOCK_BYTES, part, 1)
     sixteen = ("<2 x i64>", accumulator)
     at, accumulator = going_on(
-        "blocks", "last", (put(f"mul i64 {words[0]}, {stride}"), *sixteen), _BLOCK,
-        lambda remainder, at: moved(remainder, 8 * _BLOCK, put(f"load <2 x i64>, ptr {at}, align 1"), 1),
+        "blocks", "last", (put(f"mul i64 {words[0]}, {stride}"), *sixteen), _BLOCK_BYTES,
+        lambda remainder, at: moved(remainder, 8 * _BLOCK_BYTES, put(f"load <2 x i64>, ptr {at}, align 1"), 1),
     )  # fmt: skip
     state, block_bytes = "0", put(f"bitcast <2 x i64> {accumulator} to <16 x i8>")
-    for k in range(_BLOCK):
+    for k in range(_BLOCK_BYTES):
         state = with_byte(state, put(f"extractelement <16 x i8> {block_bytes}, i32 {k}"))
     _, state = going_on(
         "bytes", "blocks.end", (at, "i32", state), 1, lambda remainder, at: with_byte(remainder, put(f"load i8, ptr {at}"))

@@ -15,27 +15,27 @@ import numpy as np
 
 from antdsl.numerics import elementary_loops, parallel
 from antdsl.numerics.elementary_loops import (
-    ATAN,
-    COS,
-    EXP,
-    FAR,
+    ATAN_COEFFICIENTS,
+    COS_COEFFICIENTS,
+    EXP_COEFFICIENTS,
     HALF_PI_HIGH,
     HALF_PI_LOW,
+    LARGE_ANGLE,
     LN2_HIGH,
     LN2_LOW,
-    LOG,
     LOG2_E,
+    LOG_COEFFICIENTS,
     PI,
-    ROOT_HALF,
-    SIN,
-    TAN_EIGHTH,
+    SIN_COEFFICIENTS,
+    SQRT_HALF,
+    TAN_EIGHTH_TURN,
     TWO_OVER_PI,
 )
 
-Value = Any  # a float32 array, or one np.float32
+FloatValue = Any  # a float32 array, or one np.float32
 
 
-def _series(x: Value, coefficients: tuple[float, ...]) -> Value:
+def _series(x: FloatValue, coefficients: tuple[float, ...]) -> FloatValue:
     value = x * 0.0 + coefficients[-1]
     for c in coefficients[-2::-1]:  # in place for arrays
         value *= x
@@ -43,24 +43,24 @@ def _series(x: Value, coefficients: tuple[float, ...]) -> Value:
     return value
 
 
-def _quarter_turns(x: Value) -> tuple[Value, Value]:
+def _quarter_turns(x: FloatValue) -> tuple[FloatValue, FloatValue]:
     """The angle as (remainder within an eighth of a turn, number of quarter turns 0 .. 3)."""
     wide_x = _widen(x)
-    usual = np.abs(wide_x) < FAR
-    wide: Value = wide_x if np.all(usual) else np.where(usual, wide_x, np.fmod(wide_x, 2.0 * PI))
+    usual = np.abs(wide_x) < LARGE_ANGLE
+    wide: FloatValue = wide_x if np.all(usual) else np.where(usual, wide_x, np.fmod(wide_x, 2.0 * PI))
     turns = np.rint(wide * TWO_OVER_PI)
     rest = (wide - turns * HALF_PI_HIGH) - turns * HALF_PI_LOW
     return rest, turns - np.floor(turns * 0.25) * 4.0
 
 
-def _sine_cosine(x: Value) -> tuple[Value, Value, Value]:
+def _sine_cosine(x: FloatValue) -> tuple[FloatValue, FloatValue, FloatValue]:
     """Return the sine and cosine of the reduced angle, and its quarter turns."""
     rest, quarter = _quarter_turns(x)
     square = rest * rest
-    return rest * _series(square, SIN), _series(square, COS), quarter
+    return rest * _series(square, SIN_COEFFICIENTS), _series(square, COS_COEFFICIENTS), quarter
 
 
-def sin(x: Value) -> Value:
+def sin(x: FloatValue) -> FloatValue:
     """Sine; NaN where the angle is not finite. Angles above 1e6 are reduced by 2 pi as float64 holds it."""
     if np.ndim(x) == 0:
         return _single_value(wide_sin, np.float64(x).tobytes())
@@ -68,7 +68,7 @@ def sin(x: Value) -> Value:
     return _narrow(wide_sin(x)) if values is None else values
 
 
-def cos(x: Value) -> Value:
+def cos(x: FloatValue) -> FloatValue:
     """Cosine; as `sin`."""
     if np.ndim(x) == 0:
         return _single_value(wide_cos, np.float64(x).tobytes())
@@ -76,42 +76,42 @@ def cos(x: Value) -> Value:
     return _narrow(wide_cos(x)) if values is None else values
 
 
-def wide_sin(x: Value) -> Value:
+def wide_sin(x: FloatValue) -> FloatValue:
     """Sine as float64, to about 1e-13."""
     sine, cosine, quarter = _sine_cosine(x)
-    value: Value = np.where((quarter == 1.0) | (quarter == 3.0), cosine, sine)
+    value: FloatValue = np.where((quarter == 1.0) | (quarter == 3.0), cosine, sine)
     return np.where(quarter >= 2.0, -value, value)
 
 
-def wide_cos(x: Value) -> Value:
+def wide_cos(x: FloatValue) -> FloatValue:
     """Cosine as float64, to about 1e-13."""
     sine, cosine, quarter = _sine_cosine(x)
-    value: Value = np.where((quarter == 1.0) | (quarter == 3.0), sine, cosine)
+    value: FloatValue = np.where((quarter == 1.0) | (quarter == 3.0), sine, cosine)
     return np.where((quarter == 1.0) | (quarter == 2.0), -value, value)
 
 
-def _exp_wide(wide: Value) -> Value:
+def _exp_wide(wide: FloatValue) -> FloatValue:
     wide = np.minimum(np.maximum(wide, -200.0), 200.0)  # both hand NaN on; beyond them float32 is 0 or infinite anyway
     power = np.rint(wide * LOG2_E)
     rest = (wide - power * LN2_HIGH) - power * LN2_LOW
     exponent = np.where(power == power, power, 0.0).astype(np.int32)
-    return np.ldexp(_series(rest, EXP), exponent)
+    return np.ldexp(_series(rest, EXP_COEFFICIENTS), exponent)
 
 
-def _log_wide(wide: Value) -> Value:
+def _log_wide(wide: FloatValue) -> FloatValue:
     """Natural logarithm of float64 above 0; -inf at 0, NaN below."""
     usual = (wide > 0.0) & (wide < np.inf)
     mantissa, power = np.frexp(np.where(usual, wide, 1.0))
-    low = mantissa < ROOT_HALF
+    low = mantissa < SQRT_HALF
     mantissa = np.where(low, mantissa + mantissa, mantissa)
     power = power - low * 1.0
     s = (mantissa - 1.0) / (mantissa + 1.0)
-    value = (s * _series(s * s, LOG) + power * LN2_LOW) + power * LN2_HIGH
+    value = (s * _series(s * s, LOG_COEFFICIENTS) + power * LN2_LOW) + power * LN2_HIGH
     odd = np.where(wide == 0.0, -np.inf, np.where(wide == np.inf, np.inf, np.nan))
     return np.where(usual, value, odd)
 
 
-def exp(x: Value) -> Value:
+def exp(x: FloatValue) -> FloatValue:
     """e to the x."""
     if np.ndim(x) == 0:
         return _single_value(_exp_wide, np.float64(x).tobytes())
@@ -119,13 +119,13 @@ def exp(x: Value) -> Value:
     return _narrow(_exp_wide(_widen(x))) if values is None else values
 
 
-def log(x: Value) -> Value:
+def log(x: FloatValue) -> FloatValue:
     """Natural logarithm; -inf at 0, NaN below."""
     values = _by_kernel("logarithms", x)
     return _narrow(_log_wide(_widen(x))) if values is None else values
 
 
-def power(a: Value, b: Value) -> Value:
+def power(a: FloatValue, b: FloatValue) -> FloatValue:
     """Return a to the power b. For a negative a, b must be an integer (else NaN). Anything to the 0 is 1, and 1 to anything is
     1."""
     wide_a, wide_b = _widen(a), _widen(b)
@@ -136,42 +136,42 @@ def power(a: Value, b: Value) -> Value:
     return _narrow(np.where((wide_b == 0.0) | (wide_a == 1.0), 1.0, value))
 
 
-def atan2(y: Value, x: Value) -> Value:
+def atan2(y: FloatValue, x: FloatValue) -> FloatValue:
     """Angle of (x, y) from the x axis, -pi .. pi; 0 for (0, 0)."""
     values = _by_kernel("angles", y, x)
     return _narrow(wide_atan2(y, x)) if values is None else values
 
 
-def wide_atan2(y: Value, x: Value) -> Value:
+def wide_atan2(y: FloatValue, x: FloatValue) -> FloatValue:
     """The same as float64, to about 1e-13."""
     wide_y, wide_x = _widen(y), _widen(x)
     high, low = np.maximum(np.abs(wide_y), np.abs(wide_x)), np.minimum(np.abs(wide_y), np.abs(wide_x))
     ratio = low / np.where(high == 0.0, 1.0, high)
     ratio = np.where((low == np.inf) & (high == np.inf), 1.0, ratio)
-    steep = ratio > TAN_EIGHTH
+    steep = ratio > TAN_EIGHTH_TURN
     t = np.where(steep, (ratio - 1.0) / (ratio + 1.0), ratio)
-    angle = t * _series(t * t, ATAN) + np.where(steep, PI / 4, 0.0)
+    angle = t * _series(t * t, ATAN_COEFFICIENTS) + np.where(steep, PI / 4, 0.0)
     angle = np.where(np.abs(wide_y) > np.abs(wide_x), PI / 2 - angle, angle)
     angle = np.where(wide_x < 0.0, PI - angle, angle)
     return np.where(wide_y < 0.0, -angle, angle)
 
 
-def _widen(x: Value) -> Value:
+def _widen(x: FloatValue) -> FloatValue:
     return np.float64(x) if np.ndim(x) == 0 else x.astype(np.float64)
 
 
-def _narrow(x: Value) -> Value:
+def _narrow(x: FloatValue) -> FloatValue:
     return np.float32(x) if np.ndim(x) == 0 else x.astype(np.float32)
 
 
 @lru_cache(1024)
-def _single_value(wide: Callable[[Value], Value], number: bytes) -> Value:
+def _single_value(wide: Callable[[FloatValue], FloatValue], number: bytes) -> FloatValue:
     """Return the cached value of a function of one float64. The key is the bytes of the number, to distinguish -0: most numbers
     are the same in every step."""
     return _narrow(wide(np.frombuffer(number)[0]))
 
 
-def _by_kernel(loop: str, *values: Value) -> Value | None:
+def _by_kernel(loop: str, *values: FloatValue) -> FloatValue | None:
     """Compute the function for arrays by a kernel; None where no kernel takes such values, or where a value is special."""
     one = values[0]
     if not all(isinstance(v, np.ndarray) and v.dtype == np.float32 and v.ndim == 1 and v.size == one.size for v in values):

@@ -13,20 +13,24 @@ PI = 3.141592653589793
 TWO_OVER_PI = 0.6366197723675814
 HALF_PI_HIGH = 1.5707963267341256  # the first 33 bits of pi/2: its product with a whole number below 2**20 is exact
 HALF_PI_LOW = 6.077100506506192e-11
-FAR = 1e6  # beyond it the angle is first reduced by the exact remainder to 2 pi
+LARGE_ANGLE = 1e6  # beyond it the angle is first reduced by the exact remainder to 2 pi
 LOG2_E = 1.4426950408889634
 LN2_HIGH = 0.693147180369123816490
 LN2_LOW = 1.90821492927058770002e-10
-ROOT_HALF = 0.7071067811865476
-TAN_EIGHTH = 0.41421356237309503
+SQRT_HALF = 0.7071067811865476
+TAN_EIGHTH_TURN = 0.41421356237309503
 
-SIN = tuple((-1.0) ** k / factorial(2 * k + 1) for k in range(7))
-COS = tuple((-1.0) ** k / factorial(2 * k) for k in range(8))
-EXP = tuple(1.0 / factorial(k) for k in range(12))
-LOG = tuple(2.0 / (2 * k + 1) for k in range(10))
-ATAN = tuple((-1.0) ** k / (2 * k + 1) for k in range(15))
+SIN_COEFFICIENTS = tuple((-1.0) ** k / factorial(2 * k + 1) for k in range(7))
+COS_COEFFICIENTS = tuple((-1.0) ** k / factorial(2 * k) for k in range(8))
+EXP_COEFFICIENTS = tuple(1.0 / factorial(k) for k in range(12))
+LOG_COEFFICIENTS = tuple(2.0 / (2 * k + 1) for k in range(10))
+ATAN_COEFFICIENTS = tuple((-1.0) ** k / (2 * k + 1) for k in range(15))
 _F = np.float32
-_FRACTION, _EXPONENT, _BIAS = 52, 0x7FF, 1023  # of float64: bits of the fraction, those of the exponent, and its offset
+_FRACTION_BITS, _EXPONENT_MASK, _EXPONENT_BIAS = (
+    52,
+    0x7FF,
+    1023,
+)  # of float64: bits of the fraction, those of the exponent, and its offset
 
 
 @inlined
@@ -46,7 +50,7 @@ def cos_sin(x: F32) -> tuple[F32, F32]:
     rest = (wide - turns * HALF_PI_HIGH) - turns * HALF_PI_LOW
     quarter = turns - np.floor(turns * 0.25) * 4.0
     square = rest * rest
-    sine, cosine = rest * _series(square, SIN), _series(square, COS)
+    sine, cosine = rest * _series(square, SIN_COEFFICIENTS), _series(square, COS_COEFFICIENTS)
     odd = quarter == 1.0 or quarter == 3.0
     c, s = (sine, cosine) if odd else (cosine, sine)
     return _F(-c if quarter == 1.0 or quarter == 2.0 else c), _F(-s if quarter >= 2.0 else s)
@@ -58,9 +62,9 @@ def atan2(y: F32, x: F32) -> F32:
     wide_y, wide_x = np.float64(y), np.float64(x)
     high, low = max(abs(wide_y), abs(wide_x)), min(abs(wide_y), abs(wide_x))
     ratio = low / (1.0 if high == 0.0 else high)
-    steep = ratio > TAN_EIGHTH
+    steep = ratio > TAN_EIGHTH_TURN
     t = (ratio - 1.0) / (ratio + 1.0) if steep else ratio
-    angle = t * _series(t * t, ATAN) + (PI / 4 if steep else 0.0)
+    angle = t * _series(t * t, ATAN_COEFFICIENTS) + (PI / 4 if steep else 0.0)
     if abs(wide_y) > abs(wide_x):
         angle = PI / 2 - angle
     if wide_x < 0.0:
@@ -80,7 +84,7 @@ def _all_between(x: Array1[F32], least: F64, most: F64) -> BOOL:
 @kernel
 def sines(x: Array1[F32], output: Array1[F32]) -> BOOL:
     """Writes `elementary.sin` of all; False where an angle is not below 1e6."""
-    if not _all_between(x, -FAR, FAR):
+    if not _all_between(x, -LARGE_ANGLE, LARGE_ANGLE):
         return False
     for k in independent(0, x.size):
         output[k] = cos_sin(x[k])[1]
@@ -90,7 +94,7 @@ def sines(x: Array1[F32], output: Array1[F32]) -> BOOL:
 @kernel
 def cosines(x: Array1[F32], output: Array1[F32]) -> BOOL:
     """Writes `elementary.cos` of all; False where an angle is not below 1e6."""
-    if not _all_between(x, -FAR, FAR):
+    if not _all_between(x, -LARGE_ANGLE, LARGE_ANGLE):
         return False
     for k in independent(0, x.size):
         output[k] = cos_sin(x[k])[0]
@@ -117,7 +121,7 @@ def exponentials(x: Array1[F32], output: Array1[F32]) -> BOOL:
         held = min(max(np.float64(x[k]), -200.0), 200.0)
         power = np.rint(held * LOG2_E)
         rest = (held - power * LN2_HIGH) - power * LN2_LOW
-        output[k] = _F(_series(rest, EXP) * as_float((np.int64(power) + _BIAS) << _FRACTION))
+        output[k] = _F(_series(rest, EXP_COEFFICIENTS) * as_float((np.int64(power) + _EXPONENT_BIAS) << _FRACTION_BITS))
     return True
 
 
@@ -128,10 +132,10 @@ def logarithms(x: Array1[F32], output: Array1[F32]) -> BOOL:
         return False
     for k in independent(0, x.size):
         bits = as_bits(np.float64(x[k]))  # of a float32 above 0: as float64 none has a fraction alone
-        power = np.float64(((bits >> _FRACTION) & _EXPONENT) - (_BIAS - 1))
-        mantissa = as_float((bits & ((1 << _FRACTION) - 1)) | ((_BIAS - 1) << _FRACTION))
-        if mantissa < ROOT_HALF:
+        power = np.float64(((bits >> _FRACTION_BITS) & _EXPONENT_MASK) - (_EXPONENT_BIAS - 1))
+        mantissa = as_float((bits & ((1 << _FRACTION_BITS) - 1)) | ((_EXPONENT_BIAS - 1) << _FRACTION_BITS))
+        if mantissa < SQRT_HALF:
             mantissa, power = mantissa + mantissa, power - 1.0
         s = (mantissa - 1.0) / (mantissa + 1.0)
-        output[k] = _F((s * _series(s * s, LOG) + power * LN2_LOW) + power * LN2_HIGH)
+        output[k] = _F((s * _series(s * s, LOG_COEFFICIENTS) + power * LN2_LOW) + power * LN2_HIGH)
     return True

@@ -11,37 +11,37 @@ import numpy as np
 
 from antdsl.numerics import elementary
 
-Value = Any  # an array, or one NumPy scalar
-ZERO = np.float32(0)
+NumPyValue = Any  # an array, or one NumPy scalar
+FLOAT32_ZERO = np.float32(0)
 
 
-def least(a: Value, b: Value) -> Value:
+def least(a: NumPyValue, b: NumPyValue) -> NumPyValue:
     """Return the lesser number; the other one where one is NaN. -0 becomes 0, since `fmin` may return either zero."""
-    return np.fmin(a, b) + ZERO
+    return np.fmin(a, b) + FLOAT32_ZERO
 
 
-def greatest(a: Value, b: Value) -> Value:
+def greatest(a: NumPyValue, b: NumPyValue) -> NumPyValue:
     """The greater; as `least`."""
-    return np.fmax(a, b) + ZERO
+    return np.fmax(a, b) + FLOAT32_ZERO
 
 
-def where(condition: Value, then: Value, other: Value) -> Value:
+def where(condition: NumPyValue, then: NumPyValue, other: NumPyValue) -> NumPyValue:
     if np.ndim(condition) == 0 and np.ndim(then) == 0 and np.ndim(other) == 0:
         return then if condition else other
     return np.where(condition, then, other)
 
 
-def number(a: Value) -> Value:
+def number(a: NumPyValue) -> NumPyValue:
     """bool, state or row as float32."""
     return np.float32(a) if np.ndim(a) == 0 else a.astype(np.float32)
 
 
-def finite(a: Value) -> Value:
-    return where(np.isfinite(a), a, ZERO)
+def finite(a: NumPyValue) -> NumPyValue:
+    return where(np.isfinite(a), a, FLOAT32_ZERO)
 
 
 # Those that take `out=`: a value's array may be used again when it is done with.
-UFUNCS: Mapping[str, np.ufunc] = {
+UFUNC_BY_NAME: Mapping[str, np.ufunc] = {
     "add": np.add,
     "sub": np.subtract,
     "mul": np.multiply,
@@ -61,8 +61,8 @@ UFUNCS: Mapping[str, np.ufunc] = {
     "not": np.logical_not,
 }
 
-ELEMENTWISE: Mapping[str, Callable[..., Value]] = {
-    **UFUNCS,
+FUNCTION_BY_NAME: Mapping[str, Callable[..., NumPyValue]] = {
+    **UFUNC_BY_NAME,
     "min": least,
     "max": greatest,
     "sin": elementary.sin,

@@ -10,14 +10,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-BOUND = 44  # a term is at most 2**(quantum + 44)
-_EXACT = 53  # digits of float64: sums stay exact below 2**(quantum + 53)
-HALF = 22  # digits of the lower of two words, for sums that might not: both hold more terms than memory does
+MAX_TERM_EXPONENT = 44  # a term is at most 2**(quantum + 44)
+_FLOAT64_BITS = 53  # digits of float64: sums stay exact below 2**(quantum + 53)
+LOW_WORD_BITS = 22  # digits of the lower of two words, for sums that might not: both hold more terms than memory does
 
 
 def quantise(terms: NDArray[np.float32], quantum: int) -> NDArray[np.float64]:
     """Terms as float64 multiples of 2**quantum, cut to +-2**(quantum + 44); NaN stays NaN."""
-    bound = np.ldexp(1.0, quantum + BOUND)
+    bound = np.ldexp(1.0, quantum + MAX_TERM_EXPONENT)
     magic = np.ldexp(1.5, quantum + 52)
     wide = np.clip(np.asarray(terms, np.float64), -bound, bound)
     wide += magic
@@ -31,7 +31,7 @@ def sum_by_index(index: NDArray[np.integer[Any]], terms: NDArray[np.float32], qu
         return np.zeros(length, np.float32)
     wide = quantise(terms, quantum)
     largest = max(float(wide.max()), -float(wide.min()))
-    if not largest * index.size <= np.ldexp(1.0, quantum + _EXACT):  # NaN too
+    if not largest * index.size <= np.ldexp(1.0, quantum + _FLOAT64_BITS):  # NaN too
         return _sums_in_two_words(index, wide, quantum, length)
     return np.bincount(index, weights=wide, minlength=length).astype(np.float32)
 
@@ -41,7 +41,7 @@ def _sums_in_two_words(
 ) -> NDArray[np.float32]:
     """Return sums of the terms in two parts, multiples of 2**(quantum + 22) and the remainders. Both sums are exact, and their
     total is rounded once."""
-    magic = np.ldexp(1.5, quantum + HALF + 52)
+    magic = np.ldexp(1.5, quantum + LOW_WORD_BITS + 52)
     high = (wide + magic) - magic
     low = np.bincount(index, weights=wide - high, minlength=length)
     return (np.bincount(index, weights=high, minlength=length) + low).astype(np.float32)

@@ -9,13 +9,22 @@ from contextlib import contextmanager
 from functools import cache
 from typing import Any
 
-_ONE, _HALF, _ULP, _LEAST = 1.0, 0.5, 2.0**-53, 2.0**-1022  # read at run time: a constant would be folded beforehand
-_ENVIRONMENT_SIZE = 256  # bytes; more than any C library keeps of it
+_ONE_AT_RUN_TIME, _HALF_AT_RUN_TIME, _HALF_ULP, _LEAST_NORMAL = (
+    1.0,
+    0.5,
+    2.0**-53,
+    2.0**-1022,
+)  # read at run time: a constant would be folded beforehand
+_ENVIRONMENT_BYTES = 256  # bytes; more than any C library keeps of it
 
 
 def is_standard() -> bool:
     """Whether this thread rounds to nearest and keeps denormal numbers, as far as float64 shows it."""
-    return _LEAST * _HALF != 0.0 and _ONE + _ULP == 1.0 and _ONE + (_ULP + _ULP * _HALF) != 1.0
+    return (
+        _LEAST_NORMAL * _HALF_AT_RUN_TIME != 0.0
+        and _ONE_AT_RUN_TIME + _HALF_ULP == 1.0
+        and _ONE_AT_RUN_TIME + (_HALF_ULP + _HALF_ULP * _HALF_AT_RUN_TIME) != 1.0
+    )
 
 
 def set_standard() -> None:
@@ -33,7 +42,7 @@ def standard_floats() -> Iterator[None]:
     if library is None:
         yield
         return
-    saved_environment = ctypes.create_string_buffer(_ENVIRONMENT_SIZE)
+    saved_environment = ctypes.create_string_buffer(_ENVIRONMENT_BYTES)
     library.fegetenv(saved_environment)
     library.fesetenv(_default_environment())
     try:

@@ -12,11 +12,11 @@ from functools import cache
 from math import inf
 from pathlib import Path, PurePosixPath
 
-_PROCESSORS = Path("/proc/cpuinfo")  # Linux
-_PROCESS = Path("/proc/self")  # Linux
-_SYSTEM = Path("/proc/meminfo")
-GROUPS, OWN = Path("/sys/fs/cgroup"), Path("/proc/self/cgroup")
-EACH = 4  # parts of machine code for each of several threads: who comes late, or has slow ones, takes fewer
+_CPUINFO_FILE = Path("/proc/cpuinfo")  # Linux
+_PROCESS_FOLDER = Path("/proc/self")  # Linux
+_MEMINFO_FILE = Path("/proc/meminfo")
+CGROUPS_FOLDER, PROCESS_CGROUP_FILE = Path("/sys/fs/cgroup"), Path("/proc/self/cgroup")
+PARTS_PER_THREAD = 4  # parts of machine code for each of several threads: who comes late, or has slow ones, takes fewer
 
 
 @cache
@@ -25,10 +25,10 @@ def cores() -> int:
     instance of a container), rounded up."""
     available = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
     try:
-        own = OWN.read_text(encoding="utf-8", errors="surrogateescape")
+        own = PROCESS_CGROUP_FILE.read_text(encoding="utf-8", errors="surrogateescape")
     except OSError:
         return available
-    return max(1, min([available, *map(math.ceil, core_limits(own, GROUPS))]))
+    return max(1, min([available, *map(math.ceil, core_limits(own, CGROUPS_FOLDER))]))
 
 
 def core_limits(own: str, groups: Path) -> Iterator[float]:
@@ -83,10 +83,10 @@ def available_memory() -> int | None:
     the system does not report it (other than Linux)."""
     limits: list[int] = []
     with suppress(OSError, ValueError, StopIteration):
-        lines = _SYSTEM.read_text(encoding="ascii", errors="replace").splitlines()
+        lines = _MEMINFO_FILE.read_text(encoding="ascii", errors="replace").splitlines()
         limits.append(next(int(line.split()[1]) * 1024 for line in lines if line.startswith("MemAvailable:")))
     with suppress(OSError):
-        limits += memory_left(OWN.read_text(encoding="utf-8", errors="surrogateescape"), GROUPS)
+        limits += memory_left(PROCESS_CGROUP_FILE.read_text(encoding="utf-8", errors="surrogateescape"), CGROUPS_FOLDER)
     return min(limits, default=None)
 
 
@@ -119,7 +119,7 @@ def memory() -> tuple[int, int]:
     """Return the current and the peak memory of this process in bytes. Where the system reports only the peak, both are the peak;
     it may be that of the parent process."""
     try:
-        amounts = _kilobytes(_PROCESS / "status")
+        amounts = _kilobytes(_PROCESS_FOLDER / "status")
         return 1024 * amounts["VmRSS"], 1024 * amounts["VmHWM"]
     except (OSError, KeyError):
         return peak_memory(), peak_memory()
@@ -142,7 +142,7 @@ def processor_name() -> str:
     import platform  # it imports much, and commands that need no name start without it
 
     try:
-        lines = _PROCESSORS.read_text(encoding="utf-8", errors="replace").splitlines()
+        lines = _CPUINFO_FILE.read_text(encoding="utf-8", errors="replace").splitlines()
     except OSError:
         lines = []
     names = [line.partition(":")[2].strip() for line in lines if line.startswith("model name")]

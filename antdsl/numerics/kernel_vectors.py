@@ -10,12 +10,12 @@ from antdsl.machine_code.kernels import F32, F64, I64, Array1, Array2, Strided2,
 
 Vec3 = tuple[F64, F64, F64]
 Vec3F32 = tuple[F32, F32, F32]
-Weights = tuple[F64, F64]  # of the second and third corner of a triangle
+TriangleWeights = tuple[F64, F64]  # of the second and third corner of a triangle
 VectorColumns = tuple[Array1[F32], Array1[F32], Array1[F32]]  # x, y and z of vectors
 AnyVec3 = tuple[Any, Any, Any]  # of either float type
 
 
-class Pose(NamedTuple):
+class AgentPose(NamedTuple):
     """The orientation of an agent: unit vectors up, ahead and along its path."""
 
     place: Vec3
@@ -24,7 +24,7 @@ class Pose(NamedTuple):
     direction: Vec3
 
 
-_LEAST, _STEEP = 1e-12, 0.9  # as `vectors.unit` and `vectors.across`
+_MIN_LENGTH, _STEEP_COSINE = 1e-12, 0.9  # as `vectors.unit` and `vectors.across`
 
 
 @inlined
@@ -87,7 +87,7 @@ def flat(a: AnyVec3, up: AnyVec3) -> AnyVec3:
 @inlined
 def any_perpendicular(up: Vec3) -> Vec3:
     """As `vectors.across`, in float64."""
-    steep = abs(up[0]) > _STEEP
+    steep = abs(up[0]) > _STEEP_COSINE
     side = flat(((0.0 if steep else 1.0), (1.0 if steep else 0.0), 0.0), up)
     return times(side, 1 / np.sqrt(dot(side, side)))
 
@@ -96,7 +96,7 @@ def any_perpendicular(up: Vec3) -> Vec3:
 def unit_or_perpendicular(v: Vec3, up: Vec3) -> Vec3:
     """Return the unit vector along `v` in float64; one perpendicular to `up` where `v` has no direction."""
     size = np.sqrt(dot(v, v))
-    if size > _LEAST and np.isfinite(size):
+    if size > _MIN_LENGTH and np.isfinite(size):
         return times(v, 1 / size)
     return any_perpendicular(up)
 
@@ -114,7 +114,7 @@ def fmin(a: F64, b: F64) -> F64:
 
 
 @inlined
-def clamp_weights(b1: F64, b2: F64) -> Weights:
+def clamp_weights(b1: F64, b2: F64) -> TriangleWeights:
     """Return the nearest weights of a point in the triangle, to correct rounding."""
     b1, b2 = min(max(b1, 0.0), 1.0), min(max(b2, 0.0), 1.0)
     total = b1 + b2

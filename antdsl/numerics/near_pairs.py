@@ -7,31 +7,33 @@ from numpy.typing import NDArray
 
 Floats = NDArray[np.float64]
 Index = NDArray[np.int64]
-Cell = tuple[int, int, int]
+CellOffset = tuple[int, int, int]
 
-_ROOMY = 1.001  # widths of a cell, in distances that are looked for: rounding puts none farther than a cell away
-_AT_ONCE = 1 << 20  # cells that are looked up
-_AROUND: list[Cell] = [(x, y, z) for x in (-1, 0, 1) for y in (-1, 0, 1) for z in (-1, 0, 1)]
-_FORWARD = _AROUND[len(_AROUND) // 2 :]  # each pair of cells once
+_CELL_WIDTH_FACTOR = 1.001  # widths of a cell, in distances that are looked for: rounding puts none farther than a cell away
+_CELLS_PER_CHUNK = 1 << 20  # cells that are looked up
+_NEIGHBOUR_OFFSETS: list[CellOffset] = [(x, y, z) for x in (-1, 0, 1) for y in (-1, 0, 1) for z in (-1, 0, 1)]
+_FORWARD_OFFSETS = _NEIGHBOUR_OFFSETS[len(_NEIGHBOUR_OFFSETS) // 2 :]  # each pair of cells once
 
 
 def pairs_within(points: Floats, reach: float) -> tuple[Index, Index]:
     """Return the pairs of points [n,3] at most `reach` apart: their indices, the lower one first."""
-    one, other = _pairs(points, points, reach, _FORWARD)
+    one, other = _pairs(points, points, reach, _FORWARD_OFFSETS)
     return np.minimum(one, other), np.maximum(one, other)
 
 
 def pairs_between(points: Floats, others: Floats, reach: float) -> tuple[Index, Index]:
     """Return the pairs of points [n,3] and others [k,3] at most `reach` apart: the indices of both."""
-    return _pairs(points, others, reach, _AROUND)
+    return _pairs(points, others, reach, _NEIGHBOUR_OFFSETS)
 
 
-def _pairs(points: Floats, others: Floats, reach: float, cells: list[Cell]) -> tuple[Index, Index]:
+def _pairs(points: Floats, others: Floats, reach: float, cells: list[CellOffset]) -> tuple[Index, Index]:
     empty = np.empty(0, np.int64)
     if not (len(points) and len(others)):
         return empty, empty
     low = np.minimum(points.min(axis=0), others.min(axis=0))
-    point_cells, other_cells = (np.floor((each - low) / (_ROOMY * reach)).astype(np.int64) for each in (points, others))
+    point_cells, other_cells = (
+        np.floor((each - low) / (_CELL_WIDTH_FACTOR * reach)).astype(np.int64) for each in (points, others)
+    )
     _, ny, nz = np.maximum(point_cells.max(axis=0), other_cells.max(axis=0)) + 3
     pairs = [(empty, empty)]
     with np.errstate(over="ignore"):  # cells that are far from each other may share a number: distances are measured
@@ -39,7 +41,7 @@ def _pairs(points: Floats, others: Floats, reach: float, cells: list[Cell]) -> t
         own, order = np.argsort(point_keys, kind="stable"), np.argsort(key, kind="stable")
         point_keys, key = point_keys[own], key[order]
         shift = np.array([(x * ny + y) * nz + z for x, y, z in cells])
-    for first in range(0, len(shift), size := 1 + _AT_ONCE // len(points)):
+    for first in range(0, len(shift), size := 1 + _CELLS_PER_CHUNK // len(points)):
         with np.errstate(over="ignore"):
             target_keys = (point_keys + shift[first : first + size, None]).ravel()
         begin = np.searchsorted(key, target_keys)
@@ -51,7 +53,7 @@ def _pairs(points: Floats, others: Floats, reach: float, cells: list[Cell]) -> t
         away = points[one] - others[other]
         square = (away[:, 0] * away[:, 0] + away[:, 1] * away[:, 1]) + away[:, 2] * away[:, 2]
         near = square <= reach * reach
-        if cells is _FORWARD:  # pairs in one cell come both ways
+        if cells is _FORWARD_OFFSETS:  # pairs in one cell come both ways
             near &= (one < other) | (np.repeat(first + hit // len(points), count) > 0)
         pairs.append((one[near], other[near]))
     ones, all_others = zip(*pairs, strict=True)

@@ -12,35 +12,35 @@ import numpy as np
 from numpy.typing import NDArray
 
 Floats = NDArray[np.float64]
-Words = NDArray[np.uint32]
+UInt32Array = NDArray[np.uint32]
 
-_A, _C, _16, _27 = np.uint32(1664525), np.uint32(1013904223), np.uint32(16), np.uint32(27)
-_CORNERS = np.array(list(product((0, 1), repeat=4)), np.int64)[:, :, None]  # (16, 4, 1): the last dimension changes first
-_SIGNS = np.array(list(product((-1.0, 1.0), repeat=3)))
+_LCG_MULTIPLIER, _LCG_INCREMENT, _SHIFT_16, _SHIFT_27 = np.uint32(1664525), np.uint32(1013904223), np.uint32(16), np.uint32(27)
+_LATTICE_CORNERS = np.array(list(product((0, 1), repeat=4)), np.int64)[:, :, None]  # (16, 4, 1): the last dimension changes first
+_SIGN_COMBINATIONS = np.array(list(product((-1.0, 1.0), repeat=3)))
 # (32, 4): no part along one dimension, one step either way along the three others
-_GRADIENTS = np.concatenate([np.insert(_SIGNS, still, 0.0, axis=1) for still in range(4)])
+_LATTICE_GRADIENTS = np.concatenate([np.insert(_SIGN_COMBINATIONS, still, 0.0, axis=1) for still in range(4)])
 # The greatest sum is 1.53658: at each corner the three greatest parts of the way there, weighted by the fade.
-_SCALE = 0.65
-FAR = 2.0**51  # of lattice points: beyond, a float64 no longer tells places within a cell apart
+_NOISE_SCALE = 0.65
+MAX_LATTICE_COORDINATE = 2.0**51  # of lattice points: beyond, a float64 no longer tells places within a cell apart
 
 
 def noise(points: Floats, seed: NDArray[np.int64]) -> Floats:
     """Return noise values in -1 .. 1 at points (4, n), in lattice cells; NaN where a point is not finite or too far away."""
-    sound = (np.abs(points) < FAR).all(axis=0)
+    sound = (np.abs(points) < MAX_LATTICE_COORDINATE).all(axis=0)
     points = np.where(sound, points, 0.0)
     cell = np.floor(points)
     inside = points - cell
     lattice = cell.astype(np.int64) + _shift(seed)
-    corner = (lattice + _CORNERS).astype(np.uint32)  # (16, 4, n)
+    corner = (lattice + _LATTICE_CORNERS).astype(np.uint32)  # (16, 4, n)
     # the last word, mixed most, by its upper bits: the lower ones of the first tell cells beside each other apart too little
-    gradient = _GRADIENTS[pcg4d(corner.transpose(1, 0, 2))[3] >> _27]  # (16, n, 4)
-    offset = inside - _CORNERS
+    gradient = _LATTICE_GRADIENTS[pcg4d(corner.transpose(1, 0, 2))[3] >> _SHIFT_27]  # (16, n, 4)
+    offset = inside - _LATTICE_CORNERS
     value: Floats = (gradient[..., 0] * offset[:, 0] + gradient[..., 1] * offset[:, 1]) + (
         gradient[..., 2] * offset[:, 2] + gradient[..., 3] * offset[:, 3]
     )
     for share in fade(inside)[::-1]:  # time first, as it changes first among the corners
         value = value[0::2] + share * (value[1::2] - value[0::2])
-    return np.where(sound, value[0] * _SCALE, np.nan)
+    return np.where(sound, value[0] * _NOISE_SCALE, np.nan)
 
 
 def fade(t: Floats) -> Floats:
@@ -55,13 +55,13 @@ def _shift(seed: NDArray[np.int64]) -> NDArray[np.int64]:
     return pcg4d(pcg4d(words)).astype(np.int64)
 
 
-def pcg4d(words: Words) -> Words:
+def pcg4d(words: UInt32Array) -> UInt32Array:
     """Four random words for each four (4, …)."""
-    mixed_words = _mix_words(words * _A + _C)
-    return _mix_words(mixed_words ^ (mixed_words >> _16))
+    mixed_words = _mix_words(words * _LCG_MULTIPLIER + _LCG_INCREMENT)
+    return _mix_words(mixed_words ^ (mixed_words >> _SHIFT_16))
 
 
-def _mix_words(words: Words) -> Words:
+def _mix_words(words: UInt32Array) -> UInt32Array:
     x, y, z, w = words
     x = x + y * w
     y = y + z * x

@@ -14,8 +14,8 @@ from antdsl.machine_code.kernels import I64, inlined
 from antdsl.numerics.host import cores
 
 T = TypeVar("T")
-PART = 1_024  # agents from which a thread pays
-LIGHT = 4_096  # the same, of work that is a few operations each
+MIN_AGENTS_PER_THREAD = 1_024  # agents from which a thread pays
+MIN_LIGHT_ITEMS_PER_THREAD = 4_096  # the same, of work that is a few operations each
 
 
 def contiguous(*arrays: NDArray[Any]) -> tuple[NDArray[Any], ...]:
@@ -23,7 +23,7 @@ def contiguous(*arrays: NDArray[Any]) -> tuple[NDArray[Any], ...]:
     return tuple(np.ascontiguousarray(a) for a in arrays)
 
 
-def in_parts(work: Callable[[int, int], T], count: int, threads: int, least: int = PART) -> list[T]:
+def in_parts(work: Callable[[int, int], T], count: int, threads: int, least: int = MIN_AGENTS_PER_THREAD) -> list[T]:
     """Call `work(begin, end)` over `count` agents, in parallel in as many parts as pay, of at least `least` each. Return the
     results in order. A kernel (a `partial` of one without its last two arguments) is passed as machine code, in more parts than
     there are threads, to even them out. Where the threads are at work for another caller, all is done in one part."""
@@ -34,7 +34,7 @@ def in_parts(work: Callable[[int, int], T], count: int, threads: int, least: int
     return workers.in_parts(work, count, min(threads, cores()), count // max(1, least))
 
 
-def parts(count: int, threads: int, least: int = PART) -> int:
+def parts(count: int, threads: int, least: int = MIN_AGENTS_PER_THREAD) -> int:
     """Return the most parts of a kernel in `in_parts`, called with the same arguments and a `least` of 16 or more. With as many
     buffers, each part has its own (`own`)."""
     threads = min(threads, cores())

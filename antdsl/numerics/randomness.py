@@ -16,34 +16,36 @@ from numpy.typing import NDArray
 
 from antdsl.machine_code.kernels import F32, I64, U64, Array1, independent, inlined, kernel
 
-M0, M1 = np.uint64(0xD2511F53), np.uint64(0xCD9E8D57)
-W0, W1 = np.uint64(0x9E3779B9), np.uint64(0xBB67AE85)
-LOW = np.uint64(0xFFFFFFFF)
-HALF = np.uint64(32)
-ROUNDS = 10
-UNIT = np.float32(2.0**-24)
-SPREAD = np.uint64(0x9E3779B1)  # moves the high half of an id to other counters; odd, so no two ids of one half meet
-Kernel = Callable[..., Any]
-Shared = tuple[U64, U64, U64, U64, U64]  # first, third and last word of the counters, and the two of the key
-Counters = tuple[tuple[int, int, int], tuple[int, int]]
-Words = tuple[NDArray[np.uint64], NDArray[np.uint64], NDArray[np.uint64], NDArray[np.uint64]]
+PHILOX_MULTIPLIER0, PHILOX_MULTIPLIER1 = np.uint64(0xD2511F53), np.uint64(0xCD9E8D57)
+PHILOX_KEY_STEP0, PHILOX_KEY_STEP1 = np.uint64(0x9E3779B9), np.uint64(0xBB67AE85)
+LOW_32_BITS = np.uint64(0xFFFFFFFF)
+HALF_WORD_BITS = np.uint64(32)
+PHILOX_ROUNDS = 10
+UNIT_FLOAT_STEP = np.float32(2.0**-24)
+ID_SPREAD_MULTIPLIER = np.uint64(
+    0x9E3779B1
+)  # moves the high half of an id to other counters; odd, so no two ids of one half meet
+RandomKernel = Callable[..., Any]
+SharedCounters = tuple[U64, U64, U64, U64, U64]  # first, third and last word of the counters, and the two of the key
+CounterWords = tuple[tuple[int, int, int], tuple[int, int]]
+WordColumns = tuple[NDArray[np.uint64], NDArray[np.uint64], NDArray[np.uint64], NDArray[np.uint64]]
 
 
-def philox(counter: Words, key: tuple[Any, Any]) -> Words:
+def philox(counter: WordColumns, key: tuple[Any, Any]) -> WordColumns:
     """Four random 32-bit words (in uint64 arrays) of four 32-bit counter words and a key of two (np.uint64)."""
     c0, c1, c2, c3 = counter
     k0, k1 = key
-    for _ in range(ROUNDS):
-        p0, p1 = c0 * M0, c2 * M1
-        c0, c2 = p1 >> HALF, p0 >> HALF
+    for _ in range(PHILOX_ROUNDS):
+        p0, p1 = c0 * PHILOX_MULTIPLIER0, c2 * PHILOX_MULTIPLIER1
+        c0, c2 = p1 >> HALF_WORD_BITS, p0 >> HALF_WORD_BITS
         c0 ^= c1
         c0 ^= k0
         c2 ^= c3
         c2 ^= k1
-        p1 &= LOW
-        p0 &= LOW
+        p1 &= LOW_32_BITS
+        p0 &= LOW_32_BITS
         c1, c3 = p1, p0
-        k0, k1 = (k0 + W0) & LOW, (k1 + W1) & LOW
+        k0, k1 = (k0 + PHILOX_KEY_STEP0) & LOW_32_BITS, (k1 + PHILOX_KEY_STEP1) & LOW_32_BITS
     return c0, c1, c2, c3
 
 
@@ -54,7 +56,7 @@ def site_words(species: str, site: str) -> tuple[int, int]:
     return int.from_bytes(digest[:4], "little"), int.from_bytes(digest[4:], "little")
 
 
-def words(seed: int, frame: int, species: str, site: str, block: int, ids: NDArray[np.int64]) -> Words:
+def words(seed: int, frame: int, species: str, site: str, block: int, ids: NDArray[np.int64]) -> WordColumns:
     """Four random words for each id. `frame` may be negative (preroll)."""
     (c0, low, c3), key = counters(seed, frame, species, site, block)
     wide = ids.astype(np.uint64)
@@ -62,12 +64,12 @@ def words(seed: int, frame: int, species: str, site: str, block: int, ids: NDArr
     return words_of_ids(wide, first, np.uint64(low), last, (np.uint64(key[0]), np.uint64(key[1])))
 
 
-def words_of_ids(wide: Any, first: Any, low: Any, last: Any, key: tuple[Any, Any]) -> Words:
+def words_of_ids(wide: Any, first: Any, low: Any, last: Any, key: tuple[Any, Any]) -> WordColumns:
     """Four words for each id (uint64) of the counters' first, third and last word, and the key."""
-    return philox((first, wide & LOW, (((wide >> HALF) * SPREAD) & LOW) ^ low, last), key)
+    return philox((first, wide & LOW_32_BITS, (((wide >> HALF_WORD_BITS) * ID_SPREAD_MULTIPLIER) & LOW_32_BITS) ^ low, last), key)
 
 
-def counters(seed: int, frame: int, species: str, site: str, block: int) -> Counters:
+def counters(seed: int, frame: int, species: str, site: str, block: int) -> CounterWords:
     """Return the counter words that all ids share (in the third, the high half of an id is still missing), and the key."""
     low, high = site_words(species, site)
     return (frame_word(frame), low, (high + block) & 0xFFFFFFFF), (seed & 0xFFFFFFFF, (seed >> 32) & 0xFFFFFFFF)
@@ -80,7 +82,7 @@ def frame_word(frame: int) -> int:
 
 def unit_floats(word: NDArray[np.uint64]) -> NDArray[np.float32]:
     """float32 in [0, 1): the top 24 bits of a 32-bit word."""
-    return (word >> np.uint64(8)).astype(np.float32) * UNIT
+    return (word >> np.uint64(8)).astype(np.float32) * UNIT_FLOAT_STEP
 
 
 def uniform(seed: int, frame: int, species: str, site: str, index: int, ids: NDArray[np.int64]) -> NDArray[np.float32]:
@@ -93,7 +95,7 @@ def word(seed: int, frame: int, species: str, site: str, index: int, ids: NDArra
     return _draw(draw_words, np.uint64, counters(seed, frame, species, site, index >> 2), index, ids)
 
 
-def _draw(loop: Kernel, kind: type[np.generic], shared: Counters, index: int, ids: NDArray[np.int64]) -> NDArray[Any]:
+def _draw(loop: RandomKernel, kind: type[np.generic], shared: CounterWords, index: int, ids: NDArray[np.int64]) -> NDArray[Any]:
     """Draws of one for each id."""
     draws: NDArray[Any] = np.empty(ids.size, kind)
     loop(np.ascontiguousarray(ids.reshape(-1), np.int64), (*shared[0], *shared[1]), index & 3, draws)
@@ -101,26 +103,26 @@ def _draw(loop: Kernel, kind: type[np.generic], shared: Counters, index: int, id
 
 
 @kernel
-def uniforms(ids: Array1[I64], shared: Shared, which: I64, output: Array1[F32]) -> None:
+def uniforms(ids: Array1[I64], shared: SharedCounters, which: I64, output: Array1[F32]) -> None:
     """Write a draw for each id; `which` is its index among the four of its counter."""
     for n in independent(0, ids.size):
-        output[n] = np.float32(_word(ids[n], shared, which) >> 8) * UNIT
+        output[n] = np.float32(_word(ids[n], shared, which) >> 8) * UNIT_FLOAT_STEP
 
 
 @kernel
-def draw_words(ids: Array1[I64], shared: Shared, which: I64, output: Array1[U64]) -> None:
+def draw_words(ids: Array1[I64], shared: SharedCounters, which: I64, output: Array1[U64]) -> None:
     """As `uniforms`, the whole word."""
     for n in independent(0, ids.size):
         output[n] = _word(ids[n], shared, which)
 
 
 @inlined
-def _word(number: I64, shared: Shared, which: I64) -> U64:
+def _word(number: I64, shared: SharedCounters, which: I64) -> U64:
     wide = np.uint64(number)
     c0, low, c3, first, second = shared
-    a, b, c, d = c0, wide & LOW, (((wide >> HALF) * SPREAD) & LOW) ^ low, c3
-    for _ in range(ROUNDS):
-        p0, p1 = a * M0, c * M1
-        a, b, c, d = (p1 >> HALF) ^ b ^ first, p1 & LOW, (p0 >> HALF) ^ d ^ second, p0 & LOW
-        first, second = (first + W0) & LOW, (second + W1) & LOW
+    a, b, c, d = c0, wide & LOW_32_BITS, (((wide >> HALF_WORD_BITS) * ID_SPREAD_MULTIPLIER) & LOW_32_BITS) ^ low, c3
+    for _ in range(PHILOX_ROUNDS):
+        p0, p1 = a * PHILOX_MULTIPLIER0, c * PHILOX_MULTIPLIER1
+        a, b, c, d = (p1 >> HALF_WORD_BITS) ^ b ^ first, p1 & LOW_32_BITS, (p0 >> HALF_WORD_BITS) ^ d ^ second, p0 & LOW_32_BITS
+        first, second = (first + PHILOX_KEY_STEP0) & LOW_32_BITS, (second + PHILOX_KEY_STEP1) & LOW_32_BITS
     return a if which == 0 else b if which == 1 else c if which == 2 else d

@@ -14,16 +14,16 @@ from antdsl.machine_code import machine
 from antdsl.machine_code.entries import inner_text
 from antdsl.machine_code.library import library_text
 from antdsl.machine_code.memory import address
-from antdsl.machine_code.module import Module
+from antdsl.machine_code.module import LlvmModule
 from antdsl.numerics import parallel
-from antdsl.numerics.host import EACH
+from antdsl.numerics.host import PARTS_PER_THREAD
 
-Pairs = Sequence[tuple[NDArray[Any], NDArray[Any]]]  # to which array, and of which
-_SIZES = (1, 4, 8)  # bytes of a row that have a loop of their own when rows are picked
-_HEAD, _WORDS = 2, 3  # words of a table before those of the arrays, and of each array
+ArrayPairs = Sequence[tuple[NDArray[Any], NDArray[Any]]]  # to which array, and of which
+_KERNEL_ROW_BYTES = (1, 4, 8)  # bytes of a row that have a loop of their own when rows are picked
+_HEADER_WORDS, _WORDS_PER_ARRAY = 2, 3  # words of a table before those of the arrays, and of each array
 
 
-class RowCopies:
+class RowCopier:
     """Repeated copies between the same arrays. Their addresses are looked up once."""
 
     def __init__(self) -> None:
@@ -43,7 +43,7 @@ class RowCopies:
         parallel.call_rows(_function(), self._parts, threads)
 
 
-def copy_rows(pairs: Pairs, rows: NDArray[np.intp], threads: int) -> None:
+def copy_rows(pairs: ArrayPairs, rows: NDArray[np.intp], threads: int) -> None:
     """Copy selected rows of contiguous arrays [n, ..] to arrays [k, ..] of the same type."""
     if not pairs:
         return
@@ -52,7 +52,7 @@ def copy_rows(pairs: Pairs, rows: NDArray[np.intp], threads: int) -> None:
     parallel.call_rows(_function(), _parts(table, len(rows), threads), threads)
 
 
-def _table(pairs: Pairs, rows: NDArray[np.intp] | None) -> NDArray[np.int64]:
+def _table(pairs: ArrayPairs, rows: NDArray[np.intp] | None) -> NDArray[np.int64]:
     """Return the table of the copy: the address of the row numbers (0: all in order), the number of arrays, and for each its
     address, its target and the bytes per row."""
     words = [0 if rows is None else address(rows), len(pairs)]
@@ -63,7 +63,7 @@ def _table(pairs: Pairs, rows: NDArray[np.intp] | None) -> NDArray[np.int64]:
 
 def _parts(table: NDArray[np.int64], count: int, threads: int) -> NDArray[np.int64]:
     """Return the parts of `count` rows for `parallel.listed`."""
-    most = max(1, min(EACH * threads, count // parallel.PART))
+    most = max(1, min(PARTS_PER_THREAD * threads, count // parallel.MIN_AGENTS_PER_THREAD))
     ends = [count * k // most for k in range(most + 1)]
     return np.array([(address(table), *ends[k : k + 2]) for k in range(most)], np.int64)
 
@@ -77,15 +77,15 @@ def _function() -> Callable[[int, int, int], None]:
 @library_text
 def text(target: machine.Target) -> str:
     """What is compiled, in LLVM's language: a function of such a table that copies rows from the first to before the last."""
-    module = Module(target)
-    cases = "".join(f"  i64 {size}, label %pick{size}\n" for size in _SIZES)
-    picking = "".join(_PICK.replace("$SIZE$", str(size)).replace("$BITS$", str(8 * size)) for size in _SIZES)
-    body = _BODY.replace("$CASES$", cases).replace("$PICKING$", picking)
-    body = body.replace("$HEAD$", str(_HEAD)).replace("$WORDS$", str(_WORDS))
+    module = LlvmModule(target)
+    cases = "".join(f"  i64 {size}, label %pick{size}\n" for size in _KERNEL_ROW_BYTES)
+    picking = "".join(_PICK_TEMPLATE.replace("$SIZE$", str(size)).replace("$BITS$", str(8 * size)) for size in _KERNEL_ROW_BYTES)
+    body = _BODY_TEMPLATE.replace("$CASES$", cases).replace("$PICKING$", picking)
+    body = body.replace("$HEAD$", str(_HEADER_WORDS)).replace("$WORDS$", str(_WORDS_PER_ARRAY))
     return f"{module.text()}\ndeclare void @llvm.memcpy.p0.p0.i64(ptr, ptr, i64, i1)\n{inner_text(module, 'rows', body)}\n"
 
 
-_BODY = """  %rows = load ptr, ptr %t
+_BODY_TEMPLATE = """  %rows = load ptr, ptr %t
   %count.at = getelementptr i64, ptr %t, i64 1
   %count = load i64, ptr %count.at
   %first = getelementptr i64, ptr %t, i64 $HEAD$
@@ -133,7 +133,7 @@ done:
   %next = add i64 %k, 1
   br label %array
 over:"""
-_PICK = """pick$SIZE$:
+_PICK_TEMPLATE = """pick$SIZE$:
   %i$SIZE$ = phi i64 [ %begin, %picked ], [ %next$SIZE$, %one$SIZE$ ]
   %more$SIZE$ = icmp slt i64 %i$SIZE$, %end
   br i1 %more$SIZE$, label %one$SIZE$, label %done

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from antdsl.machine_code.kernels import I64, U64, Array1, Array2, independent, inlined, kernel
 from antdsl.numerics import parallel
 
-_BITS = 16  # NumPy sorts numbers of this width by counting
+_DIGIT_BITS = 16  # NumPy sorts numbers of this width by counting
 
 
 def stable_order(keys: NDArray[np.integer[Any]]) -> NDArray[np.intp]:
@@ -21,11 +21,11 @@ def stable_order(keys: NDArray[np.integer[Any]]) -> NDArray[np.intp]:
     if not keys.size:
         return np.empty(0, np.intp)
     low, high = int(keys.min()), int(keys.max())
-    if high - low >= 1 << 3 * _BITS:
+    if high - low >= 1 << 3 * _DIGIT_BITS:
         return np.argsort(keys, kind="stable")
     rest = keys.astype(np.int64) - low
     order = np.argsort(rest.astype(np.uint16), kind="stable")
-    for shift in range(_BITS, (high - low).bit_length(), _BITS):
+    for shift in range(_DIGIT_BITS, (high - low).bit_length(), _DIGIT_BITS):
         order = order.take(np.argsort((rest >> shift).astype(np.uint16).take(order), kind="stable"))
     return order
 
@@ -33,7 +33,9 @@ def stable_order(keys: NDArray[np.integer[Any]]) -> NDArray[np.intp]:
 def morton_codes(cells: NDArray[np.uint64], threads: int = 1) -> NDArray[np.uint64]:
     """Numbers of cells [n,3] along the curve of G. Morton (1966), by their bits in turn; 21 bits of each axis count."""
     code = np.zeros(len(cells), np.uint64)
-    parallel.in_parts(partial(write_morton_codes, np.ascontiguousarray(cells), code), len(cells), threads, parallel.LIGHT)
+    parallel.in_parts(
+        partial(write_morton_codes, np.ascontiguousarray(cells), code), len(cells), threads, parallel.MIN_LIGHT_ITEMS_PER_THREAD
+    )
     return code
 
 

@@ -6,12 +6,12 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
 
-_listener: ContextVar[Callable[[str], None] | None] = ContextVar("listener", default=None)
+_stage_listener: ContextVar[Callable[[str], None] | None] = ContextVar("listener", default=None)
 
 
 def begin(words: str) -> None:
     """Report the start of a stage: `ground`, `placing 500 agents`."""
-    listener = _listener.get()
+    listener = _stage_listener.get()
     if listener is not None:
         listener(words)
 
@@ -19,8 +19,8 @@ def begin(words: str) -> None:
 @contextmanager
 def report_to(listener: Callable[[str], None]) -> Iterator[None]:
     """Call `listener` with the words of each stage that this thread begins within the context."""
-    token = _listener.set(listener)
+    token = _stage_listener.set(listener)
     try:
         yield
     finally:
-        _listener.reset(token)
+        _stage_listener.reset(token)

@@ -25,8 +25,8 @@ from antdsl.numerics import stages
 
 Tables = dict[str, NDArray[Any]]
 
-LEAST: Final = 10_000  # faces of a mesh, or cells, from which on tables are stored: those of fewer take no time
-KIND: Final = object_cache.StoreKind(
+MIN_STORED_SIZE: Final = 10_000  # faces of a mesh, or cells, from which on tables are stored: those of fewer take no time
+TABLE_STORE: Final = object_cache.StoreKind(
     "tables",
     "ANTDSL_TABLE_CACHE",
     ".tables",
@@ -37,13 +37,20 @@ KIND: Final = object_cache.StoreKind(
     "each run computes them again",
     "they are computed again",
 )
-_CAP: Final = 1024 * MIB
-_LARGEST: Final = 256 * MIB
-_ROOMS: Final = ("machine_code", "numerics", "scene/geometry", "casting", "ground", "fields")  # packages that compute tables
-_ALIGNED: Final = 64  # bytes: where arrays begin
-_TYPES: Final = frozenset(["|b1", "|i1", "<i4", "<i8", "<f4", "<f8"])
+_MAX_STORE_BYTES: Final = 1024 * MIB
+_MAX_TABLE_BYTES: Final = 256 * MIB
+_HASHED_PACKAGES: Final = (
+    "machine_code",
+    "numerics",
+    "scene/geometry",
+    "casting",
+    "ground",
+    "fields",
+)  # packages that compute tables
+_ALIGNMENT_BYTES: Final = 64  # bytes: where arrays begin
+_ALLOWED_DTYPES: Final = frozenset(["|b1", "|i1", "<i4", "<i8", "<f4", "<f8"])
 
-_computed = 0  # tables, by this process
+_computed_tables = 0  # tables, by this process
 
 
 def get_or_compute(
@@ -54,35 +61,35 @@ def get_or_compute(
 
     `size` is the number of faces of the mesh, or of another `unit`; 0 for a result that no other run needs. `name` identifies the
     computation."""
-    global _computed
-    key = _key(name, inputs) if size >= LEAST else None
-    tables = None if key is None else _unpack(_store().get(key))
+    global _computed_tables
+    key = _key(name, inputs) if size >= MIN_STORED_SIZE else None
+    tables = None if key is None else _unpack(_open_store_once().get(key))
     if tables is None:
-        if size >= LEAST:
+        if size >= MIN_STORED_SIZE:
             stages.begin(f"{name} of {size:,} {unit}")
         tables = compute()
-        _computed += 1
-        if key is not None and sum(array.nbytes for array in tables.values()) <= _LARGEST - MIB:
-            _store().put(key, _pack(tables))
+        _computed_tables += 1
+        if key is not None and sum(array.nbytes for array in tables.values()) <= _MAX_TABLE_BYTES - MIB:
+            _open_store_once().put(key, _pack(tables))
     return tables
 
 
 def computed_count() -> int:
     """Return how many tables this process has computed because they were not stored."""
-    return _computed
+    return _computed_tables
 
 
 def forget() -> None:
     """Look up the folder again at the next use, as in a new process."""
-    _store.cache_clear()
+    _open_store_once.cache_clear()
 
 
 def store() -> object_cache.ObjectCache:
     """The store of this user."""
-    return object_cache.ObjectCache(kind=KIND, cap=_CAP, largest=_LARGEST)
+    return object_cache.ObjectCache(kind=TABLE_STORE, cap=_MAX_STORE_BYTES, largest=_MAX_TABLE_BYTES)
 
 
-_store = cache(store)
+_open_store_once = cache(store)
 
 
 def _key(name: str, inputs: Sequence[NDArray[Any] | float | str]) -> str:
@@ -112,7 +119,7 @@ def _sources() -> str:
 
 def _modules() -> Iterator[Path]:
     package = Path(antdsl.__file__).parent
-    for folder in _ROOMS:
+    for folder in _HASHED_PACKAGES:
         yield from sorted((package / folder).rglob("*.py"))
 
 
@@ -122,7 +129,7 @@ def _pack(tables: Mapping[str, NDArray[Any]]) -> bytes:
     line = json.dumps([[name, array.dtype.str, array.shape] for name, array in arrays.items()]).encode() + b"\n"
     parts, at = [line], len(line)
     for array in arrays.values():
-        gap = -at % _ALIGNED
+        gap = -at % _ALIGNMENT_BYTES
         parts += [bytes(gap), array.tobytes()]
         at += gap + array.nbytes
     return b"".join(parts)
@@ -136,9 +143,9 @@ def _unpack(data: bytes | None) -> Tables | None:
     try:
         at = data.index(b"\n") + 1
         for name, kind, shape in json.loads(data[:at]):
-            if kind not in _TYPES or min(shape, default=0) < 0:
+            if kind not in _ALLOWED_DTYPES or min(shape, default=0) < 0:
                 return None
-            at += -at % _ALIGNED
+            at += -at % _ALIGNMENT_BYTES
             count = math.prod(shape)
             tables[name] = np.frombuffer(data, kind, count, at).reshape(shape).copy()
             at += tables[name].nbytes

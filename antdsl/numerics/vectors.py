@@ -12,59 +12,59 @@ import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[Any]
-Vector = tuple[Array, Array, Array]
-Columns = Vector | list[Array] | Array
+VectorArrays = tuple[Array, Array, Array]
+VectorComponents = VectorArrays | list[Array] | Array
 
 
-def dot(a: Columns, b: Columns) -> Array:
+def dot(a: VectorComponents, b: VectorComponents) -> Array:
     total: Array = (a[0] * b[0] + a[1] * b[1]) + a[2] * b[2]
     return total
 
 
-def cross(a: Columns, b: Columns) -> Vector:
+def cross(a: VectorComponents, b: VectorComponents) -> VectorArrays:
     return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
 
 
-def stacked_cross(a: Columns, b: Columns) -> Array:
+def stacked_cross(a: VectorComponents, b: VectorComponents) -> Array:
     """`cross` as one array (3, n)."""
     return np.stack(cross(a, b))
 
 
-def add(a: Columns, b: Columns) -> Vector:
+def add(a: VectorComponents, b: VectorComponents) -> VectorArrays:
     return a[0] + b[0], a[1] + b[1], a[2] + b[2]
 
 
-def sub(a: Columns, b: Columns) -> Vector:
+def sub(a: VectorComponents, b: VectorComponents) -> VectorArrays:
     return a[0] - b[0], a[1] - b[1], a[2] - b[2]
 
 
-def scale(a: Columns, s: Array | float | np.floating[Any]) -> Vector:
+def scale(a: VectorComponents, s: Array | float | np.floating[Any]) -> VectorArrays:
     return a[0] * s, a[1] * s, a[2] * s
 
 
-def length(a: Columns) -> Array:
+def length(a: VectorComponents) -> Array:
     return np.sqrt(dot(a, a))
 
 
-def choose(condition: Array, a: Vector, b: Vector) -> Vector:
+def choose(condition: Array, a: VectorArrays, b: VectorArrays) -> VectorArrays:
     return np.where(condition, a[0], b[0]), np.where(condition, a[1], b[1]), np.where(condition, a[2], b[2])
 
 
-def copy(a: Vector) -> Vector:
+def copy(a: VectorArrays) -> VectorArrays:
     """Return a copy with its own arrays."""
     return np.array(a[0]), np.array(a[1]), np.array(a[2])
 
 
-def take(a: Columns, rows: NDArray[np.integer[Any]] | NDArray[np.bool_] | slice) -> Vector:
+def take(a: VectorComponents, rows: NDArray[np.integer[Any]] | NDArray[np.bool_] | slice) -> VectorArrays:
     return a[0][rows], a[1][rows], a[2][rows]
 
 
-def flat(a: Columns, up: Columns) -> Vector:
+def flat(a: VectorComponents, up: VectorComponents) -> VectorArrays:
     """The part of a across the unit vector up."""
     return sub(a, scale(up, dot(a, up)))
 
 
-def unit(a: Vector, otherwise: Vector, least: float = 1e-12) -> Vector:
+def unit(a: VectorArrays, otherwise: VectorArrays, least: float = 1e-12) -> VectorArrays:
     """Return the unit vector, or `otherwise` where the vector is shorter than `least`."""
     size = length(a)
     good = (size > least) & np.isfinite(size)
@@ -82,7 +82,7 @@ def turned(v: Array, source: Array, target: Array, direction: Array) -> Array:
     return np.where(opposite, 2 * dot(hinge, v) * hinge - v, around)
 
 
-def any_perpendicular(up: Vector) -> Vector:
+def any_perpendicular(up: VectorArrays) -> VectorArrays:
     """Some unit vector across a unit vector."""
     steep = np.abs(up[0]) > 0.9
     zero, one = np.zeros_like(up[0]), np.ones_like(up[0])
@@ -91,22 +91,22 @@ def any_perpendicular(up: Vector) -> Vector:
     return scale(side, 1 / length(side))
 
 
-def columns(a: NDArray[Any], dtype: type[np.floating[Any]]) -> Vector:
+def columns(a: NDArray[Any], dtype: type[np.floating[Any]]) -> VectorArrays:
     """(n, 3) as three arrays."""
     return np.ascontiguousarray(a[:, 0], dtype), np.ascontiguousarray(a[:, 1], dtype), np.ascontiguousarray(a[:, 2], dtype)
 
 
-def vector_registers(registers: Mapping[str, Array], name: str) -> Vector:
+def vector_registers(registers: Mapping[str, Array], name: str) -> VectorArrays:
     """The three registers of a vector, themselves."""
     return _register_getter(name)(registers)
 
 
 @cache
-def _register_getter(name: str) -> Callable[[Mapping[str, Array]], Vector]:
+def _register_getter(name: str) -> Callable[[Mapping[str, Array]], VectorArrays]:
     return itemgetter(f"{name}.x", f"{name}.y", f"{name}.z")
 
 
-def rows(a: Vector) -> NDArray[np.float64]:
+def rows(a: VectorArrays) -> NDArray[np.float64]:
     """Return three arrays as float64 (n, 3), with contiguous components."""
     columns = np.empty((3, len(a[0])))
     for column, component in zip(columns, a, strict=True):

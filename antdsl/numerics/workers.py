@@ -22,42 +22,44 @@ from numpy.typing import NDArray
 from antdsl.machine_code import machine
 from antdsl.machine_code import workers_text as words
 from antdsl.machine_code.kernels import direct
-from antdsl.machine_code.kernels.direct.argument_text import PARTS
+from antdsl.machine_code.kernels.direct.argument_text import MAX_JOB_PARTS
 from antdsl.machine_code.memory import address
 from antdsl.numerics.float_environment import set_standard
-from antdsl.numerics.host import EACH
+from antdsl.numerics.host import PARTS_PER_THREAD
 
 T = TypeVar("T")
-_LOCKS = ("PyThread_allocate_lock", "PyThread_acquire_lock", "PyThread_release_lock")
+_LOCK_FUNCTIONS = ("PyThread_allocate_lock", "PyThread_acquire_lock", "PyThread_release_lock")
 # Seconds that a thread without work spins before it sleeps. Waking a thread takes 30 to 100 us, which a step of 15,000 agents
 # would spend up to 50 times. What one thread does alone between two jobs of a step is mostly shorter than this.
-_AWAKE = 1e-3
-_TRIED = 1_000  # turns that are timed
-_LINE = 64  # bytes of a line of the processor's memory
-_ENTRY = (None, ctypes.c_void_p, ctypes.c_int64, ctypes.c_int64)
+_SPIN_SECONDS = 1e-3
+_TIMED_SPIN_TURNS = 1_000  # turns that are timed
+_CACHE_LINE_BYTES = 64  # bytes of a line of the processor's memory
+_ENTRY_SIGNATURE = (None, ctypes.c_void_p, ctypes.c_int64, ctypes.c_int64)
 
 
-class Workers:
+class WorkerPool:
     """Threads that work in addition to the caller's thread. The current caller is noted in `asks`: others do not wait for it, but
     work alone."""
 
     def __init__(self, count: int) -> None:
         code = words.code()
-        buffer = np.zeros(words.SLEEPS + words.LINE * (count + 1) + _LINE // 8, np.int64)
+        buffer = np.zeros(words.FIRST_SLEEP_WORD + words.CACHE_LINE_WORDS * (count + 1) + _CACHE_LINE_BYTES // 8, np.int64)
         self.asks: dict[None, object] = {}
-        self.address = -(-address(buffer) // _LINE) * _LINE
+        self.address = -(-address(buffer) // _CACHE_LINE_BYTES) * _CACHE_LINE_BYTES
         self._words: NDArray[np.int64] = buffer[(self.address - address(buffer)) // 8 :]
-        self._start = ctypes.PYFUNCTYPE(*_ENTRY)(code.place("start"))  # which keeps the interpreter's lock
+        self._start = ctypes.PYFUNCTYPE(*_ENTRY_SIGNATURE)(code.place("start"))  # which keeps the interpreter's lock
         self._all, self._finish, self._end, loop = (code.function(name) for name in ("all", "finish", "end", "worker"))
         self._work: Callable[[int], object] = int
         self._failed: list[BaseException] = []
-        self._called = ctypes.CFUNCTYPE(*_ENTRY)(self._one)
-        self._numbers = np.array([(0, k + 1, 0) for k in range(PARTS)], np.int64)
+        self._called = ctypes.CFUNCTYPE(*_ENTRY_SIGNATURE)(self._one)
+        self._numbers = np.array([(0, k + 1, 0) for k in range(MAX_JOB_PARTS)], np.int64)
         locks = [_make_locked_lock() for _ in range(count + 1)]
-        self._words[[words.WORKERS, words.TURNS, words.LOCK]] = count, _spin_turns(), locks[count]
-        self._words[[words.ACQUIRE, words.RELEASE]] = [_symbol_address(name) for name in _LOCKS[1:]]
+        self._words[[words.WORKER_COUNT_WORD, words.SPIN_TURNS_WORD, words.CALLER_LOCK_WORD]] = count, _spin_turns(), locks[count]
+        self._words[[words.ACQUIRE_FUNCTION_WORD, words.RELEASE_FUNCTION_WORD]] = [
+            _symbol_address(name) for name in _LOCK_FUNCTIONS[1:]
+        ]
         for k in range(count):
-            self._words[words.SLEEPS + words.LINE * k + 1] = locks[k]
+            self._words[words.FIRST_SLEEP_WORD + words.CACHE_LINE_WORDS * k + 1] = locks[k]
         ctypes.pythonapi.Py_IncRef(ctypes.py_object(self))  # its threads may be at work until the process is gone
         self._threads = [Thread(target=self._run_worker, args=(loop, k), name=f"kernels {k}", daemon=True) for k in range(count)]
         for each in self._threads:
@@ -73,7 +75,7 @@ class Workers:
 
         All calls have ended on return, whatever interrupts it. An exception of one of them is raised here."""
         self._work, self._failed = work, []
-        self._job(self._called, self._numbers, min(helpers, PARTS))
+        self._job(self._called, self._numbers, min(helpers, MAX_JOB_PARTS))
         try:
             self._start(self.address, 0, 0)
             work(0)
@@ -102,8 +104,8 @@ class Workers:
 
     def call(self, function: Callable[[int, int, int], None], listed: NDArray[np.int64]) -> None:
         """Call a function of machine code with each row of an array [k,3]."""
-        for first in range(0, len(listed), PARTS):
-            batch = np.ascontiguousarray(listed[first : first + PARTS])
+        for first in range(0, len(listed), MAX_JOB_PARTS):
+            batch = np.ascontiguousarray(listed[first : first + MAX_JOB_PARTS])
             self._job(function, batch, len(batch))
             self._all(self.address, 0, 0)
 
@@ -115,8 +117,8 @@ class Workers:
 
     def _job(self, function: Any, table: NDArray[np.int64], parts: int) -> None:
         code = ctypes.cast(function, ctypes.c_void_p).value or 0
-        self._words[words.CODE : words.OF + 1] = code, address(table), 0, parts
-        self._words[words.DONE_COUNT] = parts  # as long as it has not been started, there is nothing to wait for
+        self._words[words.JOB_CODE_WORD : words.PART_COUNT_WORD + 1] = code, address(table), 0, parts
+        self._words[words.DONE_COUNT_WORD] = parts  # as long as it has not been started, there is nothing to wait for
 
     def _one(self, _: int, number: int, __: int) -> None:
         try:
@@ -155,7 +157,7 @@ class ExecutorPool:
 def parts(count: int, threads: int) -> int:
     """Return the number of parts of a kernel for `count` numbers, with threads that are worthwhile. Each part has at least one
     full register."""
-    return max(1, min(EACH * threads, PARTS, count // words.EVEN))
+    return max(1, min(PARTS_PER_THREAD * threads, MAX_JOB_PARTS, count // words.PART_ALIGNMENT))
 
 
 def in_parts(work: Callable[[int, int], T], count: int, threads: int, paying: int) -> list[T]:
@@ -163,14 +165,14 @@ def in_parts(work: Callable[[int, int], T], count: int, threads: int, paying: in
     pool = _pool_for(threads)
 
     def together() -> list[T]:
-        least = min(paying, threads, PARTS)
-        results = pool.kernel(work, count, parts(count, least)) if isinstance(pool, Workers) else None
+        least = min(paying, threads, MAX_JOB_PARTS)
+        results = pool.kernel(work, count, parts(count, least)) if isinstance(pool, WorkerPool) else None
         return _pull_parts(pool, work, count, least) if results is None else results
 
     return _run_exclusively(pool, together, lambda: [work(0, count)])
 
 
-def _run_exclusively(pool: Workers | ExecutorPool, together: Callable[[], T], alone: Callable[[], T]) -> T:
+def _run_exclusively(pool: WorkerPool | ExecutorPool, together: Callable[[], T], alone: Callable[[], T]) -> T:
     """Return the result of `together` if no other caller uses the pool, else that of `alone`."""
     own = object()
     try:
@@ -183,7 +185,7 @@ def _run_exclusively(pool: Workers | ExecutorPool, together: Callable[[], T], al
     return alone()
 
 
-def _pull_parts(pool: Workers | ExecutorPool, work: Callable[[int, int], T], count: int, parts: int) -> list[T]:
+def _pull_parts(pool: WorkerPool | ExecutorPool, work: Callable[[int, int], T], count: int, parts: int) -> list[T]:
     """Return the results of parts that are Python functions. Raises the exception of the first part that failed; later parts may
     not have started."""
     results: dict[int, T] = {}
@@ -218,35 +220,35 @@ def call_rows(function: Callable[[int, int, int], None], parts: NDArray[np.int64
         for part in parts.tolist():
             function(*part)
 
-    _run_exclusively(pool, partial(pool.call, function, parts) if isinstance(pool, Workers) else alone, alone)
+    _run_exclusively(pool, partial(pool.call, function, parts) if isinstance(pool, WorkerPool) else alone, alone)
 
 
 @cache
 def possible() -> bool:
     """Whether threads can wait in machine code here."""
-    return machine.is_available() and direct.possible() and all(hasattr(ctypes.pythonapi, name) for name in _LOCKS)
+    return machine.is_available() and direct.possible() and all(hasattr(ctypes.pythonapi, name) for name in _LOCK_FUNCTIONS)
 
 
-_pools: dict[int, Workers | ExecutorPool] = {}
-_guard = Lock()
+_pool_by_threads: dict[int, WorkerPool | ExecutorPool] = {}
+_pool_lock = Lock()
 
 
-def _pool_for(threads: int) -> Workers | ExecutorPool:
+def _pool_for(threads: int) -> WorkerPool | ExecutorPool:
     """Return the cached pool for a number of threads, the caller's included. It runs machine code where that is possible."""
-    pool = _pools.get(threads)
+    pool = _pool_by_threads.get(threads)
     if pool is None:
-        with _guard:
-            pool = _pools.get(threads)
+        with _pool_lock:
+            pool = _pool_by_threads.get(threads)
             if pool is None:
-                pool = _pools[threads] = Workers(threads - 1) if possible() else ExecutorPool(threads - 1)
+                pool = _pool_by_threads[threads] = WorkerPool(threads - 1) if possible() else ExecutorPool(threads - 1)
     return pool
 
 
 def _forget() -> None:
     """Forget the threads in a forked process, which has none of them."""
-    global _guard
-    _pools.clear()
-    _guard = Lock()
+    global _pool_lock
+    _pool_by_threads.clear()
+    _pool_lock = Lock()
 
 
 if hasattr(os, "register_at_fork"):
@@ -255,7 +257,7 @@ if hasattr(os, "register_at_fork"):
 
 @atexit.register
 def _end() -> None:
-    for each in _pools.values():
+    for each in _pool_by_threads.values():
         each.end()
 
 
@@ -265,8 +267,8 @@ def _symbol_address(name: str) -> int:
 
 def _make_locked_lock() -> int:
     """A lock of CPython's that is taken."""
-    allocate = ctypes.CFUNCTYPE(ctypes.c_void_p)(_symbol_address(_LOCKS[0]))
-    acquire = ctypes.CFUNCTYPE(ctypes.c_int, ctypes.c_void_p, ctypes.c_int)(_symbol_address(_LOCKS[1]))
+    allocate = ctypes.CFUNCTYPE(ctypes.c_void_p)(_symbol_address(_LOCK_FUNCTIONS[0]))
+    acquire = ctypes.CFUNCTYPE(ctypes.c_int, ctypes.c_void_p, ctypes.c_int)(_symbol_address(_LOCK_FUNCTIONS[1]))
     lock: int | None = allocate()
     if not lock:
         raise MemoryError
@@ -281,6 +283,6 @@ def _spin_turns() -> int:
     spent = []
     for _ in range(3):
         began = perf_counter()
-        wait(address(buffer), _TRIED, 0)
+        wait(address(buffer), _TIMED_SPIN_TURNS, 0)
         spent.append(perf_counter() - began)
-    return max(1, int(_TRIED * _AWAKE / min(spent)))
+    return max(1, int(_TIMED_SPIN_TURNS * _SPIN_SECONDS / min(spent)))

@@ -7,17 +7,17 @@ import re
 from collections.abc import Iterable, Sequence
 from types import SimpleNamespace
 
-_FORMULA = frozenset("=+-@\t\r\n＝＋－＠")  # a cell that begins so is a formula in some spreadsheet program
-_NUMBER = re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?|[+-]?(?:inf|nan)")
+_FORMULA_START_CHARACTERS = frozenset("=+-@\t\r\n＝＋－＠")  # a cell that begins so is a formula in some spreadsheet program
+_NUMBER_PATTERN = re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?|[+-]?(?:inf|nan)")
 
 
 def safe_cell(value: object) -> object:
     """Return a value as written in a cell. Text that begins like a formula, or with an apostrophe, gets an apostrophe in front.
 
     Removing one leading apostrophe restores it. Numbers are unchanged, also those written as text."""
-    if not isinstance(value, str) or _NUMBER.fullmatch(value):
+    if not isinstance(value, str) or _NUMBER_PATTERN.fullmatch(value):
         return value
-    return f"'{value}" if value.startswith("'") or value.lstrip(" ")[:1] in _FORMULA else value
+    return f"'{value}" if value.startswith("'") or value.lstrip(" ")[:1] in _FORMULA_START_CHARACTERS else value
 
 
 def csv_text(rows: Iterable[Sequence[object]]) -> str:

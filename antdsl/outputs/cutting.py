@@ -10,16 +10,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl.ground.solid import Volume
-from antdsl.ground.solid.bricks import CUBE, SIDE
+from antdsl.ground.solid.bricks import BRICK_NODES, BRICK_SIDE_NODES
 from antdsl.outputs.pictures.model import Picture, Solid
 from antdsl.scene.quantities import QuantityError, parse_number
 
-_SECTION = (0.33, 0.24, 0.17)  # display values of cut soil
+_SECTION_COLOUR = (0.33, 0.24, 0.17)  # display values of cut soil
 _PLANE = re.compile(r"\s*([xyz])\s*([<>])(.*)", re.DOTALL)
 
 
 @dataclass(frozen=True, slots=True)
-class Cut:
+class CutPlane:
     """The part that is cut away: points with a coordinate along an axis above `at` (scene units), or below it if `below`."""
 
     axis: int
@@ -27,11 +27,11 @@ class Cut:
     below: bool
 
     @staticmethod
-    def of(text: str) -> Cut | None:
+    def of(text: str) -> CutPlane | None:
         """Parse text such as `z > 0`; None for any other text."""
         match = _PLANE.fullmatch(text)
         try:
-            return None if match is None else Cut("xyz".index(match[1]), parse_number(match[3]), match[2] == "<")
+            return None if match is None else CutPlane("xyz".index(match[1]), parse_number(match[3]), match[2] == "<")
         except QuantityError:
             return None
 
@@ -43,7 +43,7 @@ class Cut:
     def section_colours(self, points: NDArray[np.float64], near: float) -> NDArray[np.float64]:
         """Return colours [n,3] of a solid's vertices: dark on the plane, so that cavities are visible, and none elsewhere."""
         colour = np.full((len(points), 3), np.nan)
-        colour[np.abs(points[:, self.axis] - self.at) < near] = _SECTION
+        colour[np.abs(points[:, self.axis] - self.at) < near] = _SECTION_COLOUR
         return colour
 
     def cut_volume(self, volume: Volume, offset: NDArray[np.float64], scale: float) -> Volume:
@@ -53,17 +53,19 @@ class Cut:
         nodes = bricks.origin[self.axis] + np.arange(bricks.nodes[self.axis]) * bricks.voxel
         depth = (nodes + offset[self.axis]) * scale - self.at
         depth = (-depth if self.below else depth) / scale
-        low = depth.reshape(-1, SIDE).max(axis=1) > bricks.least  # slices of bricks that the plane changes
+        low = depth.reshape(-1, BRICK_SIDE_NODES).max(axis=1) > bricks.least  # slices of bricks that the plane changes
         index = np.unravel_index(np.arange(bricks.table.size), bricks.shape)[self.axis]
         changed = np.flatnonzero(low[index] & (bricks.table != 0))
         bricks.open(changed)
-        pool = bricks.values.reshape(-1, CUBE)
+        pool = bricks.values.reshape(-1, BRICK_NODES)
         shape = [1, 1, 1, 1]
-        shape[self.axis + 1] = SIDE
-        cut = np.minimum(depth.reshape(-1, SIDE)[index[changed]].astype(np.float32), np.float32(bricks.most))
+        shape[self.axis + 1] = BRICK_SIDE_NODES
+        cut = np.minimum(depth.reshape(-1, BRICK_SIDE_NODES)[index[changed]].astype(np.float32), np.float32(bricks.most))
         slots = bricks.table[changed]
         spread = cut.reshape([len(changed), *shape[1:]])
-        pool[slots] = np.maximum(pool[slots].reshape(-1, SIDE, SIDE, SIDE), spread).reshape(-1, CUBE)
+        pool[slots] = np.maximum(pool[slots].reshape(-1, BRICK_SIDE_NODES, BRICK_SIDE_NODES, BRICK_SIDE_NODES), spread).reshape(
+            -1, BRICK_NODES
+        )
         return copied
 
     def cut_picture(self, whole: Picture) -> Picture:

@@ -19,23 +19,26 @@ from antdsl import __version__, limits
 from antdsl.bounded import read_bounded
 from antdsl.outputs.cache.cache_reader import Cache
 from antdsl.outputs.cache.hashes import Line
-from antdsl.outputs.cutting import Cut
+from antdsl.outputs.cutting import CutPlane
 from antdsl.outputs.gallery import Gallery
-from antdsl.outputs.paths import Window
+from antdsl.outputs.paths import PathWindow
 from antdsl.outputs.pictures.cameras import camera_at_eye_level, camera_holding, camera_on_top, camera_over
 from antdsl.outputs.pictures.legend import strip_width, with_strip
 from antdsl.outputs.pictures.model import Camera, Picture
 from antdsl.outputs.pictures.render import Renderer
 from antdsl.whole import write_atomically
 
-_WORD = "antdsl"  # of the text in a PNG file that holds the hash
-STILL_BYTES = 512 * limits.MIB
+_PNG_HASH_KEYWORD = "antdsl"  # of the text in a PNG file that holds the hash
+MAX_STILL_BYTES = 512 * limits.MIB
 
 Image = NDArray[np.uint8]
-LEAST, ENLARGED = 7.0, 3.0  # pixels that agents are drawn long at least, though at most so many times their size
+MIN_AGENT_PIXELS, MAX_AGENT_ENLARGEMENT = (
+    7.0,
+    3.0,
+)  # pixels that agents are drawn long at least, though at most so many times their size
 
 
-class NoAgent(Exception):
+class AgentMissing(Exception):
     """The agent that a camera follows is not in the frame."""
 
 
@@ -61,12 +64,12 @@ class DrawRequest:
 
     def gallery(self, cache: Cache) -> Gallery:
         """Return the cache's pictures. Raises NoPicture as `Gallery` does."""
-        window = Window.of(self.window) if "paths" in self.show else None
-        cut = Cut.of(self.cut) if self.cut is not None else None
+        window = PathWindow.of(self.window) if "paths" in self.show else None
+        cut = CutPlane.of(self.cut) if self.cut is not None else None
         return Gallery(cache, cut, window, blurred=self.blur > 0, full=dict(self.full))
 
 
-class Drawer:
+class FrameDrawer:
     """Drawer of some `frames` of a gallery, on several threads. A fixed camera is chosen from the first of them."""
 
     def __init__(self, gallery: Gallery, request: DrawRequest, frames: Sequence[int], threads: int) -> None:
@@ -74,7 +77,7 @@ class Drawer:
         self._agents = frozenset(request.agents)
         first = gallery.picture(self.frames[0], agents=self._agents)
         self._strip = strip_width(first, request.width, request.show) if request.legend else 0
-        least, enlarged = (LEAST, ENLARGED) if request.least is None else (request.least, float("inf"))
+        least, enlarged = (MIN_AGENT_PIXELS, MAX_AGENT_ENLARGEMENT) if request.least is None else (request.least, float("inf"))
         size = request.width - self._strip, request.height
         self._renderer = Renderer(*size, threads=threads, marks=request.marks, blur=request.blur, least=least, enlarged=enlarged)
         self._standing = self._camera(first)
@@ -97,7 +100,7 @@ class Drawer:
             if camera is not None:
                 return camera
             if agents or any(len(crowd.position) for crowd in picture.crowds):
-                raise NoAgent(_describe_missing_agent(picture, agents))
+                raise AgentMissing(_describe_missing_agent(picture, agents))
             which = "fit"  # a frame without agents, as the end of a hunt: the other frames of a film still count
         if which == "top":
             return camera_on_top(picture, aspect=aspect)
@@ -123,7 +126,7 @@ def still_path(folder: Path, frame: int) -> Path:
 
 
 @dataclass(frozen=True, slots=True)
-class Stills:
+class StillStore:
     """The requested stills of a cache in a folder."""
 
     folder: Path
@@ -132,7 +135,7 @@ class Stills:
     _inputs: str
 
     @classmethod
-    def of(cls, folder: Path, cache: Cache, request: DrawRequest, together: Sequence[int]) -> Stills:
+    def of(cls, folder: Path, cache: Cache, request: DrawRequest, together: Sequence[int]) -> StillStore:
         """Open the stills of a cache. The hash covers data that identifies the cache's frames. `together`: the frames that the
         camera is chosen for."""
         read = cache.manifest.model_copy(update={"made_with": None}).model_dump_json()  # pictures do not depend on it
@@ -153,7 +156,7 @@ class Stills:
         from PIL.PngImagePlugin import PngInfo
 
         words = PngInfo()
-        words.add_text(_WORD, self._hash(frame))
+        words.add_text(_PNG_HASH_KEYWORD, self._hash(frame))
         data = io.BytesIO()
         PillowImage.fromarray(image).save(data, "PNG", compress_level=4, pnginfo=words)
         write_atomically(still_path(self.folder, frame), data.getvalue(), sync=False)
@@ -165,13 +168,13 @@ class Stills:
         from antdsl.reader.image_request import ImageError, read_image_file
 
         try:
-            data = read_bounded(still_path(self.folder, frame), STILL_BYTES)
+            data = read_bounded(still_path(self.folder, frame), MAX_STILL_BYTES)
             picture = read_image_file(data, "PNG", ("RGB",), self.request.width * self.request.height)
         except (OSError, ImageError):
             return None
         if (picture.columns, picture.rows) != (self.request.width, self.request.height):
             return None
-        return picture.samples if picture.texts.get(_WORD) == self._hash(frame) else None
+        return picture.samples if picture.texts.get(_PNG_HASH_KEYWORD) == self._hash(frame) else None
 
     def _hash(self, frame: int) -> str:
         line = self._lines.get(frame)

@@ -22,8 +22,8 @@ from antdsl.outputs.cache.manifest import relative_path, write_manifest
 from antdsl.outputs.cache.npz import npz_file
 from antdsl.whole import sync_files, write_atomically
 
-LEAST, MOST = 3, 99  # frames
-_NEEDED = ("id", "orient")
+MIN_SMOOTHING_FRAMES, MAX_SMOOTHING_FRAMES = 3, 99  # frames
+_REQUIRED_ARRAYS = ("id", "orient")
 
 
 class NotEditable(Exception):
@@ -35,7 +35,7 @@ def smooth_orientations(cache: Cache, folder: Path, width: int, *, force: bool =
     written frame.
 
     Raises CacheError where a frame is damaged; ForeignFolder, InTheWay and Locked as for a run."""
-    lacking = [name for name in _NEEDED if name not in cache.manifest.attributes]
+    lacking = [name for name in _REQUIRED_ARRAYS if name not in cache.manifest.attributes]
     if lacking:
         raise NotEditable(f"the cache has no attribute `{lacking[0]}`, which smoothing needs")
     prepare_folder(folder, force=force)

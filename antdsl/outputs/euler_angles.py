@@ -8,10 +8,10 @@ from numpy.typing import NDArray
 from antdsl.bodies.body import rotation_matrices
 
 Floats = NDArray[np.float64]
-_LOCKED = 1e-6  # cosine of the middle angle below which only the sum or difference of the others is known
+_GIMBAL_LOCK_COSINE = 1e-6  # cosine of the middle angle below which only the sum or difference of the others is known
 
 
-class Angles:
+class EulerAngles:
     """Angles about x, then y, then z of agents, frame by frame. Of all equivalent angles, each agent gets those nearest to its
     last ones, in the sum of squares. New agents get those nearest to 0."""
 
@@ -37,7 +37,7 @@ def nearest_angles(turn: Floats, previous: Floats) -> Floats:
     The outer angle is computed first, and the others from the remaining rotation. So the three give the matrix even where the
     middle angle is near 90 degrees (M. Day, Extracting Euler Angles from a Rotation Matrix, Insomniac Games, 2014)."""
     flat = np.hypot(turn[:, 0, 0], turn[:, 1, 0])
-    outer = np.where(flat > _LOCKED, np.arctan2(turn[:, 1, 0], turn[:, 0, 0]), previous[:, 2])
+    outer = np.where(flat > _GIMBAL_LOCK_COSINE, np.arctan2(turn[:, 1, 0], turn[:, 0, 0]), previous[:, 2])
     c, s = np.cos(outer), np.sin(outer)
     middle = np.arctan2(-turn[:, 2, 0], c * turn[:, 0, 0] + s * turn[:, 1, 0])
     inner = np.arctan2(s * turn[:, 0, 2] - c * turn[:, 1, 2], c * turn[:, 1, 1] - s * turn[:, 0, 1])

@@ -10,10 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl.outputs.cache.manifest import FeelersEntry
-from antdsl.program.model import Attribute, BindingRef, Const, Expr, Op, ParamRef, Program, SetOf, Species
+from antdsl.program.model import AttributeRef, BindingRef, Constant, Expr, OperationExpr, ParamRef, Program, SetExpr, Species
 from antdsl.program.traverse import parts
 
-_OPS: dict[str, Callable[..., float]] = {
+_OPERATOR_FUNCTIONS: dict[str, Callable[..., float]] = {
     "add": lambda a, b: a + b,
     "sub": lambda a, b: a - b,
     "mul": lambda a, b: a * b,
@@ -36,26 +36,26 @@ def feelers_of(program: Program, species: str, params: Mapping[str, Any], unit_m
 
 
 @lru_cache(maxsize=16)  # read for each frame while an agent is followed
-def _find_feelers(species: Species) -> tuple[SetOf, ...]:
+def _find_feelers(species: Species) -> tuple[SetExpr, ...]:
     """Return the sets of feelers in a species."""
-    return tuple(part for part in parts(species) if isinstance(part, SetOf) and part.source == "feelers")
+    return tuple(part for part in parts(species) if isinstance(part, SetExpr) and part.source == "feelers")
 
 
 def _evaluate(part: Expr | None, size: float, params: Mapping[str, Any], unit_mm: float, dt: float) -> float | None:
     """A number in base units for an agent of a size in mm; None when it depends on more than that."""
-    if isinstance(part, Const):
+    if isinstance(part, Constant):
         return float(part.number * unit_mm**part.u * dt**part.step)
     if isinstance(part, ParamRef):
         return float(params[part.name])
-    if isinstance(part, Attribute) and part.of is None and part.name == "size":
+    if isinstance(part, AttributeRef) and part.of is None and part.name == "size":
         return size
     if isinstance(part, BindingRef) and part.binding.role in ("argument", "let"):
         return _evaluate(part.binding.value, size, params, unit_mm, dt)
-    if isinstance(part, Op) and part.name in _OPS:
+    if isinstance(part, OperationExpr) and part.name in _OPERATOR_FUNCTIONS:
         values = [_evaluate(a, size, params, unit_mm, dt) for a in part.args]
         numbers = [v for v in values if v is not None]
         if len(numbers) == len(values) and not (part.name == "div" and numbers[1] == 0):
-            return float(_OPS[part.name](*numbers))
+            return float(_OPERATOR_FUNCTIONS[part.name](*numbers))
     return None
 
 

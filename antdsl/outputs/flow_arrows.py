@@ -13,10 +13,10 @@ from numpy.typing import NDArray
 from antdsl.outputs.cache.places import scene_places
 from antdsl.runtime.world import World
 
-_ACROSS = 44  # arrows in a row along the longest side of the ground
-_LONG = 0.85  # of that distance an arrow of strength 1 is long
-_WEAK = 0.02  # flows weaker than so are not drawn
-_LIFT = 0.06
+_ARROWS_PER_EXTENT = 44  # arrows in a row along the longest side of the ground
+_ARROW_LENGTH_SHARE = 0.85  # of that distance an arrow of strength 1 is long
+_MIN_ARROW_STRENGTH = 0.02  # flows weaker than so are not drawn
+_ARROW_LIFT = 0.06
 
 
 def arrows(world: World, scale: float) -> dict[str, NDArray[Any]]:
@@ -25,11 +25,11 @@ def arrows(world: World, scale: float) -> dict[str, NDArray[Any]]:
     if meshes is None:
         return {}
     table = meshes.triangles[3]
-    step = max(float(meshes.extent) / _ACROSS, 1e-9)
+    step = max(float(meshes.extent) / _ARROWS_PER_EXTENT, 1e-9)
     output: dict[str, NDArray[Any]] = {}
     for name, flow in world.flows.items():
         face, (b1, b2) = flow.lattice.faces(), flow.lattice.weights()
-        strong = np.flatnonzero(flow.c * flow.c + flow.s * flow.s > _WEAK * _WEAK)
+        strong = np.flatnonzero(flow.c * flow.c + flow.s * flow.s > _MIN_ARROW_STRENGTH * _MIN_ARROW_STRENGTH)
         face, b1, b2 = face[strong], b1[strong], b2[strong]
         place = table.corner.take(face, axis=1) + b1 * table.edge1.take(face, axis=1) + b2 * table.edge2.take(face, axis=1)
         direction = meshes.to_world_vectors(face, flow.c[strong], flow.s[strong])
@@ -39,9 +39,9 @@ def arrows(world: World, scale: float) -> dict[str, NDArray[Any]]:
         first = np.ones(len(order), bool)
         first[1:] = (cells[order][1:] != cells[order][:-1]).any(axis=1)
         chosen = order[first]
-        lifted = place[:, chosen] + _LIFT * step * table.normal.take(face[chosen], axis=1)
+        lifted = place[:, chosen] + _ARROW_LIFT * step * table.normal.take(face[chosen], axis=1)
         output[f"flow.{name}.P"] = scene_places(lifted.T, scale)
-        output[f"flow.{name}.V"] = (direction[:, chosen].T * (_LONG * step * scale)).astype(np.float32)
+        output[f"flow.{name}.V"] = (direction[:, chosen].T * (_ARROW_LENGTH_SHARE * step * scale)).astype(np.float32)
     return output
 
 

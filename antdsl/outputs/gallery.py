@@ -22,26 +22,42 @@ from antdsl.outputs.cache.dug_solids import DugSolids
 from antdsl.outputs.cache.frame_agents import agent_ids, species_rows
 from antdsl.outputs.cache.manifest import CameraEntry, ClipEntry, MeshEntry, SpeciesEntry
 from antdsl.outputs.cache.pose_arrays import driven_values, feet_of, layers_of, machines_of, worn_masks
-from antdsl.outputs.cutting import Cut
+from antdsl.outputs.cutting import CutPlane
 from antdsl.outputs.feelers import feeler_rays
 from antdsl.outputs.flow_arrows import read_arrows
-from antdsl.outputs.paths import Walks, Window, follow_agents
+from antdsl.outputs.paths import AgentPaths, PathWindow, follow_agents
 from antdsl.outputs.pictures.camera import three
-from antdsl.outputs.pictures.model import Arrows, Camera, Crowd, Item, Kind, LegendRow, Picture, Shape, Solid, Trail
+from antdsl.outputs.pictures.model import (
+    Camera,
+    Crowd,
+    FlowArrows,
+    Item,
+    ItemShapeName,
+    LegendRow,
+    Picture,
+    Solid,
+    SurfaceKind,
+    Trail,
+)
 from antdsl.outputs.pictures.trails import robust_full_strength
 from antdsl.scene.library_bodies import BODY_WORDS, body_for_species
 
-_KINDS: tuple[tuple[str, Kind], ...] = (("boulder", "boulder"), ("rock", "boulder"), ("hill", "hill"), ("stone", "stone"))
-_LOOKS: dict[str, Kind] = {"metal": "metal", "soil": "hill", "leaf": "leaf", "light": "light"}
-_UPS = {"y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
+_SURFACE_KIND_BY_NAME: tuple[tuple[str, SurfaceKind], ...] = (
+    ("boulder", "boulder"),
+    ("rock", "boulder"),
+    ("hill", "hill"),
+    ("stone", "stone"),
+)
+_SURFACE_KIND_BY_MATERIAL: dict[str, SurfaceKind] = {"metal": "metal", "soil": "hill", "leaf": "leaf", "light": "light"}
+_UP_VECTORS = {"y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
 REQUIRED_ATTRIBUTES = ("P", "orient", "pscale")
-_DYES = ((0.68, 0.10, 0.46), (0.05, 0.46, 0.62), (0.80, 0.40, 0.05), (0.30, 0.22, 0.66))  # fields in their order
-_ARROWS = ((250, 246, 226), (60, 214, 255), (255, 150, 60), (190, 140, 255))  # flows in their order
-_DIRECTIONS, _FRAMES_FITTED = 96, 48  # in which agents are outermost; frames that a camera is fitted to
-_LOOKED_AT = 8  # frames that say how strong a field grows
+_FIELD_COLOURS = ((0.68, 0.10, 0.46), (0.05, 0.46, 0.62), (0.80, 0.40, 0.05), (0.30, 0.22, 0.66))  # fields in their order
+_FLOW_COLOURS = ((250, 246, 226), (60, 214, 255), (255, 150, 60), (190, 140, 255))  # flows in their order
+_OUTLINE_DIRECTIONS, _MAX_FITTED_FRAMES = 96, 48  # in which agents are outermost; frames that a camera is fitted to
+_MAX_STRENGTH_FRAMES = 8  # frames that say how strong a field grows
 
 
-class NoPicture(Exception):
+class PictureUnavailable(Exception):
     """Reason why a cache cannot be drawn; the message is complete without context."""
 
 
@@ -55,8 +71,8 @@ class Gallery:
     def __init__(
         self,
         cache: Cache,
-        cut: Cut | None = None,
-        window: Window | None = None,
+        cut: CutPlane | None = None,
+        window: PathWindow | None = None,
         *,
         blurred: bool = False,
         full: Mapping[str, float] | None = None,
@@ -67,19 +83,19 @@ class Gallery:
             cut = self._cut = replace(cut, at=cut.at - float(self.origin[cut.axis]))
         missing = [name for name in REQUIRED_ATTRIBUTES if name not in self.manifest.attributes]
         if missing:
-            raise NoPicture(f"the cache has no attribute `{missing[0]}`, which pictures need")
+            raise PictureUnavailable(f"the cache has no attribute `{missing[0]}`, which pictures need")
         strange = [name for name in full or () if name not in {field.name for field in self.manifest.fields}]
         if strange:
-            raise NoPicture(f"the cache has no field `{strange[0]}`")
+            raise PictureUnavailable(f"the cache has no field `{strange[0]}`")
         self._blurred, self._given = blurred, dict(full or {})
         above, below = self.manifest.fps.split("/")
         self.dt = int(below) / int(above)
-        self._walks = None if window is None else Walks(cache, self.dt, window)
+        self._walks = None if window is None else AgentPaths(cache, self.dt, window)
         self.static = cache.static()
         self._stones = tuple(self._solid(m) for m in self.manifest.meshes if not m.row.is_dug and m.look != "none")
         self._dug = DugSolids(cache, self.static, cut)
         self.flows = tuple(
-            Arrows(name, place, displacement, _ARROWS[number % len(_ARROWS)])
+            FlowArrows(name, place, displacement, _FLOW_COLOURS[number % len(_FLOW_COLOURS)])
             for number, (name, (place, displacement)) in enumerate(read_arrows(self.static).items())
         )
         self._worn: dict[tuple[int, int], PosedBody] = {}  # by species and the mask of the layers that are worn
@@ -101,7 +117,7 @@ class Gallery:
             items=self._items(arrays),
             trails=self._trails(arrays),
             flows=self.flows,
-            up=_UPS[self.manifest.up],
+            up=_UP_VECTORS[self.manifest.up],
             legend=legend,
             frame=frame,
             grain=self._grain(self._first),
@@ -121,12 +137,12 @@ class Gallery:
     def outline(self, frames: Sequence[int]) -> NDArray[np.float64]:
         """Return points (n, 3) such that a camera that holds them holds all agents in the frames. The outermost agents in many
         directions count, plus a margin of one body length; only some of the frames are examined."""
-        turn = np.arange(_DIRECTIONS) * (np.pi * (3.0 - np.sqrt(5.0)))  # a spiral that covers a ball evenly
-        height = 1.0 - 2.0 * (np.arange(_DIRECTIONS) + 0.5) / _DIRECTIONS
+        turn = np.arange(_OUTLINE_DIRECTIONS) * (np.pi * (3.0 - np.sqrt(5.0)))  # a spiral that covers a ball evenly
+        height = 1.0 - 2.0 * (np.arange(_OUTLINE_DIRECTIONS) + 0.5) / _OUTLINE_DIRECTIONS
         flat = np.sqrt(1.0 - height * height)
         directions = np.stack([flat * np.cos(turn), height, flat * np.sin(turn)])
         points = [np.empty((0, 3))]
-        for k in sorted({round(k) for k in np.linspace(0, len(frames) - 1, min(len(frames), _FRAMES_FITTED))}):
+        for k in sorted({round(k) for k in np.linspace(0, len(frames) - 1, min(len(frames), _MAX_FITTED_FRAMES))}):
             arrays = self.cache.frame(frames[k])
             place = np.asarray(arrays["P"], np.float64)
             scale = np.asarray(arrays["pscale"], np.float64) * self._body_reaches(arrays)
@@ -163,7 +179,7 @@ class Gallery:
         """The solids as far as they are dug."""
         looks = {mesh.name: mesh.look for mesh in self.manifest.meshes if mesh.look is not None}
         return tuple(
-            solid if solid.name not in looks else replace(solid, kind=_LOOKS[str(looks[solid.name])])
+            solid if solid.name not in looks else replace(solid, kind=_SURFACE_KIND_BY_MATERIAL[str(looks[solid.name])])
             for solid in self._dug.at(frame)
             if looks.get(solid.name) != "none"
         )
@@ -180,10 +196,10 @@ class Gallery:
 
     def _solid(self, mesh: MeshEntry) -> Solid:
         name = mesh.name
-        look = next((k for word, k in _KINDS if word in name.lower()), mesh.row.look)
+        look = next((k for word, k in _SURFACE_KIND_BY_NAME if word in name.lower()), mesh.row.look)
         vertices = np.asarray(self.static[f"mesh.{name}.vertices"], np.float64)
         faces = np.asarray(self.static[f"mesh.{name}.faces"], np.int32)
-        return Solid(name, vertices, faces, look if mesh.look is None else _LOOKS[mesh.look])
+        return Solid(name, vertices, faces, look if mesh.look is None else _SURFACE_KIND_BY_MATERIAL[mesh.look])
 
     def _crowds(self, frame: int, arrays: Arrays, agents: frozenset[int]) -> tuple[tuple[Crowd, ...], tuple[LegendRow, ...]]:
         crowds: list[Crowd] = []
@@ -249,7 +265,7 @@ class Gallery:
         try:
             return definition_of(self.manifest, self.static, species.definition)
         except BodyError as why:
-            raise NoPicture(f"the body of `{species.name}` in the cache {why}") from None
+            raise PictureUnavailable(f"the body of `{species.name}` in the cache {why}") from None
 
     def _with_lines(self, crowd: Crowd, species: SpeciesEntry, number: int, frame: int) -> Crowd:
         """Return the crowd with its paths and the rays of its feelers, where these are displayed."""
@@ -268,7 +284,7 @@ class Gallery:
             positions = group.position if moved is None else [three(place) for place in moved]
             for number, (name, position, radius) in enumerate(zip(group.names, positions, group.radius, strict=True)):
                 look = group.looks[number] if number < len(group.looks) else None
-                shape = cast(Shape, item_shape(group.name, name))
+                shape = cast(ItemShapeName, item_shape(group.name, name))
                 if look == "none" or (shape == "none" and look is not None):
                     shape = "none" if look == "none" else "sphere"  # a place that is meant is seen where the scene says of what
                 left = self._share_left(group.name, group.attributes, number, arrays)
@@ -297,7 +313,9 @@ class Gallery:
                 strength = np.zeros(len(positions))
                 strength[cells] = values
                 full = self._given.get(field.name) or self._full_strengths().get(field.name) or None
-                trails.append(Trail(field.name, positions, strength, field.cell, _DYES[number % len(_DYES)], full))
+                trails.append(
+                    Trail(field.name, positions, strength, field.cell, _FIELD_COLOURS[number % len(_FIELD_COLOURS)], full)
+                )
         return tuple(trails)
 
     def _full_strengths(self) -> dict[str, float]:
@@ -305,7 +323,11 @@ class Gallery:
         visible."""
         if self._full is None:
             frames, self._full = self.cache.frames(), {}
-            chosen = {frames[round(k * (len(frames) - 1) / (_LOOKED_AT - 1))] for k in range(_LOOKED_AT)} if frames else set()
+            chosen = (
+                {frames[round(k * (len(frames) - 1) / (_MAX_STRENGTH_FRAMES - 1))] for k in range(_MAX_STRENGTH_FRAMES)}
+                if frames
+                else set()
+            )
             for frame in sorted(chosen):
                 try:
                     arrays = self.cache.frame(frame)

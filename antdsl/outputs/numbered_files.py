@@ -6,7 +6,7 @@ import re
 from pathlib import Path
 
 
-class NoExport(Exception):
+class ExportUnavailable(Exception):
     """Reason why a cache cannot be exported in this form; the message is complete without context. `help`: what to do."""
 
     def __init__(self, message: str, help: str = "") -> None:

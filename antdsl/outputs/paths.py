@@ -14,42 +14,42 @@ from antdsl.bodies.body import turned
 from antdsl.numerics.records import join_rows, match_ids, take_rows
 from antdsl.outputs.cache.cache_reader import Cache, CacheError
 from antdsl.outputs.cache.frame_agents import IDENTITY, agent_ids, species_numbers
-from antdsl.outputs.pictures.model import Crowd, Paths
+from antdsl.outputs.pictures.model import AgentPathLines, Crowd
 from antdsl.scene.quantities import QuantityError, parse_number_range
 
-_MOVED = ("position", "orient", "plays", "feet", "driven")
-MOST_SECONDS = 60.0  # of each side of a window
-_LIFT = 0.06  # of a body's length: how far above the ground a path is drawn, along the agent's up
-_READ = frozenset(("P", "orient", "pscale", *IDENTITY))
+_INTERPOLATED_FIELDS = ("position", "orient", "plays", "feet", "driven")
+MAX_WINDOW_SECONDS = 60.0  # of each side of a window
+_PATH_LIFT_PER_BODY = 0.06  # of a body's length: how far above the ground a path is drawn, along the agent's up
+_READ_ARRAYS = frozenset(("P", "orient", "pscale", *IDENTITY))
 
 
 @dataclass(frozen=True, slots=True)
-class Window:
+class PathWindow:
     """Seconds before a frame and after it."""
 
     seconds_before: float = 1.0
     seconds_after: float = 2.0
 
     @staticmethod
-    def of(text: str) -> Window | None:
+    def of(text: str) -> PathWindow | None:
         """Parse text such as `1..2`; None for other text, or for more than MOST_SECONDS."""
         try:
             seconds = parse_number_range(text)
         except QuantityError:
             return None
-        return Window(*seconds) if min(seconds) >= 0 and max(seconds) <= MOST_SECONDS else None
+        return PathWindow(*seconds) if min(seconds) >= 0 and max(seconds) <= MAX_WINDOW_SECONDS else None
 
 
-class Walks:
+class AgentPaths:
     """The frames around those that are drawn, each read once as long as the requested frames are in order."""
 
-    def __init__(self, cache: Cache, dt: float, window: Window) -> None:
+    def __init__(self, cache: Cache, dt: float, window: PathWindow) -> None:
         self._cache, self._window = cache, window
         self._before, self._after = round(window.seconds_before / dt), round(window.seconds_after / dt)
         self._there = frozenset(cache.frames())
         self._kept: OrderedDict[int, dict[str, NDArray[Any]] | None] = OrderedDict()
 
-    def at(self, frame: int, species: int, ids: NDArray[np.int64]) -> Paths:
+    def at(self, frame: int, species: int, ids: NDArray[np.int64]) -> AgentPathLines:
         """Return the paths of some agents of one species; NaN in frames that do not exist or lack the agent."""
         positions = np.full((len(ids), self._before + 1 + self._after, 3), np.nan)
         for k in range(positions.shape[1]):
@@ -59,7 +59,7 @@ class Walks:
             first, last = np.searchsorted(frame_agents["species"], (species, species + 1))
             row, known = match_ids(ids, frame_agents["ids"][first:last])
             positions[known, k] = frame_agents["place"][first:last][row[known]]
-        return Paths(positions, self._before)
+        return AgentPathLines(positions, self._before)
 
     def _agents_at(self, frame: int) -> dict[str, NDArray[Any]] | None:
         if frame not in self._there:
@@ -74,12 +74,12 @@ class Walks:
     def _read(self, frame: int) -> dict[str, NDArray[Any]] | None:
         """Return ids and species of agents, in ascending order of both, and `place` float32[n,3], slightly above the ground."""
         try:
-            arrays = self._cache.frame(frame, _READ)
+            arrays = self._cache.frame(frame, _READ_ARRAYS)
         except CacheError:  # a damaged frame leaves a gap in the lines
             return None
         place = np.asarray(arrays["P"], np.float64)
         up = turned(np.asarray(arrays["orient"], np.float64), np.tile([0.0, 1.0, 0.0], (len(place), 1)))
-        place = place + _LIFT * np.asarray(arrays["pscale"], np.float64)[:, None] * up
+        place = place + _PATH_LIFT_PER_BODY * np.asarray(arrays["pscale"], np.float64)[:, None] * up
         ids, species = agent_ids(arrays), species_numbers(arrays)
         agents: dict[str, NDArray[Any]] = {"place": place.astype(np.float32), "ids": ids, "species": species}
         return take_rows(agents, np.lexsort((ids, species)))
@@ -93,5 +93,5 @@ def follow_agents(now: Crowd, later: Crowd) -> Crowd:
     at, is_present = match_ids(own, ids[order])
     rows = len(ids) + np.arange(len(own))
     rows[is_present] = order[at[is_present]]
-    joined = {name: join_rows(getattr(later, name), getattr(now, name)) for name in _MOVED}
+    joined = {name: join_rows(getattr(later, name), getattr(now, name)) for name in _INTERPOLATED_FIELDS}
     return replace(now, **take_rows(joined, rows), next_crowd=None)

@@ -16,11 +16,11 @@ import numpy as np
 from antdsl.diagnostics.model import printable
 from antdsl.machine_code import machine
 from antdsl.outputs.cache.manifest import ManifestError, Provenance, read_manifest
-from antdsl.scene.paths import GRANTED
+from antdsl.scene.paths import GRANTED_PATH_PATTERN
 from antdsl.scene.values import FrameRange
 from antdsl.source_hash import sources
 
-_LONGEST = 2000  # characters of a command
+_MAX_COMMAND_CHARACTERS = 2000  # characters of a command
 
 
 def provenance(scene: str, frames: FrameRange, seed: int, inputs: Mapping[str, str]) -> Provenance:
@@ -34,7 +34,7 @@ def command(scene: str, frames: FrameRange, seed: int, inputs: Mapping[str, str]
 
     It names no folder, and no option that does not change results, such as `--out` and `--threads`. So the same run gives the
     same bytes anywhere, and a cache reveals nothing about the machine."""
-    return shlex.join(_command_words(scene, frames, seed, inputs))[:_LONGEST]
+    return shlex.join(_command_words(scene, frames, seed, inputs))[:_MAX_COMMAND_CHARACTERS]
 
 
 def resume_command(folder: Path) -> str:
@@ -46,9 +46,9 @@ def resume_command(folder: Path) -> str:
         return f"antdsl run SCENE --out {shlex.quote(str(folder))} --resume"
     scene = os.path.normpath(folder / manifest.scene_path) if manifest.scene_path is not None else manifest.scene
     words = _command_words(scene, FrameRange(manifest.first, manifest.last), manifest.seed, manifest.inputs)
-    roots = sorted({match[1] for name in manifest.inputs if (match := GRANTED.fullmatch(name))})
+    roots = sorted({match[1] for name in manifest.inputs if (match := GRANTED_PATH_PATTERN.fullmatch(name))})
     words += [word for name in roots for word in ("--root", f"{name}=FOLDER")]
-    return printable(shlex.join([*words, "--out", str(folder), "--resume"])[:_LONGEST])
+    return printable(shlex.join([*words, "--out", str(folder), "--resume"])[:_MAX_COMMAND_CHARACTERS])
 
 
 def _command_words(scene: str, frames: FrameRange, seed: int, inputs: Mapping[str, str]) -> list[str]:

@@ -33,7 +33,7 @@ from antdsl.outputs.provenance import provenance
 from antdsl.outputs.starting import start_from_cache, start_hash
 from antdsl.pipeline import Shot
 from antdsl.runtime import CheckpointError, Options, World, bind, feet_hash, restore, state_hash, step, take_emissions
-from antdsl.runtime.profiling import Meter
+from antdsl.runtime.profiling import StepMeter
 from antdsl.scene.model import Camera, SceneModel
 from antdsl.scene.setting import CameraData
 from antdsl.scene.thing_models import PlacedThing, millimetres
@@ -63,7 +63,7 @@ class Recording:
     behind: dict[str, float] = field(default_factory=dict)  # frames and checkpoints written meanwhile
     started: float = field(default_factory=time.perf_counter)
     scene_path: str | None = None  # from the cache to its scene, where that is not the one between the files that are used
-    meter: Meter | None = None  # measures the steps after the first
+    meter: StepMeter | None = None  # measures the steps after the first
 
     @property
     def complete(self) -> bool:

@@ -20,7 +20,7 @@ from antdsl.runtime.moving.moving_geometry import pose_world
 from antdsl.scene.model import UNIT_MM
 from antdsl.scene.paths import PathRefused
 
-_SAME_PLACE = 1e-6  # mm
+_COINCIDENT_DISTANCE_MM = 1e-6  # mm
 
 
 class StartError(Exception):
@@ -98,7 +98,7 @@ def start_from_cache(shot: Shot, world: World) -> None:
     for population in world.populations.values():
         population.born = population.born + shift
         footed = world.ground.position(population.footing)
-        if len(footed) and np.abs(footed - population.position).max() > _SAME_PLACE:
+        if len(footed) and np.abs(footed - population.position).max() > _COINCIDENT_DISTANCE_MM:
             words = f"the agents of `{start.cache}` stand on different meshes than this scene's"
             raise _error(shot, "wrong-value", words, "cache", "give the surfaces the same meshes, in the same order")
 

@@ -27,7 +27,7 @@ def _greatest_error(world: World, population: Population, ground: NDArray[np.flo
     clearance, size = population.now.get("clearance", np.zeros(len(population), np.float32)), population.now["size"]
     if not world.solids:
         work = partial(greatest_distance, population.position, ground, clearance, size)
-        return float(np.max(parallel.in_parts(work, len(population), world.options.threads, parallel.LIGHT)))
+        return float(np.max(parallel.in_parts(work, len(population), world.options.threads, parallel.MIN_LIGHT_ITEMS_PER_THREAD)))
     x, y, z = (population.position.astype(np.float32) - ground).T
     distance = np.sqrt((x * x + y * y) + z * z)
     for number, volume in enumerate(world.solids.values(), len(world.setting.surfaces)):

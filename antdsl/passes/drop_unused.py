@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from antdsl.plan.ir import Block, Claim, If, Plan, SpeciesPlan, Statement, Store
+from antdsl.plan.ir import Block, Claim, If, Plan, PlanStatement, SpeciesPlan, Store
 from antdsl.plan.traverse import PHASES, blocks, operands, registers_read, required_nodes, statements
 
 RESULT_TEMPS = frozenset(f"{name}.{axis}" for name in ("push", "~face") for axis in "xyz")  # the runtime reads the results
@@ -30,7 +30,7 @@ def _species(species: SpeciesPlan) -> SpeciesPlan:
 
 
 def _without_stores(block: Block, unread: set[str]) -> Block:
-    result: list[Statement] = []
+    result: list[PlanStatement] = []
     for statement in block.statements:
         if isinstance(statement, Store) and statement.register in unread:
             continue

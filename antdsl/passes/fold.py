@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from antdsl.passes.rewriting import with_blocks
-from antdsl.plan.ir import Block, If, Plan, SpeciesPlan, Statement
+from antdsl.plan.ir import Block, If, Plan, PlanStatement, SpeciesPlan
 from antdsl.plan.simplify import constant_value
 
 
@@ -14,7 +14,7 @@ def fold(plan: Plan) -> Plan:
 
 
 def _block(species: SpeciesPlan, block: Block) -> Block:
-    result: list[Statement] = []
+    result: list[PlanStatement] = []
     for statement in block.statements:
         if not isinstance(statement, If):
             result.append(statement)

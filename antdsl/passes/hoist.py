@@ -10,18 +10,18 @@ from functools import reduce
 from typing import Any
 
 from antdsl.passes.rewriting import rebuild
-from antdsl.plan.builder import Builder
-from antdsl.plan.ir import Node, Plan, Rate
+from antdsl.plan.builder import PlanBuilder
+from antdsl.plan.ir import Plan, PlanNode, UpdateRate
 
-_COMPONENTS = frozenset(("pair.x", "pair.y", "pair.z", "other"))
+_PAIR_OPERATIONS = frozenset(("pair.x", "pair.y", "pair.z", "other"))
 
 
-def hoist(plan: Plan, watched: dict[Node, Node] | None = None) -> Plan:
+def hoist(plan: Plan, watched: dict[PlanNode, PlanNode] | None = None) -> Plan:
     """The same plan with products and quotients of pairs in a better order. `watched` as in `rebuilt`."""
     return rebuild(plan, _make, watched)
 
 
-def _make(b: Builder, op: str, args: tuple[Node, ...], attrs: tuple[Any, ...]) -> Node | None:
+def _make(b: PlanBuilder, op: str, args: tuple[PlanNode, ...], attrs: tuple[Any, ...]) -> PlanNode | None:
     if op == "reduce.sum" and args[2].op == "neg":  # exact: rounding to a multiple is the same on both sides of zero
         return b("neg", b("reduce.sum", *args[:2], args[2].args[0], attrs=attrs))
     if op == "div" and _is_pair_rate(args[0]) and not _is_pair_rate(args[1]):
@@ -31,21 +31,21 @@ def _make(b: Builder, op: str, args: tuple[Node, ...], attrs: tuple[Any, ...]) -
     return None
 
 
-def _product(b: Builder, args: tuple[Node, ...]) -> Node:
+def _product(b: PlanBuilder, args: tuple[PlanNode, ...]) -> PlanNode:
     """Return the product of the factors of all operands."""
     factors, negative = _factors(args)
     agent = [n for n in factors if not _is_pair_rate(n)]
     pair = [n for n in factors if _is_pair_rate(n)]
-    first = next((n for n in pair if n.op in _COMPONENTS), pair[0])
+    first = next((n for n in pair if n.op in _PAIR_OPERATIONS), pair[0])
     pair.remove(first)
     rest = [reduce(lambda p, q: b("mul", p, q), group) for group in (pair, agent) if group]
     result = b("mul", first, reduce(lambda p, q: b("mul", p, q), rest)) if rest else first
     return b("neg", result) if negative else result
 
 
-def _factors(args: tuple[Node, ...]) -> tuple[list[Node], bool]:
+def _factors(args: tuple[PlanNode, ...]) -> tuple[list[PlanNode], bool]:
     """Return the factors of the operands, from left to right, and whether the number of negations among them is odd."""
-    factors: list[Node] = []
+    factors: list[PlanNode] = []
     negative = False
     stack = list(reversed(args))
     while stack:
@@ -60,5 +60,5 @@ def _factors(args: tuple[Node, ...]) -> tuple[list[Node], bool]:
     return factors, negative
 
 
-def _is_pair_rate(node: Node) -> bool:
-    return node.rate is Rate.PAIR
+def _is_pair_rate(node: PlanNode) -> bool:
+    return node.rate is UpdateRate.PAIR

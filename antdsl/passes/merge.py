@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from antdsl.passes.rewriting import with_blocks
-from antdsl.plan.ir import Block, If, Node, Plan, SpeciesPlan, Statement
+from antdsl.plan.ir import Block, If, Plan, PlanNode, PlanStatement, SpeciesPlan
 from antdsl.plan.traverse import registers_read, required_nodes, statements
 from antdsl.plan.verify import written_registers
 
@@ -15,7 +15,7 @@ def merge(plan: Plan) -> Plan:
 
 
 def _block(species: SpeciesPlan, block: Block) -> Block:
-    result: list[Statement] = []
+    result: list[PlanStatement] = []
     for statement in block.statements:
         if not isinstance(statement, If):
             result.append(statement)
@@ -29,7 +29,7 @@ def _block(species: SpeciesPlan, block: Block) -> Block:
     return Block(tuple(result))
 
 
-def _changes(block: Block, condition: Node) -> bool:
+def _changes(block: Block, condition: PlanNode) -> bool:
     """Whether the statements write a register that the condition loads."""
     loaded = registers_read(node for node in required_nodes([condition]) if node.op == "load")
     return any(name in loaded for _, statement in statements(block) for name in written_registers(statement))

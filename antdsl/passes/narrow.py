@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from antdsl.passes.rewriting import with_blocks
-from antdsl.plan.ir import SENSES, Block, If, Node, Plan, SpeciesPlan, Statement
+from antdsl.plan.ir import SENSE_OPERATIONS, Block, If, Plan, PlanNode, PlanStatement, SpeciesPlan
 from antdsl.plan.traverse import required_nodes
 
 
@@ -16,12 +16,12 @@ def _block(species: SpeciesPlan, block: Block) -> Block:
     return Block(tuple(_statement(species, s) for s in block.statements))
 
 
-def _statement(species: SpeciesPlan, statement: Statement) -> Statement:
+def _statement(species: SpeciesPlan, statement: PlanStatement) -> PlanStatement:
     if not isinstance(statement, If):
         return statement
     inner = _block(species, statement.then)
-    cheap: list[Node] = []
-    dear: list[Node] = []
+    cheap: list[PlanNode] = []
+    dear: list[PlanNode] = []
     for part in _parts(statement.condition):
         (dear if _needs_sense(part) else cheap).append(part)
     if not cheap or not dear:
@@ -33,9 +33,9 @@ def _statement(species: SpeciesPlan, statement: Statement) -> Statement:
     return only
 
 
-def _parts(condition: Node) -> list[Node]:
+def _parts(condition: PlanNode) -> list[PlanNode]:
     """The conditions that all must hold, in order."""
-    conditions: list[Node] = []
+    conditions: list[PlanNode] = []
     stack = [condition]
     while stack:
         node = stack.pop()
@@ -46,5 +46,5 @@ def _parts(condition: Node) -> list[Node]:
     return conditions
 
 
-def _needs_sense(node: Node) -> bool:
-    return any(n.op in SENSES for n in required_nodes([node]))
+def _needs_sense(node: PlanNode) -> bool:
+    return any(n.op in SENSE_OPERATIONS for n in required_nodes([node]))

@@ -6,11 +6,24 @@ from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
-from antdsl.plan.builder import Builder
-from antdsl.plan.ir import Block, Claim, FieldPlan, Give, If, Node, ParamPlan, Plan, Request, SpeciesPlan, Statement, Store
+from antdsl.plan.builder import PlanBuilder
+from antdsl.plan.ir import (
+    Block,
+    Claim,
+    FieldPlan,
+    Give,
+    If,
+    ParamPlan,
+    Plan,
+    PlanNode,
+    PlanStatement,
+    Request,
+    SpeciesPlan,
+    Store,
+)
 from antdsl.plan.traverse import PHASES, required_nodes, roots
 
-Make = Callable[[Builder, str, tuple[Node, ...], tuple[Any, ...]], Node | None]
+NodeMaker = Callable[[PlanBuilder, str, tuple[PlanNode, ...], tuple[Any, ...]], PlanNode | None]
 
 
 def with_blocks(plan: Plan, change: Callable[[SpeciesPlan, Block], Block]) -> Plan:
@@ -22,13 +35,13 @@ def with_blocks(plan: Plan, change: Callable[[SpeciesPlan, Block], Block]) -> Pl
     return replace(plan, species=species)
 
 
-def rebuild(plan: Plan, make: Make | None = None, watched: dict[Node, Node] | None = None) -> Plan:
+def rebuild(plan: Plan, make: NodeMaker | None = None, watched: dict[PlanNode, PlanNode] | None = None) -> Plan:
     """Return the same plan with needed nodes only, simplified, shared and numbered without gaps.
 
     `make` may return another node for an operation with operands that are already rebuilt. `watched`: nodes that stay, in the
     plan or outside it; each is mapped to its new node."""
-    builder = Builder()
-    new: dict[Node, Node] = {}
+    builder = PlanBuilder()
+    new: dict[PlanNode, PlanNode] = {}
     beside = {} if watched is None else watched
     for node in required_nodes([*roots(plan), *beside]):
         builder.span = node.span
@@ -40,19 +53,19 @@ def rebuild(plan: Plan, make: Make | None = None, watched: dict[Node, Node] | No
     return _renumber(changed, beside)
 
 
-def _renumber(plan: Plan, beside: dict[Node, Node]) -> Plan:
+def _renumber(plan: Plan, beside: dict[PlanNode, PlanNode]) -> Plan:
     """Return the plan without the unused nodes that folding leaves. No two nodes are alike, as a Builder has just made them
     all."""
-    new: dict[Node, Node] = {}
+    new: dict[PlanNode, PlanNode] = {}
     for number, node in enumerate(required_nodes([*roots(plan), *beside.values()])):
         args = tuple(new[a] for a in node.args)
-        new[node] = Node(node.op, args, node.attrs, node.kind, node.rate, node.span, number)
+        new[node] = PlanNode(node.op, args, node.attrs, node.kind, node.rate, node.span, number)
     beside.update((node, new[now]) for node, now in beside.items())
     return replace(_carry_over(plan, new), nodes=tuple(new.values()))
 
 
-def _carry_over(plan: Plan, new: dict[Node, Node]) -> Plan:
-    def optional(node: Node | None) -> Node | None:
+def _carry_over(plan: Plan, new: dict[PlanNode, PlanNode]) -> Plan:
+    def optional(node: PlanNode | None) -> PlanNode | None:
         return None if node is None else new[node]
 
     def field(f: FieldPlan) -> FieldPlan:
@@ -69,11 +82,11 @@ def _carry_over(plan: Plan, new: dict[Node, Node]) -> Plan:
     )  # fmt: skip
 
 
-def _block(block: Block, new: dict[Node, Node]) -> Block:
+def _block(block: Block, new: dict[PlanNode, PlanNode]) -> Block:
     return Block(tuple(_statement(s, new) for s in block.statements))
 
 
-def _statement(s: Statement, new: dict[Node, Node]) -> Statement:
+def _statement(s: PlanStatement, new: dict[PlanNode, PlanNode]) -> PlanStatement:
     match s:
         case If():
             return If(new[s.condition], _block(s.then, new), s.span)

@@ -6,33 +6,35 @@ from __future__ import annotations
 from typing import Any
 
 from antdsl.plan import simplify
-from antdsl.plan.ir import LETTERS, OPS, TUPLES, Kind, Node, Rate
+from antdsl.plan.ir import KIND_BY_LETTER, OPERATION_BY_NAME, TUPLE_KINDS_BY_OPERATION, PlanNode, UpdateRate, ValueKind
 from antdsl.plan.simplify import f32
 from antdsl.source import Span
 
-_OF_REGISTER = frozenset(("snap", "load", "other", "agent.get", "item.get"))
+_REGISTER_OPERATIONS = frozenset(("snap", "load", "other", "agent.get", "item.get"))
 
 
 class PlanError(AssertionError):
     """Error for a plan that breaks its own rules: a mistake of ours, never the author's."""
 
 
-def operand_problem(op: str, args: tuple[Node, ...], attrs: tuple[Any, ...]) -> str | None:
+def operand_problem(op: str, args: tuple[PlanNode, ...], attrs: tuple[Any, ...]) -> str | None:
     """What is wrong with operands and attributes of an operation, or None."""
     shape = (op, len(attrs), *[arg.kind for arg in args])
-    if shape in _FIT:
+    if shape in _CHECKED_SHAPES:
         return None
     wrong = _operand_problem(op, args, attrs)
     if wrong is None:
-        _FIT.add(shape)
+        _CHECKED_SHAPES.add(shape)
     return wrong
 
 
-_FIT: set[tuple[Any, ...]] = set()  # operations with numbers of attributes and kinds of operands that were found fitting
+_CHECKED_SHAPES: set[tuple[Any, ...]] = (
+    set()
+)  # operations with numbers of attributes and kinds of operands that were found fitting
 
 
-def _operand_problem(op: str, args: tuple[Node, ...], attrs: tuple[Any, ...]) -> str | None:
-    row = OPS.get(op)
+def _operand_problem(op: str, args: tuple[PlanNode, ...], attrs: tuple[Any, ...]) -> str | None:
+    row = OPERATION_BY_NAME.get(op)
     if row is None:
         return f"no operation {op}"
     if len(args) != len(row.args):
@@ -41,10 +43,10 @@ def _operand_problem(op: str, args: tuple[Node, ...], attrs: tuple[Any, ...]) ->
         return f"{op} takes attributes {row.attrs}, not {attrs!r}"
     for position, (letter, arg) in enumerate(zip(row.args, args, strict=True)):
         if letter == "x":
-            if arg.kind in (Kind.TUPLE, Kind.SET):
+            if arg.kind in (ValueKind.TUPLE, ValueKind.SET):
                 return f"operand {position} of {op} is a {arg.kind.value}"
-        elif arg.kind is not LETTERS[letter]:
-            return f"operand {position} of {op} is a {arg.kind.value}, not a {LETTERS[letter].value}"
+        elif arg.kind is not KIND_BY_LETTER[letter]:
+            return f"operand {position} of {op} is a {arg.kind.value}, not a {KIND_BY_LETTER[letter].value}"
     if op in ("eq", "ne", "lt", "le") and args[0].kind is not args[1].kind:
         return f"{op} compares a {args[0].kind.value} with a {args[1].kind.value}"
     if op == "where" and args[1].kind is not args[2].kind:
@@ -52,40 +54,40 @@ def _operand_problem(op: str, args: tuple[Node, ...], attrs: tuple[Any, ...]) ->
     return None
 
 
-def result_kind(op: str, args: tuple[Node, ...], attrs: tuple[Any, ...], kind: Kind | None) -> Kind:
+def result_kind(op: str, args: tuple[PlanNode, ...], attrs: tuple[Any, ...], kind: ValueKind | None) -> ValueKind:
     """Return the kind of a result. For operations that read a register, it is `kind`."""
-    if op in _OF_REGISTER:
-        return kind or Kind.F32
+    if op in _REGISTER_OPERATIONS:
+        return kind or ValueKind.F32
     if op == "where":
         return args[1].kind
     if op == "get":
         index: int = attrs[0]
-        return TUPLES[args[0].op][index]
-    return OPS[op].kind
+        return TUPLE_KINDS_BY_OPERATION[args[0].op][index]
+    return OPERATION_BY_NAME[op].kind
 
 
-def result_rate(op: str, args: tuple[Node, ...]) -> Rate:
+def result_rate(op: str, args: tuple[PlanNode, ...]) -> UpdateRate:
     """Return the highest rate of the operation and its operands; a reduction is at the agent's rate."""
     if op.startswith("reduce."):
-        return Rate.AGENT
-    rate = OPS[op].rate
+        return UpdateRate.AGENT
+    rate = OPERATION_BY_NAME[op].rate
     for arg in args:
         if arg.rate > rate:
             rate = arg.rate
     return rate
 
 
-class Builder:
+class PlanBuilder:
     """One list of nodes. `span` is the location in the text of the next nodes."""
 
     def __init__(self) -> None:
-        self.nodes: list[Node] = []
+        self.nodes: list[PlanNode] = []
         self.span: Span | None = None
-        self._known: dict[tuple[Any, ...], Node] = {}
+        self._known: dict[tuple[Any, ...], PlanNode] = {}
         self.true = self("const.bool", attrs=(True,))
         self.false = self("const.bool", attrs=(False,))
 
-    def __call__(self, op: str, *args: Node, attrs: tuple[Any, ...] = (), kind: Kind | None = None) -> Node:
+    def __call__(self, op: str, *args: PlanNode, attrs: tuple[Any, ...] = (), kind: ValueKind | None = None) -> PlanNode:
         """The node of an operation, simplified where its operands allow it."""
         wrong = operand_problem(op, args, attrs)
         if wrong:
@@ -93,37 +95,39 @@ class Builder:
         simple = simplify.simplify(self, op, args, attrs)
         return simple if simple is not None else self.intern(op, args, attrs, result_kind(op, args, attrs, kind))
 
-    def intern(self, op: str, args: tuple[Node, ...], attrs: tuple[Any, ...], kind: Kind, span: Span | None = None) -> Node:
+    def intern(
+        self, op: str, args: tuple[PlanNode, ...], attrs: tuple[Any, ...], kind: ValueKind, span: Span | None = None
+    ) -> PlanNode:
         """Return the node with these values, made only if there is none like it."""
         key = (op, tuple([a.number for a in args]), repr(attrs) if attrs else "", kind)
         node = self._known.get(key)
         if node is None:
-            node = Node(op, args, attrs, kind, result_rate(op, args), span or self.span, len(self.nodes))
+            node = PlanNode(op, args, attrs, kind, result_rate(op, args), span or self.span, len(self.nodes))
             self.nodes.append(node)
             self._known[key] = node
         return node
 
-    def number(self, x: float) -> Node:
+    def number(self, x: float) -> PlanNode:
         return self("const", attrs=(f32(float(x)),))
 
-    def truth(self, x: bool) -> Node:
+    def truth(self, x: bool) -> PlanNode:
         return self.true if x else self.false
 
-    def row(self, x: int) -> Node:
+    def row(self, x: int) -> PlanNode:
         return self("const.i32", attrs=(int(x),))
 
-    def agent(self, x: int) -> Node:
+    def agent(self, x: int) -> PlanNode:
         return self("const.i64", attrs=(int(x),))
 
-    def zero(self, kind: Kind, value: float | int | bool = 0) -> Node:
+    def zero(self, kind: ValueKind, value: float | int | bool = 0) -> PlanNode:
         """A constant of a kind."""
-        if kind is Kind.F32:
+        if kind is ValueKind.F32:
             return self.number(float(value))
-        if kind is Kind.BOOL:
+        if kind is ValueKind.BOOL:
             return self.truth(bool(value))
-        return self.row(int(value)) if kind is Kind.I32 else self.agent(int(value))
+        return self.row(int(value)) if kind is ValueKind.I32 else self.agent(int(value))
 
-    def all(self, *conditions: Node) -> Node:
+    def all(self, *conditions: PlanNode) -> PlanNode:
         """Conjunction, in the order given."""
         result = self.true
         for condition in conditions:

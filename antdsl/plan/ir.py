@@ -6,7 +6,7 @@ nodes. A statement acts on the agents of its region: the complete species, narro
 rad; positions are float32, relative to the scene's own origin."""
 
 # A table reads best with one row a line, and its kinds with one letter each.
-# ruff: noqa: E501, E741
+# ruff: noqa: E501
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ from enum import Enum, IntEnum
 from typing import Any
 
 from antdsl.program.tables import senses
-from antdsl.program.tables.rows import Sense
+from antdsl.program.tables.rows import SenseRow
 from antdsl.program.tables.things import BLOCKING
 from antdsl.source import Span
 
 
-class Kind(Enum):
+class ValueKind(Enum):
     F32 = "f32"
     BOOL = "bool"
     I32 = "i32"  # a state's index, an item's row (-1 is none)
@@ -32,7 +32,7 @@ class Kind(Enum):
     __hash__ = object.__hash__  # an Enum's own is slow, and a reload asks for it tens of thousands of times
 
 
-class Rate(IntEnum):
+class UpdateRate(IntEnum):
     CONST = 0
     RUN = 1
     STEP = 2
@@ -41,12 +41,12 @@ class Rate(IntEnum):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Node:
+class PlanNode:
     op: str
-    args: tuple[Node, ...]
+    args: tuple[PlanNode, ...]
     attrs: tuple[Any, ...]
-    kind: Kind
-    rate: Rate
+    kind: ValueKind
+    rate: UpdateRate
     span: Span | None
     number: int  # position in the builder's list: operands have smaller numbers
 
@@ -63,124 +63,157 @@ class Operation:
 
     args: str
     attrs: tuple[str, ...]
-    kind: Kind
-    rate: Rate
+    kind: ValueKind
+    rate: UpdateRate
     meaning: str
 
 
-F, B, I, L, T, S = Kind.F32, Kind.BOOL, Kind.I32, Kind.I64, Kind.TUPLE, Kind.SET
-_C, _R, _T, _A, _P = Rate.CONST, Rate.RUN, Rate.STEP, Rate.AGENT, Rate.PAIR
+F, BOOL_KIND, INDEX_KIND, ID_KIND, T, SET_KIND = (
+    ValueKind.F32,
+    ValueKind.BOOL,
+    ValueKind.I32,
+    ValueKind.I64,
+    ValueKind.TUPLE,
+    ValueKind.SET,
+)
+_CONST_RATE, _RUN_RATE, _STEP_RATE, _AGENT_RATE, _PAIR_RATE = (
+    UpdateRate.CONST,
+    UpdateRate.RUN,
+    UpdateRate.STEP,
+    UpdateRate.AGENT,
+    UpdateRate.PAIR,
+)
 
-LETTERS = {"f": F, "b": B, "i": I, "l": L, "t": T, "s": S}
+KIND_BY_LETTER = {"f": F, "b": BOOL_KIND, "i": INDEX_KIND, "l": ID_KIND, "t": T, "s": SET_KIND}
 
 
-def _sense(row: Sense) -> Operation:
+def _sense(row: SenseRow) -> Operation:
     attrs = (row.of, *row.attrs) if row.of else row.attrs
-    return Operation(row.operands, attrs, LETTERS[row.kinds] if len(row.kinds) == 1 else T, _A, row.results_text)
+    return Operation(row.operands, attrs, KIND_BY_LETTER[row.kinds] if len(row.kinds) == 1 else T, _AGENT_RATE, row.results_text)
 
 
-OPS: dict[str, Operation] = {
+OPERATION_BY_NAME: dict[str, Operation] = {
     # constants and what the run gives
-    "const": Operation("", ("value",), F, _C, "a float32"),
-    "const.bool": Operation("", ("value",), B, _C, "true or false"),
-    "const.i32": Operation("", ("value",), I, _C, "a state's index or an item's row"),
-    "const.i64": Operation("", ("value",), L, _C, "an agent's id; -1 is none"),
-    "param": Operation("", ("name",), F, _R, "a param's value in base units"),
-    "run": Operation("", ("name",), F, _R, "dt (s), u (mm per scene unit), up_x, up_y, up_z (the scene's up)"),
-    "step": Operation("", ("name",), F, _T, "time (s), frame"),
-    "told": Operation("", ("name",), F, _T, "a number about the whole run that a spec computed for this frame"),
+    "const": Operation("", ("value",), F, _CONST_RATE, "a float32"),
+    "const.bool": Operation("", ("value",), BOOL_KIND, _CONST_RATE, "true or false"),
+    "const.i32": Operation("", ("value",), INDEX_KIND, _CONST_RATE, "a state's index or an item's row"),
+    "const.i64": Operation("", ("value",), ID_KIND, _CONST_RATE, "an agent's id; -1 is none"),
+    "param": Operation("", ("name",), F, _RUN_RATE, "a param's value in base units"),
+    "run": Operation("", ("name",), F, _RUN_RATE, "dt (s), u (mm per scene unit), up_x, up_y, up_z (the scene's up)"),
+    "step": Operation("", ("name",), F, _STEP_RATE, "time (s), frame"),
+    "told": Operation("", ("name",), F, _STEP_RATE, "a number about the whole run that a spec computed for this frame"),
     # elementwise; float32, IEEE, in exactly this order of operations
-    "add": Operation("ff", (), F, _C, "a + b"),
-    "sub": Operation("ff", (), F, _C, "a - b"),
-    "mul": Operation("ff", (), F, _C, "a * b"),
-    "div": Operation("ff", (), F, _C, "a / b"),
-    "neg": Operation("f", (), F, _C, "-a"),
-    "abs": Operation("f", (), F, _C, "|a|"),
-    "min": Operation("ff", (), F, _C, "the lesser; the other one where one is NaN"),
-    "max": Operation("ff", (), F, _C, "the greater; the other one where one is NaN"),
-    "floor": Operation("f", (), F, _C, "greatest whole number not above a"),
-    "sqrt": Operation("f", (), F, _C, "square root; NaN below 0"),
-    "sin": Operation("f", (), F, _C, "own kernel"),
-    "cos": Operation("f", (), F, _C, "own kernel"),
-    "exp": Operation("f", (), F, _C, "own kernel"),
-    "log": Operation("f", (), F, _C, "own kernel, natural"),
-    "pow": Operation("ff", (), F, _C, "own kernel: exp(b log a), whole-number powers of negative a exact in sign"),
-    "atan2": Operation("ff", (), F, _C, "own kernel"),
-    "lt": Operation("xx", (), B, _C, "a < b, both of one kind"),
-    "le": Operation("xx", (), B, _C, "a <= b, both of one kind"),
-    "gt": Operation("ff", (), B, _C, "a > b"),
-    "ge": Operation("ff", (), B, _C, "a >= b"),
-    "eq": Operation("xx", (), B, _C, "a == b, both of one kind"),
-    "ne": Operation("xx", (), B, _C, "a != b, both of one kind"),
-    "and": Operation("bb", (), B, _C, "both"),
-    "or": Operation("bb", (), B, _C, "either"),
-    "not": Operation("b", (), B, _C, "not"),
-    "where": Operation("bxx", (), F, _C, "b where a holds, else c; kind of b and c"),
-    "number": Operation("x", (), F, _C, "bool, state or row as float32"),
-    "finite": Operation("f", (), F, _C, "a, or 0 where it is not finite"),
-    "get": Operation("t", ("index",), F, _C, "one result of a tuple; its kind is that result's"),
+    "add": Operation("ff", (), F, _CONST_RATE, "a + b"),
+    "sub": Operation("ff", (), F, _CONST_RATE, "a - b"),
+    "mul": Operation("ff", (), F, _CONST_RATE, "a * b"),
+    "div": Operation("ff", (), F, _CONST_RATE, "a / b"),
+    "neg": Operation("f", (), F, _CONST_RATE, "-a"),
+    "abs": Operation("f", (), F, _CONST_RATE, "|a|"),
+    "min": Operation("ff", (), F, _CONST_RATE, "the lesser; the other one where one is NaN"),
+    "max": Operation("ff", (), F, _CONST_RATE, "the greater; the other one where one is NaN"),
+    "floor": Operation("f", (), F, _CONST_RATE, "greatest whole number not above a"),
+    "sqrt": Operation("f", (), F, _CONST_RATE, "square root; NaN below 0"),
+    "sin": Operation("f", (), F, _CONST_RATE, "own kernel"),
+    "cos": Operation("f", (), F, _CONST_RATE, "own kernel"),
+    "exp": Operation("f", (), F, _CONST_RATE, "own kernel"),
+    "log": Operation("f", (), F, _CONST_RATE, "own kernel, natural"),
+    "pow": Operation("ff", (), F, _CONST_RATE, "own kernel: exp(b log a), whole-number powers of negative a exact in sign"),
+    "atan2": Operation("ff", (), F, _CONST_RATE, "own kernel"),
+    "lt": Operation("xx", (), BOOL_KIND, _CONST_RATE, "a < b, both of one kind"),
+    "le": Operation("xx", (), BOOL_KIND, _CONST_RATE, "a <= b, both of one kind"),
+    "gt": Operation("ff", (), BOOL_KIND, _CONST_RATE, "a > b"),
+    "ge": Operation("ff", (), BOOL_KIND, _CONST_RATE, "a >= b"),
+    "eq": Operation("xx", (), BOOL_KIND, _CONST_RATE, "a == b, both of one kind"),
+    "ne": Operation("xx", (), BOOL_KIND, _CONST_RATE, "a != b, both of one kind"),
+    "and": Operation("bb", (), BOOL_KIND, _CONST_RATE, "both"),
+    "or": Operation("bb", (), BOOL_KIND, _CONST_RATE, "either"),
+    "not": Operation("b", (), BOOL_KIND, _CONST_RATE, "not"),
+    "where": Operation("bxx", (), F, _CONST_RATE, "b where a holds, else c; kind of b and c"),
+    "number": Operation("x", (), F, _CONST_RATE, "bool, state or row as float32"),
+    "finite": Operation("f", (), F, _CONST_RATE, "a, or 0 where it is not finite"),
+    "get": Operation("t", ("index",), F, _CONST_RATE, "one result of a tuple; its kind is that result's"),
     # the agent
-    "snap": Operation("", ("register",), F, _A, "a register as it was at the start of the step; kind of the register"),
-    "load": Operation("", ("register", "version"), F, _A, "a register now; `version` counts the stores seen before"),
-    "id": Operation("", (), L, _A, "the agent's own id"),
-    "age": Operation("", (), F, _A, "seconds since birth"),
-    "draw": Operation("", ("site", "index"), F, _A, "uniform in [0, 1): a function of seed, frame, species, id, site, index"),
-    "draw.agent": Operation("", ("site", "species"), L, _A, "the id of one living agent of the species, evenly; -1 for none"),
-    "event": Operation("", ("name",), B, _A, "the event reached this agent in the step before"),
-    "surface.touching": Operation("", ("name",), B, _A, "the agent stands on that surface"),
+    "snap": Operation("", ("register",), F, _AGENT_RATE, "a register as it was at the start of the step; kind of the register"),
+    "load": Operation("", ("register", "version"), F, _AGENT_RATE, "a register now; `version` counts the stores seen before"),
+    "id": Operation("", (), ID_KIND, _AGENT_RATE, "the agent's own id"),
+    "age": Operation("", (), F, _AGENT_RATE, "seconds since birth"),
+    "draw": Operation(
+        "", ("site", "index"), F, _AGENT_RATE, "uniform in [0, 1): a function of seed, frame, species, id, site, index"
+    ),
+    "draw.agent": Operation(
+        "", ("site", "species"), ID_KIND, _AGENT_RATE, "the id of one living agent of the species, evenly; -1 for none"
+    ),
+    "event": Operation("", ("name",), BOOL_KIND, _AGENT_RATE, "the event reached this agent in the step before"),
+    "surface.touching": Operation("", ("name",), BOOL_KIND, _AGENT_RATE, "the agent stands on that surface"),
     # references to other agents and to items
     "agent.get": Operation(
-        "l", ("species", "register"), F, _A, "another agent's register as it was; 0 for none; kind of the register"
+        "l", ("species", "register"), F, _AGENT_RATE, "another agent's register as it was; 0 for none; kind of the register"
     ),
-    "agent.age": Operation("l", ("species",), F, _A, "another agent's seconds since birth; 0 for none"),
-    "agent.alive": Operation("l", ("species",), B, _A, "there is such an agent"),
-    "item.get": Operation("i", ("items", "attribute"), F, _A, "x y z radius or a declared attribute of an item; 0 for none"),
-    "item.alive": Operation("i", ("items",), B, _A, "there is such an item"),
+    "agent.age": Operation("l", ("species",), F, _AGENT_RATE, "another agent's seconds since birth; 0 for none"),
+    "agent.alive": Operation("l", ("species",), BOOL_KIND, _AGENT_RATE, "there is such an agent"),
+    "item.get": Operation(
+        "i", ("items", "attribute"), F, _AGENT_RATE, "x y z radius or a declared attribute of an item; 0 for none"
+    ),
+    "item.alive": Operation("i", ("items",), BOOL_KIND, _AGENT_RATE, "there is such an item"),
     # senses of the place; the agent's own position at the start of the step
-    **{row.op: _sense(row) for row in senses.SENSES.values()},
+    **{row.op: _sense(row) for row in senses.SENSE_BY_OPERATION.values()},
     # sets
     "set.agents": Operation(
         "ff",
         ("species", "all_round"),
-        S,
-        _A,
+        SET_KIND,
+        _AGENT_RATE,
         "others of a species within radius (first), with a cosine of their direction to the heading >= the second (ignored if all_round); never oneself",
     ),
-    "set.every": Operation("", ("species",), S, _A, "all others of a species"),
-    "set.items": Operation("f", ("items",), S, _A, "items with their centre within a distance (inf: all)"),
+    "set.every": Operation("", ("species",), SET_KIND, _AGENT_RATE, "all others of a species"),
+    "set.items": Operation("f", ("items",), SET_KIND, _AGENT_RATE, "items with their centre within a distance (inf: all)"),
     "other": Operation(
         "",
         ("register",),
         F,
-        _P,
+        _PAIR_RATE,
         "the other agent's register as it was, or the item's attribute (x y z radius …); kind of the register",
     ),
-    "other.id": Operation("", (), L, _P, "the other agent's id"),
-    "other.row": Operation("", (), I, _P, "the item's row"),
-    "pair.x": Operation("", (), F, _P, "other's x - own x"),
-    "pair.y": Operation("", (), F, _P, "other's y - own y"),
-    "pair.z": Operation("", (), F, _P, "other's z - own z"),
-    "pair.distance": Operation("", (), F, _P, "sqrt((x*x + y*y) + z*z)"),
+    "other.id": Operation("", (), ID_KIND, _PAIR_RATE, "the other agent's id"),
+    "other.row": Operation("", (), INDEX_KIND, _PAIR_RATE, "the item's row"),
+    "pair.x": Operation("", (), F, _PAIR_RATE, "other's x - own x"),
+    "pair.y": Operation("", (), F, _PAIR_RATE, "other's y - own y"),
+    "pair.z": Operation("", (), F, _PAIR_RATE, "other's z - own z"),
+    "pair.distance": Operation("", (), F, _PAIR_RATE, "sqrt((x*x + y*y) + z*z)"),
     # reductions: set, condition (BOOL), body where there is one. Sums are exact: decision 23 of the language reference
-    "reduce.sum": Operation("sbf", ("quantum",), F, _A, "terms rounded to multiples of 2**quantum, added exactly; 0 for none"),
-    "reduce.min": Operation("sbf", (), F, _A, "inf for none"),
-    "reduce.max": Operation("sbf", (), F, _A, "-inf for none"),
-    "reduce.count": Operation("sb", (), F, _A, "how many"),
-    "reduce.any": Operation("sb", (), B, _A, "at least one"),
-    "reduce.agent": Operation("sbf", (), L, _A, "id of the agent with the least body, the lesser id at a tie; -1 for none"),
-    "reduce.nth_agent": Operation(
-        "sbff", (), L, _A, "id of the agent with the n-th least body; n is the last operand, without its fraction; -1 for none"
+    "reduce.sum": Operation(
+        "sbf", ("quantum",), F, _AGENT_RATE, "terms rounded to multiples of 2**quantum, added exactly; 0 for none"
     ),
-    "reduce.nth_item": Operation("sbff", (), I, _A, "row of the item with the n-th least body, likewise"),
-    "reduce.item": Operation("sbf", (), I, _A, "row of the item with the least body, the lesser row at a tie; -1 for none"),
+    "reduce.min": Operation("sbf", (), F, _AGENT_RATE, "inf for none"),
+    "reduce.max": Operation("sbf", (), F, _AGENT_RATE, "-inf for none"),
+    "reduce.count": Operation("sb", (), F, _AGENT_RATE, "how many"),
+    "reduce.any": Operation("sb", (), BOOL_KIND, _AGENT_RATE, "at least one"),
+    "reduce.agent": Operation(
+        "sbf", (), ID_KIND, _AGENT_RATE, "id of the agent with the least body, the lesser id at a tie; -1 for none"
+    ),
+    "reduce.nth_agent": Operation(
+        "sbff",
+        (),
+        ID_KIND,
+        _AGENT_RATE,
+        "id of the agent with the n-th least body; n is the last operand, without its fraction; -1 for none",
+    ),
+    "reduce.nth_item": Operation("sbff", (), INDEX_KIND, _AGENT_RATE, "row of the item with the n-th least body, likewise"),
+    "reduce.item": Operation(
+        "sbf", (), INDEX_KIND, _AGENT_RATE, "row of the item with the least body, the lesser row at a tie; -1 for none"
+    ),
 }
 
-TUPLES: dict[str, tuple[Kind, ...]] = {
-    row.op: tuple(LETTERS[letter] for letter in row.kinds) for row in senses.SENSES.values() if len(row.kinds) > 1
+TUPLE_KINDS_BY_OPERATION: dict[str, tuple[ValueKind, ...]] = {
+    row.op: tuple(KIND_BY_LETTER[letter] for letter in row.kinds)
+    for row in senses.SENSE_BY_OPERATION.values()
+    if len(row.kinds) > 1
 }
 
 # Worth storing for a step, and computed only for agents that need it.
-SENSES = frozenset((*senses.SENSES, *(name for name in OPS if name.startswith("reduce.")), "draw.agent"))
+SENSE_OPERATIONS = frozenset(
+    (*senses.SENSE_BY_OPERATION, *(name for name in OPERATION_BY_NAME if name.startswith("reduce.")), "draw.agent")
+)
 
 
 # --- statements ------------------------------------------------------------------------------------------------------
@@ -188,14 +221,14 @@ SENSES = frozenset((*senses.SENSES, *(name for name in OPS if name.startswith("r
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Block:
-    statements: tuple[Statement, ...]
+    statements: tuple[PlanStatement, ...]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class If:
     """A region: the agents for which the condition holds (never for NaN)."""
 
-    condition: Node
+    condition: PlanNode
     then: Block
     span: Span | None
 
@@ -206,7 +239,7 @@ class Store:
     `infinite` and the value is +inf."""
 
     register: str
-    value: Node
+    value: PlanNode
     span: Span | None
     infinite: bool = False
 
@@ -221,8 +254,8 @@ class Claim:
 
     of: str
     attribute: str
-    item: Node | None
-    amount: Node | None
+    item: PlanNode | None
+    amount: PlanNode | None
     won: str
     own: str | None
     site: str
@@ -236,8 +269,8 @@ class Give:
 
     items: str
     attribute: str
-    item: Node
-    amount: Node | None
+    item: PlanNode
+    amount: PlanNode | None
     own: str
     span: Span | None
 
@@ -250,14 +283,14 @@ class Request:
 
     op: str
     of: str
-    args: tuple[Node | None, ...]
+    args: tuple[PlanNode | None, ...]
     span: Span | None
     own: str | None = None
     site: str = ""
     target_species: str | None = None
 
 
-Statement = If | Store | Claim | Give | Request
+PlanStatement = If | Store | Claim | Give | Request
 
 
 # --- the plan --------------------------------------------------------------------------------------------------------
@@ -271,7 +304,7 @@ class Register:
     name with the same type."""
 
     name: str
-    kind: Kind
+    kind: ValueKind
     role: str
     zero: float | int | bool = 0
     of: str | None = None  # species of the ids in an I64 register: references to the dead become -1 in it
@@ -341,8 +374,8 @@ class SpeciesPlan:
     blend: Block
     handles: tuple[str, ...]  # events
     layers: tuple[LayerPlan, ...]
-    lazy: tuple[Node, ...] = ()  # worth keeping for the whole step once computed: senses used in more than one region
-    rests: Mapping[str, Node] = field(default_factory=dict)  # of values per pair what they begin with and return to, rate RUN
+    lazy: tuple[PlanNode, ...] = ()  # worth keeping for the whole step once computed: senses used in more than one region
+    rests: Mapping[str, PlanNode] = field(default_factory=dict)  # of values per pair what they begin with and return to, rate RUN
     clips: tuple[ClipPlan, ...] = ()  # what its states play: registers of clips count these
     wears: tuple[str, ...] = ()  # layers of its body that states show: registers `wear#LAYER`
     channels: tuple[str, ...] = ()  # of its body, that states set: `channel#NAME`, and `channel#NAME.said` whether they do
@@ -359,11 +392,11 @@ class FieldPlan:
 
     name: str
     surfaces: tuple[str, ...]
-    cell: Node
-    keep: Node | None
-    diffuse: Node | None  # mm^2/s
+    cell: PlanNode
+    keep: PlanNode | None
+    diffuse: PlanNode | None  # mm^2/s
     combine: str
-    limit: Node | None
+    limit: PlanNode | None
     span: Span
     stencil: int = 4
     deposits: str = "last"
@@ -378,7 +411,7 @@ class ItemsPlan:
 @dataclass(frozen=True, slots=True, eq=False)
 class ParamPlan:
     name: str
-    default: Node  # rate RUN at most
+    default: PlanNode  # rate RUN at most
 
 
 @dataclass(frozen=True, slots=True, eq=False, weakref_slot=True)
@@ -388,7 +421,7 @@ class Plan:
     items: dict[str, ItemsPlan]
     params: dict[str, ParamPlan]
     things: Mapping[str, tuple[str, ...]]  # names of the other things of the world, by their kind
-    nodes: tuple[Node, ...] = field(default=())
+    nodes: tuple[PlanNode, ...] = field(default=())
 
     def of_kind(self, *kinds: str) -> tuple[str, ...]:
         """The names of the things of some kinds."""

@@ -9,23 +9,23 @@ from __future__ import annotations
 from collections.abc import Iterable
 
 from antdsl.plan import ir
-from antdsl.plan.ir import Kind, SpeciesPlan
+from antdsl.plan.ir import SpeciesPlan, ValueKind
 from antdsl.plan.traverse import operands, placed, required_nodes
 
-_BYTES = {Kind.F32: 4, Kind.BOOL: 1, Kind.I32: 4, Kind.I64: 8}
-_OWN = 8  # its id
+_BYTES_BY_KIND = {ValueKind.F32: 4, ValueKind.BOOL: 1, ValueKind.I32: 4, ValueKind.I64: 8}
+_ID_BYTES = 8  # its id
 
 
-def written(statement: ir.Statement) -> str | None:
+def written(statement: ir.PlanStatement) -> str | None:
     """Return the register that a statement itself changes, or None."""
     if isinstance(statement, ir.Store):
         return statement.register
     return statement.own if isinstance(statement, ir.Give) else None
 
 
-def early_loads(block: ir.Block) -> dict[tuple[int, ...], list[ir.Node]]:
+def early_loads(block: ir.Block) -> dict[tuple[int, ...], list[ir.PlanNode]]:
     """Loads to evaluate just before the statement at a place, in the region that holds it."""
-    read_paths: dict[ir.Node, list[tuple[int, ...]]] = {}
+    read_paths: dict[ir.PlanNode, list[tuple[int, ...]]] = {}
     stores: dict[str, list[tuple[int, ...]]] = {}
     for path, statement in placed(block):
         for node in required_nodes(operands(statement)):
@@ -34,7 +34,7 @@ def early_loads(block: ir.Block) -> dict[tuple[int, ...], list[ir.Node]]:
         register = written(statement)
         if register is not None:
             stores.setdefault(register, []).append(path)
-    loads: dict[tuple[int, ...], list[ir.Node]] = {}
+    loads: dict[tuple[int, ...], list[ir.PlanNode]] = {}
     for node, paths in read_paths.items():
         if any(paths[0] <= store < paths[-1] for store in stores.get(node.attrs[0], ())):
             loads.setdefault(_common_place(paths), []).append(node)
@@ -50,13 +50,13 @@ def _common_place(paths: list[tuple[int, ...]]) -> tuple[int, ...]:
     return first[: depth + 1]
 
 
-def statement_numbers(species: ir.SpeciesPlan) -> dict[ir.Statement, int]:
+def statement_numbers(species: ir.SpeciesPlan) -> dict[ir.PlanStatement, int]:
     """Every statement of a species by its place in the text."""
     blocks = (species.born, species.decide, species.act, species.blend)
     return {statement: k for k, statement in enumerate(statement for block in blocks for _, statement in placed(block))}
 
 
-def cacheable_senses(species: ir.SpeciesPlan) -> tuple[ir.Node, ...]:
+def cacheable_senses(species: ir.SpeciesPlan) -> tuple[ir.PlanNode, ...]:
     """Return the lazy nodes with a value that holds for the whole step: none of its parts is written in between."""
     return tuple(node for node in species.lazy if all(part.op != "load" for part in required_nodes((node,))))
 
@@ -65,9 +65,9 @@ def bytes_by_purpose(species: SpeciesPlan) -> dict[str, int]:
     """Return bytes per agent by use: `attribute` (the author's and those that every animal has), `memory` (states, `keep`,
     latches, waiting times), `pair` (values per pair), and `temp`. All but `temp`, which is used during a step only, persist from
     step to step."""
-    sizes = {"attribute": _OWN, "pair": 0, "memory": 0, "temp": 0}
+    sizes = {"attribute": _ID_BYTES, "pair": 0, "memory": 0, "temp": 0}
     for register in species.registers.values():
-        sizes[register.role] += _BYTES[register.kind]
+        sizes[register.role] += _BYTES_BY_KIND[register.kind]
     return sizes
 
 

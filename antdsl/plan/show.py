@@ -5,16 +5,31 @@ from __future__ import annotations
 import math
 from collections import Counter
 
-from antdsl.plan.ir import OPS, SENSES, Block, Claim, Give, If, Kind, Node, Plan, Rate, Request, SpeciesPlan, Statement, Store
+from antdsl.plan.ir import (
+    OPERATION_BY_NAME,
+    SENSE_OPERATIONS,
+    Block,
+    Claim,
+    Give,
+    If,
+    Plan,
+    PlanNode,
+    PlanStatement,
+    Request,
+    SpeciesPlan,
+    Store,
+    UpdateRate,
+    ValueKind,
+)
 from antdsl.plan.traverse import blocks, operands, required_nodes, statements
-from antdsl.program.tables.effects import EFFECTS, fill_template
+from antdsl.program.tables.effects import EFFECT_BY_OPERATION, fill_template
 
-_INFIX = {
+_INFIX_SYMBOLS = {
     "add": "+", "sub": "-", "mul": "*", "div": "/", "lt": "<", "le": "<=", "gt": ">", "ge": ">=", "eq": "==", "ne": "!=",
     "and": "and", "or": "or",
 }  # fmt: skip
-_LEAVES = frozenset(name for name, row in OPS.items() if not row.args and name not in SENSES)
-_WIDE = 100  # characters of an expression before its parts get names
+_LEAF_OPERATIONS = frozenset(name for name, row in OPERATION_BY_NAME.items() if not row.args and name not in SENSE_OPERATIONS)
+_MAX_EXPRESSION_CHARACTERS = 100  # characters of an expression before its parts get names
 
 
 def show(plan: Plan) -> str:
@@ -28,9 +43,9 @@ def show(plan: Plan) -> str:
 def _head(plan: Plan) -> str:
     lines = []
     for param in plan.params.values():
-        lines.append(f"param {param.name} = {_ExpressionText().text(param.default)}")
+        lines.append(f"param {param.name} = {_ExpressionFormatter().text(param.default)}")
     for field in plan.fields.values():
-        names = _ExpressionText()
+        names = _ExpressionFormatter()
         properties = (field.combine, f"stencil {field.stencil}", f"deposits {field.deposits}")
         lines.append(f"field {field.name} on {', '.join(field.surfaces)} ({', '.join(properties)})")
         for word, node in (("cell", field.cell), ("keep", field.keep), ("diffuse", field.diffuse), ("limit", field.limit)):
@@ -48,7 +63,7 @@ def _species(species: SpeciesPlan) -> list[str]:
     lines = [f"species {species.name}"]
     for role in ("attribute", "pair", "memory", "temp"):
         mine = [r for r in species.registers.values() if r.role == role]
-        names = [r.name if r.kind is Kind.F32 else f"{r.name}:{r.kind.value}" for r in mine]
+        names = [r.name if r.kind is ValueKind.F32 else f"{r.name}:{r.kind.value}" for r in mine]
         if names:
             lines.append(f"  {role}: {' '.join(_join_axes(names))}")
     for machine in species.machines:
@@ -60,7 +75,7 @@ def _species(species: SpeciesPlan) -> list[str]:
     for phase, block in blocks(species):
         nodes = required_nodes(n for _, s in statements(block) for n in operands(s))
         lines.append(f"  {phase} ({_cost(nodes)})")
-        lines += _PhaseText(block, species).lines(block, "    ")
+        lines += _PhaseFormatter(block, species).lines(block, "    ")
     return lines
 
 
@@ -75,12 +90,12 @@ def _join_axes(names: list[str]) -> list[str]:
     return joined
 
 
-def _cost(nodes: list[Node]) -> str:
+def _cost(nodes: list[PlanNode]) -> str:
     """Return the number of operations per step, per agent and per pair, and of senses, as text."""
-    work = [n for n in nodes if n.op not in _LEAVES]
-    plain = [n.rate for n in work if n.op not in SENSES and n.op != "get"]
-    count = Counter("pair" if rate is Rate.PAIR else "agent" if rate is Rate.AGENT else "step" for rate in plain)
-    senses = Counter(n.op for n in work if n.op in SENSES)
+    work = [n for n in nodes if n.op not in _LEAF_OPERATIONS]
+    plain = [n.rate for n in work if n.op not in SENSE_OPERATIONS and n.op != "get"]
+    count = Counter("pair" if rate is UpdateRate.PAIR else "agent" if rate is UpdateRate.AGENT else "step" for rate in plain)
+    senses = Counter(n.op for n in work if n.op in SENSE_OPERATIONS)
     parts = [f"{count[rate]} per {rate}" for rate in ("step", "agent", "pair") if count[rate]]
     parts += [f"{number} {name}" for name, number in sorted(senses.items())]
     return ", ".join(parts) if parts else "nothing"
@@ -92,23 +107,23 @@ def _number(x: float) -> str:
     return f"{x:.7g}"
 
 
-class _ExpressionText:
+class _ExpressionFormatter:
     """Expressions as text, with names for nodes that have one."""
 
     def __init__(self) -> None:
-        self.names: dict[Node, str] = {}
+        self.names: dict[PlanNode, str] = {}
 
-    def text(self, node: Node) -> str:
+    def text(self, node: PlanNode) -> str:
         if node in self.names:
             return self.names[node]
         return self.expression_text(node)
 
-    def expression_text(self, node: Node) -> str:
+    def expression_text(self, node: PlanNode) -> str:
         inner = [self.text(a) for a in node.args]
         op, attrs = node.op, node.attrs
-        if op in _INFIX:
+        if op in _INFIX_SYMBOLS:
             left, right = (f"({text})" if _needs_brackets(text) else text for text in inner)
-            return f"{left} {_INFIX[op]} {right}"
+            return f"{left} {_INFIX_SYMBOLS[op]} {right}"
         match op:
             case "const":
                 return _number(attrs[0])
@@ -144,30 +159,30 @@ def _needs_brackets(text: str) -> bool:
     return False
 
 
-class _PhaseText(_ExpressionText):
+class _PhaseFormatter(_ExpressionFormatter):
     """The statements of one phase."""
 
     def __init__(self, block: Block, species: SpeciesPlan) -> None:
         super().__init__()
         self.species = species
-        users: Counter[Node] = Counter()
+        users: Counter[PlanNode] = Counter()
         everything = [operands(s) for _, s in statements(block)]
         roots = [n for group in everything for n in group]
         for node in required_nodes(roots):
             users.update(node.args)
         users.update(roots)
-        self.shared = {n for n, count in users.items() if count > 1 and n.op not in _LEAVES and n.op != "get"}
-        self.shared |= {n for n in users if n.op in SENSES}
+        self.shared = {n for n, count in users.items() if count > 1 and n.op not in _LEAF_OPERATIONS and n.op != "get"}
+        self.shared |= {n for n in users if n.op in SENSE_OPERATIONS}
         self.shared |= self._nodes_to_name(required_nodes(roots))
 
-    def _nodes_to_name(self, nodes: list[Node]) -> set[Node]:
+    def _nodes_to_name(self, nodes: list[PlanNode]) -> set[PlanNode]:
         """Nodes to name so that no expression grows beyond a line."""
-        named: set[Node] = set()
-        size: dict[Node, int] = {}
+        named: set[PlanNode] = set()
+        size: dict[PlanNode, int] = {}
         for node in nodes:
             inner = sum(4 if a in named or a in self.shared else size[a] for a in node.args)
             size[node] = len(node.op) + sum(len(str(a)) for a in node.attrs) + inner + 3
-            if size[node] > _WIDE:
+            if size[node] > _MAX_EXPRESSION_CHARACTERS:
                 named.add(node)
         return named
 
@@ -181,17 +196,17 @@ class _PhaseText(_ExpressionText):
                 result += self.lines(statement.then, indent + "  ")
         return result
 
-    def _definition_lines(self, statement: Statement) -> list[str]:
+    def _definition_lines(self, statement: PlanStatement) -> list[str]:
         lines = []
         for node in required_nodes(operands(statement)):
-            if node in self.shared and node not in self.names and node.rate is not Rate.PAIR:
+            if node in self.shared and node not in self.names and node.rate is not UpdateRate.PAIR:
                 text = self.expression_text(node)
                 keep = " (kept)" if node in self.species.lazy else ""
-                self.names[node] = f"{'s' if node.op in SENSES else 'a'}{len(self.names) + 1}"
+                self.names[node] = f"{'s' if node.op in SENSE_OPERATIONS else 'a'}{len(self.names) + 1}"
                 lines.append(f"{self.names[node]} = {text}{keep}")
         return lines
 
-    def _statement(self, s: Statement) -> str:
+    def _statement(self, s: PlanStatement) -> str:
         match s:
             case If():
                 return f"where {self.text(s.condition)}:"
@@ -206,12 +221,12 @@ class _PhaseText(_ExpressionText):
                 amount = "all" if s.amount is None else self.text(s.amount)
                 return f"give {amount} of {s.own} to {s.items}.{s.attribute} of {self.text(s.item)}"
             case Request():
-                row = EFFECTS[s.op]
+                row = EFFECT_BY_OPERATION[s.op]
                 values = {name: None if arg is None else self.text(arg) for name, arg in zip(row.operands, s.args, strict=True)}
                 return fill_template(row.plan_text, {**values, "of": s.of, "own": s.own})
 
 
-def _source_place(statement: Statement) -> str:
+def _source_place(statement: PlanStatement) -> str:
     """Return the line of the text that a statement is from."""
     if statement.span is None:
         return ""

@@ -11,22 +11,22 @@ import struct
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
-from antdsl.plan.ir import Kind, Node
+from antdsl.plan.ir import PlanNode, ValueKind
 
 if TYPE_CHECKING:
-    from antdsl.plan.builder import Builder
+    from antdsl.plan.builder import PlanBuilder
 
-_PACK = struct.Struct("<f")
-Value = float | int | bool | None
-_CONSTS = frozenset(("const", "const.bool", "const.i32", "const.i64"))
+_FLOAT32_STRUCT = struct.Struct("<f")
+ConstantValue = float | int | bool | None
+_CONSTANT_OPERATIONS = frozenset(("const", "const.bool", "const.i32", "const.i64"))
 
 
-def constant_value(node: Node) -> Any:
+def constant_value(node: PlanNode) -> Any:
     """The value of a constant node (float, int or bool), None of any other."""
-    return node.attrs[0] if node.op in _CONSTS else None
+    return node.attrs[0] if node.op in _CONSTANT_OPERATIONS else None
 
 
-def simplify(b: Builder, op: str, args: tuple[Node, ...], attrs: tuple[Any, ...]) -> Node | None:
+def simplify(b: PlanBuilder, op: str, args: tuple[PlanNode, ...], attrs: tuple[Any, ...]) -> PlanNode | None:
     """A node that stands for the operation, or None if nothing simpler is known."""
     if not args:
         return None
@@ -35,15 +35,15 @@ def simplify(b: Builder, op: str, args: tuple[Node, ...], attrs: tuple[Any, ...]
         known = _fold_constants(b, op, values)
         if known is not None:
             return known
-    rule = _ALGEBRA.get(op)
+    rule = _SIMPLIFIER_BY_OPERATION.get(op)
     return rule(b, args, values) if rule else None
 
 
-def _fold_constants(b: Builder, op: str, values: list[Any]) -> Node | None:
-    if op in ARITHMETIC:
-        return b.number(f32(ARITHMETIC[op](*values)))
-    if op in COMPARISONS:
-        return b.truth(COMPARISONS[op](*values))
+def _fold_constants(b: PlanBuilder, op: str, values: list[Any]) -> PlanNode | None:
+    if op in ARITHMETIC_FUNCTIONS:
+        return b.number(f32(ARITHMETIC_FUNCTIONS[op](*values)))
+    if op in COMPARISON_FUNCTIONS:
+        return b.truth(COMPARISON_FUNCTIONS[op](*values))
     if op in ("min", "max"):
         chosen = (least if op == "min" else greatest)(*values)
         return None if chosen is None else b.number(chosen)
@@ -52,15 +52,15 @@ def _fold_constants(b: Builder, op: str, values: list[Any]) -> Node | None:
     return None
 
 
-def _add(b: Builder, args: tuple[Node, ...], v: list[Value]) -> Node | None:
+def _add(b: PlanBuilder, args: tuple[PlanNode, ...], v: list[ConstantValue]) -> PlanNode | None:
     return args[0] if v[1] == 0 else args[1] if v[0] == 0 else None
 
 
-def _sub(b: Builder, args: tuple[Node, ...], v: list[Value]) -> Node | None:
+def _sub(b: PlanBuilder, args: tuple[PlanNode, ...], v: list[ConstantValue]) -> PlanNode | None:
     return args[0] if v[1] == 0 else b("neg", args[1]) if v[0] == 0 else None
 
 
-def _mul(b: Builder, args: tuple[Node, ...], v: list[Value]) -> Node | None:
+def _mul(b: PlanBuilder, args: tuple[PlanNode, ...], v: list[ConstantValue]) -> PlanNode | None:
     if v[1] == 1:
         return args[0]
     if v[0] == 1:
@@ -70,19 +70,19 @@ def _mul(b: Builder, args: tuple[Node, ...], v: list[Value]) -> Node | None:
     return b("neg", args[1]) if v[0] == -1 else None
 
 
-def _div(b: Builder, args: tuple[Node, ...], v: list[Value]) -> Node | None:
+def _div(b: PlanBuilder, args: tuple[PlanNode, ...], v: list[ConstantValue]) -> PlanNode | None:
     return args[0] if v[1] == 1 else None
 
 
-def _neg(b: Builder, args: tuple[Node, ...], v: list[Value]) -> Node | None:
+def _neg(b: PlanBuilder, args: tuple[PlanNode, ...], v: list[ConstantValue]) -> PlanNode | None:
     return args[0].args[0] if args[0].op == "neg" else None
 
 
-def _same_operands(b: Builder, args: tuple[Node, ...], v: list[Value]) -> Node | None:
+def _same_operands(b: PlanBuilder, args: tuple[PlanNode, ...], v: list[ConstantValue]) -> PlanNode | None:
     return args[0] if args[0] is args[1] else None
 
 
-def _and(b: Builder, args: tuple[Node, ...], v: list[Value]) -> Node | None:
+def _and(b: PlanBuilder, args: tuple[PlanNode, ...], v: list[ConstantValue]) -> PlanNode | None:
     if v[0] is False or v[1] is False:
         return b.false
     if v[0] is True or args[0] is args[1]:
@@ -90,7 +90,7 @@ def _and(b: Builder, args: tuple[Node, ...], v: list[Value]) -> Node | None:
     return args[0] if v[1] is True else None
 
 
-def _or(b: Builder, args: tuple[Node, ...], v: list[Value]) -> Node | None:
+def _or(b: PlanBuilder, args: tuple[PlanNode, ...], v: list[ConstantValue]) -> PlanNode | None:
     if v[0] is True or v[1] is True:
         return b.true
     if v[0] is False or args[0] is args[1]:
@@ -98,7 +98,7 @@ def _or(b: Builder, args: tuple[Node, ...], v: list[Value]) -> Node | None:
     return args[0] if v[1] is False else None
 
 
-def _not(b: Builder, args: tuple[Node, ...], v: list[Value]) -> Node | None:
+def _not(b: PlanBuilder, args: tuple[PlanNode, ...], v: list[ConstantValue]) -> PlanNode | None:
     if v[0] is not None:
         return b.truth(not v[0])
     inner = args[0]
@@ -109,7 +109,7 @@ def _not(b: Builder, args: tuple[Node, ...], v: list[Value]) -> Node | None:
     return None
 
 
-def _where(b: Builder, args: tuple[Node, ...], v: list[Value]) -> Node | None:
+def _where(b: PlanBuilder, args: tuple[PlanNode, ...], v: list[ConstantValue]) -> PlanNode | None:
     condition, then, other = args
     if v[0] is not None:
         return then if v[0] else other
@@ -124,19 +124,19 @@ def _where(b: Builder, args: tuple[Node, ...], v: list[Value]) -> Node | None:
     return None
 
 
-def _eq(b: Builder, args: tuple[Node, ...], v: list[Value]) -> Node | None:
-    return b.true if args[0] is args[1] and args[0].kind is not Kind.F32 else None
+def _eq(b: PlanBuilder, args: tuple[PlanNode, ...], v: list[ConstantValue]) -> PlanNode | None:
+    return b.true if args[0] is args[1] and args[0].kind is not ValueKind.F32 else None
 
 
-def _ne(b: Builder, args: tuple[Node, ...], v: list[Value]) -> Node | None:
-    return b.false if args[0] is args[1] and args[0].kind is not Kind.F32 else None
+def _ne(b: PlanBuilder, args: tuple[PlanNode, ...], v: list[ConstantValue]) -> PlanNode | None:
+    return b.false if args[0] is args[1] and args[0].kind is not ValueKind.F32 else None
 
 
-def _alive(b: Builder, args: tuple[Node, ...], v: list[Value]) -> Node | None:
+def _alive(b: PlanBuilder, args: tuple[PlanNode, ...], v: list[ConstantValue]) -> PlanNode | None:
     return b.false if v[0] == -1 else None
 
 
-_ALGEBRA = {
+_SIMPLIFIER_BY_OPERATION = {
     "add": _add, "sub": _sub, "mul": _mul, "div": _div, "neg": _neg, "min": _same_operands, "max": _same_operands, "and": _and,
     "or": _or,
     "not": _not, "where": _where, "eq": _eq, "ne": _ne, "item.alive": _alive, "agent.alive": _alive,
@@ -146,7 +146,7 @@ _ALGEBRA = {
 def f32(x: float) -> float:
     """Return the nearest float32, ties to even; infinite beyond the range."""
     try:
-        return float(_PACK.unpack(_PACK.pack(x))[0])
+        return float(_FLOAT32_STRUCT.unpack(_FLOAT32_STRUCT.pack(x))[0])
     except OverflowError:
         return math.copysign(math.inf, x)
 
@@ -167,7 +167,7 @@ def _floor(a: float) -> float:
     return float(math.floor(a)) if math.isfinite(a) and a != 0 else a
 
 
-ARITHMETIC: dict[str, Callable[..., float]] = {
+ARITHMETIC_FUNCTIONS: dict[str, Callable[..., float]] = {
     "add": lambda a, b: a + b,
     "sub": lambda a, b: a - b,
     "mul": lambda a, b: a * b,
@@ -179,7 +179,7 @@ ARITHMETIC: dict[str, Callable[..., float]] = {
     "finite": lambda a: a if math.isfinite(a) else 0.0,
 }
 
-COMPARISONS: dict[str, Callable[..., bool]] = {
+COMPARISON_FUNCTIONS: dict[str, Callable[..., bool]] = {
     "lt": lambda a, b: a < b,
     "le": lambda a, b: a <= b,
     "gt": lambda a, b: a > b,

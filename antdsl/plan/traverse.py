@@ -4,12 +4,25 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 
-from antdsl.plan.ir import SENSES, Block, Claim, FieldPlan, Give, If, Node, Plan, Request, SpeciesPlan, Statement, Store
+from antdsl.plan.ir import (
+    SENSE_OPERATIONS,
+    Block,
+    Claim,
+    FieldPlan,
+    Give,
+    If,
+    Plan,
+    PlanNode,
+    PlanStatement,
+    Request,
+    SpeciesPlan,
+    Store,
+)
 
 PHASES = ("born", "decide", "act", "blend")
 
 
-def operands(statement: Statement) -> tuple[Node, ...]:
+def operands(statement: PlanStatement) -> tuple[PlanNode, ...]:
     """The nodes that a statement itself asks for."""
     match statement:
         case If():
@@ -24,7 +37,7 @@ def operands(statement: Statement) -> tuple[Node, ...]:
             return tuple(node for node in statement.args if node is not None)
 
 
-def statements(block: Block) -> Iterator[tuple[Block, Statement]]:
+def statements(block: Block) -> Iterator[tuple[Block, PlanStatement]]:
     """Yield all statements in order, each with the block that contains it; an If comes before its contents."""
     for statement in block.statements:
         yield block, statement
@@ -32,7 +45,7 @@ def statements(block: Block) -> Iterator[tuple[Block, Statement]]:
             yield from statements(statement.then)
 
 
-def placed(block: Block, path: tuple[int, ...] = ()) -> Iterator[tuple[tuple[int, ...], Statement]]:
+def placed(block: Block, path: tuple[int, ...] = ()) -> Iterator[tuple[tuple[int, ...], PlanStatement]]:
     """All statements in order, each with its place: the index in every block around it."""
     for k, statement in enumerate(block.statements):
         yield (*path, k), statement
@@ -44,9 +57,9 @@ def blocks(species: SpeciesPlan) -> tuple[tuple[str, Block], ...]:
     return tuple((phase, getattr(species, phase)) for phase in PHASES)
 
 
-def required_nodes(roots: Iterable[Node]) -> list[Node]:
+def required_nodes(roots: Iterable[PlanNode]) -> list[PlanNode]:
     """Return the nodes and all their operands, operands first."""
-    nodes_by_number: dict[int, Node] = {}
+    nodes_by_number: dict[int, PlanNode] = {}
     stack = list(roots)
     while stack:
         node = stack.pop()
@@ -56,13 +69,13 @@ def required_nodes(roots: Iterable[Node]) -> list[Node]:
     return [nodes_by_number[number] for number in sorted(nodes_by_number)]
 
 
-def field_nodes(field: FieldPlan) -> tuple[Node, ...]:
+def field_nodes(field: FieldPlan) -> tuple[PlanNode, ...]:
     return tuple(n for n in (field.cell, field.keep, field.diffuse, field.limit) if n is not None)
 
 
-def roots(plan: Plan) -> list[Node]:
+def roots(plan: Plan) -> list[PlanNode]:
     """Return every node that is named from outside the list of nodes."""
-    nodes: list[Node] = []
+    nodes: list[PlanNode] = []
     for species in plan.species.values():
         for _, block in blocks(species):
             for _, statement in statements(block):
@@ -73,19 +86,19 @@ def roots(plan: Plan) -> list[Node]:
     return nodes + [p.default for p in plan.params.values()]
 
 
-def registers_read(nodes: Iterable[Node]) -> set[str]:
+def registers_read(nodes: Iterable[PlanNode]) -> set[str]:
     """Names of the agent's own registers that the nodes read."""
     return {node.attrs[0] for node in nodes if node.op in ("snap", "load")}
 
 
-def find_shared_senses(*phases: Block) -> tuple[Node, ...]:
+def find_shared_senses(*phases: Block) -> tuple[PlanNode, ...]:
     """Return the senses with two or more users, in order of their numbers. A user is a block, or a stored sense itself."""
-    users: dict[Node, set[object]] = {}
+    users: dict[PlanNode, set[object]] = {}
     for phase in phases:
         for block, statement in statements(phase):
             for sense in nearest_senses(operands(statement)):
                 users.setdefault(sense, set()).add(block)
-    shared_senses: list[Node] = []
+    shared_senses: list[PlanNode] = []
     waiting = set(users)
     while waiting:
         sense = max(waiting, key=lambda node: node.number)  # all that use it have greater numbers and have been here
@@ -99,17 +112,17 @@ def find_shared_senses(*phases: Block) -> tuple[Node, ...]:
     return tuple(reversed(shared_senses))
 
 
-def nearest_senses(roots: Iterable[Node]) -> set[Node]:
+def nearest_senses(roots: Iterable[PlanNode]) -> set[PlanNode]:
     """Senses that are reached from the nodes without passing through another sense."""
-    senses: set[Node] = set()
-    visited: set[Node] = set()
+    senses: set[PlanNode] = set()
+    visited: set[PlanNode] = set()
     stack = list(roots)
     while stack:
         node = stack.pop()
         if node in visited:
             continue
         visited.add(node)
-        if node.op in SENSES:
+        if node.op in SENSE_OPERATIONS:
             senses.add(node)
         else:
             stack += node.args

@@ -5,15 +5,29 @@ from __future__ import annotations
 from collections.abc import Container, Iterator
 
 from antdsl.plan.builder import PlanError, operand_problem, result_kind, result_rate
-from antdsl.plan.ir import Block, Claim, Give, If, ItemsPlan, Kind, Node, Plan, Rate, Request, SpeciesPlan, Statement, Store
+from antdsl.plan.ir import (
+    Block,
+    Claim,
+    Give,
+    If,
+    ItemsPlan,
+    Plan,
+    PlanNode,
+    PlanStatement,
+    Request,
+    SpeciesPlan,
+    Store,
+    UpdateRate,
+    ValueKind,
+)
 from antdsl.plan.traverse import blocks, field_nodes, operands, required_nodes, roots, statements
-from antdsl.program.tables.effects import EFFECTS
-from antdsl.program.tables.senses import SENSES
-from antdsl.program.tables.things import KINDS_OF_THINGS, replacements
+from antdsl.program.tables.effects import EFFECT_BY_OPERATION
+from antdsl.program.tables.senses import SENSE_BY_OPERATION
+from antdsl.program.tables.things import KIND_BY_WORD, replacements
 
-_READS = ("snap", "load")
-_LABELS = {"reduce.agent": False, "reduce.nth_agent": False, "reduce.item": True, "reduce.nth_item": True}  # of items
-_OWN = {"position", "velocity", "heading", "up"}
+_READ_OPERATIONS = ("snap", "load")
+_REDUCES_ITEMS = {"reduce.agent": False, "reduce.nth_agent": False, "reduce.item": True, "reduce.nth_item": True}  # of items
+_BUILTIN_ITEM_VALUES = {"position", "velocity", "heading", "up"}
 
 
 def verify(plan: Plan) -> None:
@@ -22,9 +36,9 @@ def verify(plan: Plan) -> None:
     for species in plan.species.values():
         wrong += [f"{species.name}: {text}" for text in _check_species(plan, species)]
     for field in plan.fields.values():
-        wrong += [f"field {field.name}: {n!r} changes within a run" for n in field_nodes(field) if n.rate > Rate.RUN]
+        wrong += [f"field {field.name}: {n!r} changes within a run" for n in field_nodes(field) if n.rate > UpdateRate.RUN]
     for param in plan.params.values():
-        if param.default.rate > Rate.RUN:
+        if param.default.rate > UpdateRate.RUN:
             wrong.append(f"param {param.name}: its default changes within a run")
     if wrong:
         raise PlanError("\n".join(wrong))
@@ -52,7 +66,7 @@ def _check_nodes(plan: Plan) -> Iterator[str]:
             yield f"{node!r} is said to be a {node.kind.value}"
         if node.rate != result_rate(node.op, node.args):
             yield f"{node!r} is said to change per {node.rate.name}"
-        if node.op.startswith("set.") and any(a.rate > Rate.AGENT for a in node.args):
+        if node.op.startswith("set.") and any(a.rate > UpdateRate.AGENT for a in node.args):
             yield f"{node!r}: a set's size depends on an element"
 
 
@@ -60,7 +74,7 @@ def _check_names(plan: Plan) -> Iterator[str]:
     """Check that the names in nodes exist. A species may be in another file."""
     things = names_by_kind(plan)
     known: dict[str, Container[str]] = {
-        **{row.op: things[row.of] for row in SENSES.values() if row.of and row.of != "species"},
+        **{row.op: things[row.of] for row in SENSE_BY_OPERATION.values() if row.of and row.of != "species"},
         "item.get": plan.items, "item.alive": plan.items, "set.items": plan.items, "surface.touching": plan.of_kind("surface"),
         "param": plan.params,
     }  # fmt: skip
@@ -78,16 +92,16 @@ def _check_names(plan: Plan) -> Iterator[str]:
 def names_by_kind(plan: Plan) -> dict[str, Container[str]]:
     """Return the names of the things of a plan, by the kind in the rows of senses and effects."""
     return {
-        **{kind: plan.of_kind(kind) for kind in KINDS_OF_THINGS}, "items": plan.items, "species": plan.species,
+        **{kind: plan.of_kind(kind) for kind in KIND_BY_WORD}, "items": plan.items, "species": plan.species,
         "field": plan.fields, "target": plan.of_kind(*replacements("obstacle")),
     }  # fmt: skip
 
 
-def _check_elements(plan: Plan, reduce: Node) -> Iterator[str]:
+def _check_elements(plan: Plan, reduce: PlanNode) -> Iterator[str]:
     """Check that a reduction reads only values that its elements have."""
     source = reduce.args[0]
     of_items = source.op == "set.items"
-    labels = _LABELS.get(reduce.op)
+    labels = _REDUCES_ITEMS.get(reduce.op)
     if labels is not None and labels != of_items:
         yield f"{reduce!r} over {source.op}"
     for node in _pair_nodes(reduce.args[1:]):
@@ -103,24 +117,24 @@ def _check_elements(plan: Plan, reduce: Node) -> Iterator[str]:
             yield from _check_register(plan.species[source.attrs[0]], node, node.attrs[0])
 
 
-def _pair_nodes(nodes: tuple[Node, ...]) -> Iterator[Node]:
+def _pair_nodes(nodes: tuple[PlanNode, ...]) -> Iterator[PlanNode]:
     """Nodes at the rate of pairs that belong to this reduction and not to one inside it."""
     stack, visited = list(nodes), set()
     while stack:
         node = stack.pop()
-        if node in visited or node.rate is not Rate.PAIR:
+        if node in visited or node.rate is not UpdateRate.PAIR:
             continue
         visited.add(node)
         yield node
         stack += node.args
 
 
-def _check_item_value(items: ItemsPlan, node: Node, attribute: str) -> Iterator[str]:
+def _check_item_value(items: ItemsPlan, node: PlanNode, attribute: str) -> Iterator[str]:
     if attribute not in ("x", "y", "z", "radius", *items.attributes):
         yield f"{node!r}: {items.name} have no {attribute}"
 
 
-def _check_register(species: SpeciesPlan, node: Node, name: str) -> Iterator[str]:
+def _check_register(species: SpeciesPlan, node: PlanNode, name: str) -> Iterator[str]:
     register = species.registers.get(name)
     if register is None:
         yield f"{node!r}: {species.name} has no register {name}"
@@ -135,7 +149,7 @@ def _check_species(plan: Plan, species: SpeciesPlan) -> Iterator[str]:
     for name, register in species.registers.items():
         if name != register.name:
             yield f"register {register.name} is filed under {name}"
-    for vector in _OWN | {"push"}:
+    for vector in _BUILTIN_ITEM_VALUES | {"push"}:
         for axis in "xyz":
             if f"{vector}.{axis}" not in species.registers:
                 yield f"no register {vector}.{axis}"
@@ -143,7 +157,7 @@ def _check_species(plan: Plan, species: SpeciesPlan) -> Iterator[str]:
         for _, statement in statements(block):
             yield from (f"{phase}: {text}" for text in _check_statement(plan, species, statement))
         for node in required_nodes(n for _, s in statements(block) for n in operands(s)):
-            if node.op in _READS:
+            if node.op in _READ_OPERATIONS:
                 yield from (f"{phase}: {text}" for text in _check_register(species, node, node.attrs[0]))
             if phase == "born" and node.op == "snap":
                 yield f"born: {node!r} asks for a time before birth"
@@ -151,13 +165,13 @@ def _check_species(plan: Plan, species: SpeciesPlan) -> Iterator[str]:
     yield from _check_load_order(species.born)
 
 
-def _check_statement(plan: Plan, species: SpeciesPlan, statement: Statement) -> Iterator[str]:
+def _check_statement(plan: Plan, species: SpeciesPlan, statement: PlanStatement) -> Iterator[str]:
     for node in operands(statement):
-        if node.rate is Rate.PAIR:
+        if node.rate is UpdateRate.PAIR:
             yield f"{type(statement).__name__} of {node!r}, which is of an element"
     match statement:
         case If():
-            if statement.condition.kind is not Kind.BOOL:
+            if statement.condition.kind is not ValueKind.BOOL:
                 yield f"If asks {statement.condition!r}"
         case Store():
             register = species.registers.get(statement.register)
@@ -175,7 +189,7 @@ def _check_statement(plan: Plan, species: SpeciesPlan, statement: Statement) -> 
                 yield f"{type(statement).__name__} of {of}.{statement.attribute}, which is not there"
             if statement.own is not None and statement.own not in species.registers:
                 yield f"{type(statement).__name__} for {statement.own}, which is not there"
-            if statement.item is not None and statement.item.kind is not Kind.I32:
+            if statement.item is not None and statement.item.kind is not ValueKind.I32:
                 yield f"{type(statement).__name__} with {statement.item!r} for an item"
         case Request():
             yield from _check_request(plan, species, statement)
@@ -183,7 +197,7 @@ def _check_statement(plan: Plan, species: SpeciesPlan, statement: Statement) -> 
 
 def _check_request(plan: Plan, species: SpeciesPlan, statement: Request) -> Iterator[str]:
     """Check that a request matches its row and that the names in it exist."""
-    row = EFFECTS.get(statement.op)
+    row = EFFECT_BY_OPERATION.get(statement.op)
     if row is None:
         yield f"no effect {statement.op}"
         return
@@ -197,7 +211,7 @@ def _check_request(plan: Plan, species: SpeciesPlan, statement: Request) -> Iter
     for name, node in zip(row.operands, statement.args, strict=False):
         if node is None and name not in row.optional:
             yield f"{word} without {name}"
-        elif node is not None and node.kind is not (Kind.I64 if name in row.agents else Kind.F32):
+        elif node is not None and node.kind is not (ValueKind.I64 if name in row.agents else ValueKind.F32):
             yield f"{word} with {node!r} for {name}"
         elif node is not None and name in row.agents and statement.target_species is None:
             yield f"{word} of an agent of no species for {name}"
@@ -236,7 +250,7 @@ def _check_block_order(block: Block, state: _LoadState) -> Iterator[str]:
             yield from _check_block_order(statement.then, state)
 
 
-def written_registers(statement: Statement) -> tuple[str, ...]:
+def written_registers(statement: PlanStatement) -> tuple[str, ...]:
     """Registers that the statement itself may change."""
     match statement:
         case Store():

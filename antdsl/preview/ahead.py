@@ -5,11 +5,11 @@ from __future__ import annotations
 
 from antdsl.preview.agent_columns import POSITIONS, Arrays, packet_arrays, reuse_arrays
 from antdsl.preview.session import Session
-from antdsl.preview.timeline import Change, Stretch
+from antdsl.preview.timeline import ParamChange, SimulationStretch
 from antdsl.runtime import FaultStop, LimitStop, World, checkpoint, step
 
-SECONDS = 2.0
-_BYTES = 1 << 26  # of places, at most
+LOOK_AHEAD_SECONDS = 2.0
+_MAX_POSITION_BYTES = 1 << 26  # of places, at most
 
 
 class Ahead:
@@ -22,7 +22,7 @@ class Ahead:
     def __init__(self) -> None:
         self.frames: dict[int, dict[str, Arrays]] = {}
         self.version = 0  # changes whenever they do
-        self._of: tuple[Stretch, tuple[Change, ...]] | None = None
+        self._of: tuple[SimulationStretch, tuple[ParamChange, ...]] | None = None
         self._world: World | None = None
         self._stopped = False
 
@@ -67,6 +67,8 @@ class Ahead:
 
     def _last_frame(self, session: Session) -> int:
         """The frame that it goes to."""
-        count = max(1, min(round(SECONDS / session.world.dt), _BYTES // (12 * max(1, len(session.world)))))
+        count = max(
+            1, min(round(LOOK_AHEAD_SECONDS / session.world.dt), _MAX_POSITION_BYTES // (12 * max(1, len(session.world))))
+        )
         next_stretch = session.timeline.next_stretch(session.timeline.at(session.frame))
         return session.frame + count if next_stretch is None else min(session.frame + count, next_stretch.first)

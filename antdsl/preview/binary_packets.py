@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-MAGIC = b"ant1"
-_TYPES = frozenset(("f4", "i4", "u4", "u1", "i1", "u2", "i2"))
+PACKET_MAGIC = b"ant1"
+_ALLOWED_DTYPES = frozenset(("f4", "i4", "u4", "u1", "i1", "u2", "i2"))
 
 
 def pack(slot: str, arrays: Mapping[str, NDArray[Any]], **header: Any) -> bytes:
@@ -21,7 +21,7 @@ def pack(slot: str, arrays: Mapping[str, NDArray[Any]], **header: Any) -> bytes:
     little = {name: np.ascontiguousarray(array) for name, array in arrays.items()}
     types = {name: f"{array.dtype.kind}{array.dtype.itemsize}" for name, array in little.items()}
     for name, kind in types.items():
-        if kind not in _TYPES:
+        if kind not in _ALLOWED_DTYPES:
             raise TypeError(f"`{name}` is {little[name].dtype}, which packets do not support")
 
     def text(start: int) -> tuple[bytes, int]:
@@ -39,7 +39,7 @@ def pack(slot: str, arrays: Mapping[str, NDArray[Any]], **header: Any) -> bytes:
         if 8 + len(said) <= start:
             break
         start = -(-(8 + len(said)) // 8) * 8
-    parts: list[Any] = [MAGIC, struct.pack("<I", len(said)), said]
+    parts: list[Any] = [PACKET_MAGIC, struct.pack("<I", len(said)), said]
     at = 8 + len(said)
     for (_, _, _, offset), array in zip(listed, little.values(), strict=True):
         parts += [bytes(offset - at), array.astype(array.dtype.newbyteorder("<"), copy=False).reshape(-1).view(np.uint8)]
@@ -49,7 +49,7 @@ def pack(slot: str, arrays: Mapping[str, NDArray[Any]], **header: Any) -> bytes:
 
 def unpack(packet: bytes) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
     """Header and flat arrays of a packet. ValueError for anything else."""
-    if packet[:4] != MAGIC or len(packet) < 8:
+    if packet[:4] != PACKET_MAGIC or len(packet) < 8:
         raise ValueError("not a packet")
     (length,) = struct.unpack("<I", packet[4:8])
     header = json.loads(packet[8 : 8 + length])

@@ -10,12 +10,12 @@ from pathlib import Path
 
 from antdsl import syntax
 from antdsl.diagnostics import Report
-from antdsl.loading import Parsed
-from antdsl.pipeline import Choices, Shot, open_scene
+from antdsl.loading import ParsedFileCache
+from antdsl.pipeline import RunChoices, Shot, open_scene
 from antdsl.preview.speculative import PrecompiledShot
 from antdsl.reload import Migration, take_over
 from antdsl.runtime import BindError, BindingCache, World
-from antdsl.scene.paths import Sought, record_sought, reopen
+from antdsl.scene.paths import RequestedPaths, record_sought, reopen
 from antdsl.source import Source
 
 
@@ -26,24 +26,24 @@ class Compiler:
     scene: Path
     instead: dict[Path, str] = field(default_factory=dict)
     built: BindingCache = field(default_factory=BindingCache)
-    _parsed: Parsed = field(default_factory=dict)
-    _files: Sought = field(default_factory=dict)  # that the last shot was made of
-    _tried: Sought = field(default_factory=dict)  # the last requested ones, also those that do not exist
+    _parsed: ParsedFileCache = field(default_factory=dict)
+    _files: RequestedPaths = field(default_factory=dict)  # that the last shot was made of
+    _tried: RequestedPaths = field(default_factory=dict)  # the last requested ones, also those that do not exist
     _foreseen: PrecompiledShot | None = None
 
-    def precompile(self, choices: Choices | None = None) -> None:
+    def precompile(self, choices: RunChoices | None = None) -> None:
         """Open the shot ahead of time, for an `open` that soon follows. `open` then checks whether the files are unchanged."""
         self._foreseen = None
-        choices = choices or Choices()
+        choices = choices or RunChoices()
         shot, report = self.open(choices)
         if shot is not None and report.ok:
             self._foreseen = PrecompiledShot(shot, report, choices, dict(self.instead), dict(self._parsed))
 
-    def open(self, choices: Choices | None = None) -> tuple[Shot | None, Report]:
+    def open(self, choices: RunChoices | None = None) -> tuple[Shot | None, Report]:
         """Return the shot of the current files, or None if it cannot be made; and the findings."""
         self._forget_changed()
         foreseen, self._foreseen = self._foreseen, None
-        if foreseen is not None and foreseen.is_current(choices or Choices(), self.instead, self._parsed):
+        if foreseen is not None and foreseen.is_current(choices or RunChoices(), self.instead, self._parsed):
             return foreseen.shot, foreseen.report
         with _without_garbage_collection(), record_sought() as sought_files:
             shot, report = open_scene(self.scene, choices, parsed=self._parsed, thorough=False)
@@ -62,10 +62,10 @@ class Compiler:
         self.built.drop_unused()
         return new_world, migration, Report()
 
-    def files(self) -> Sought:
+    def files(self) -> RequestedPaths:
         """All files that the scene was last made of, and those that it was tried with since: some may not be there yet. Each with
         the root below which no link is followed."""
-        roots_by_path: Sought = {self.scene: None, **self._files, **self._tried}
+        roots_by_path: RequestedPaths = {self.scene: None, **self._files, **self._tried}
         for path in map(Path, self._parsed):
             roots_by_path.setdefault(path, path.parent)
         return roots_by_path

@@ -11,10 +11,10 @@ from pathlib import Path
 from antdsl import syntax
 from antdsl.syntax import nodes
 
-Off = Mapping[tuple[str, str], Path]
+DisabledLayers = Mapping[tuple[str, str], Path]
 
 
-def texts_without_layers(off: Off) -> tuple[dict[Path, str], list[tuple[str, str]]]:
+def texts_without_layers(off: DisabledLayers) -> tuple[dict[Path, str], list[tuple[str, str]]]:
     """Return the files' texts without the layers that are off (by species and text), and the layers that no longer exist. An
     unreadable file is left unchanged; compiling it reports the error."""
     texts: dict[Path, str] = {}

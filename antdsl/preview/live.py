@@ -12,11 +12,11 @@ from time import monotonic
 from typing import TYPE_CHECKING, Any, Protocol, TypeVar
 
 from antdsl.diagnostics import Report
-from antdsl.pipeline import Choices
+from antdsl.pipeline import RunChoices
 from antdsl.preview.ahead import Ahead
 from antdsl.preview.compiling import Compiler
-from antdsl.preview.doing import HANDLERS, WITHOUT_SESSION
-from antdsl.preview.observing.observer import Observer, Stop
+from antdsl.preview.doing import HANDLER_BY_REQUEST, SESSIONLESS_REQUESTS
+from antdsl.preview.observing.observer import Observer, PauseReason
 from antdsl.preview.requests import Ask, Breaks, Explain, Look, Profile, Refusal, Seek, Set
 from antdsl.preview.session import Session
 from antdsl.preview.watch import FileWatch
@@ -25,16 +25,16 @@ from antdsl.runtime import Options
 if TYPE_CHECKING:
     from antdsl.preview.observing.explainer import Explainer
 
-_WAITING = 256  # asks that may wait
-_POLL = 0.02  # seconds between two looks at the files
-_IDLE = 0.5  # seconds that the thread sleeps at most when there is nothing to do
-_BEHIND = 0.1  # seconds of steps that are caught up with; more are left out
-_NOTHING = Look(op="look", columns=(), fields=(), flows=(), planned=None)  # what a page looks at before it says so
-_AFTER_BUG = 0.25  # seconds of rest, lest the terminal run over
-_ASKING = 0.05  # seconds of doing what pages ask after which time goes on
-_SEEKING = 0.05  # seconds of going back after which others are heard
-_AHEAD = 0.02  # the same of simulating ahead
-_BUG = "this is a bug in antdsl: the terminal says more"
+_MAX_QUEUED_REQUESTS = 256  # asks that may wait
+_FILE_POLL_SECONDS = 0.02  # seconds between two looks at the files
+_MAX_SLEEP_SECONDS = 0.5  # seconds that the thread sleeps at most when there is nothing to do
+_MAX_CATCH_UP_SECONDS = 0.1  # seconds of steps that are caught up with; more are left out
+_EMPTY_LOOK = Look(op="look", columns=(), fields=(), flows=(), planned=None)  # what a page looks at before it says so
+_PAUSE_AFTER_BUG_SECONDS = 0.25  # seconds of rest, lest the terminal run over
+_MAX_REQUEST_SECONDS = 0.05  # seconds of doing what pages ask after which time goes on
+_MAX_SEEK_SECONDS = 0.05  # seconds of going back after which others are heard
+_MAX_LOOK_AHEAD_SECONDS = 0.02  # the same of simulating ahead
+_BUG_MESSAGE = "this is a bug in antdsl: the terminal says more"
 O = TypeVar("O")  # noqa: E741
 
 
@@ -60,7 +60,7 @@ class Live:
 
     @classmethod
     def open(
-        cls, scene: Path, choices: Choices | None = None, options: Options | None = None, *, watch: bool = True, **how: int
+        cls, scene: Path, choices: RunChoices | None = None, options: Options | None = None, *, watch: bool = True, **how: int
     ) -> Live:
         """Return a Live of a scene file. If the file has errors, the session opens as soon as they are fixed. `how` as in
         `Session.open`."""
@@ -71,21 +71,21 @@ class Live:
         return live
 
     def _begin(self, compiler: Compiler, session: Session | None, report: Report, watch: bool) -> None:
-        from antdsl.preview.observing.observers import OBSERVERS
-        from antdsl.preview.viewing.screen import Screen
+        from antdsl.preview.observing.observers import OBSERVER_MAKERS
+        from antdsl.preview.viewing.screen import PageScreen
 
         self.compiler, self._session, self.report = compiler, session, report
-        self._how: tuple[Choices | None, Options | None, dict[str, int]] = (None, None, {})
+        self._how: tuple[RunChoices | None, Options | None, dict[str, int]] = (None, None, {})
         self.speed = 1.0  # of the clock; 0: as fast as it goes
         self.light: int | None = None  # a frame that is shown as it is remembered; the session is elsewhere
         self._target: int | None = None  # a frame on the way to which the session simulates again
         self._steps = 0  # pending steps, apart from playing
-        self.stop_at: Stop | None = None  # why it paused, if automatic
+        self.stop_at: PauseReason | None = None  # why it paused, if automatic
         self.clients: dict[Client, Look] = {}
-        self.screen, self.ahead = Screen(self), Ahead()
+        self.screen, self.ahead = PageScreen(self), Ahead()
         self.explainer: Explainer | None = None
         self.observers: list[Observer] = []
-        for make in OBSERVERS:
+        for make in OBSERVER_MAKERS:
             self.observers.append(make(self))
         self._watch = FileWatch(compiler.files, opened=compiler.open_file) if watch else None
         self._queue: deque[tuple[Ask | str, Client]] = deque()
@@ -120,7 +120,7 @@ class Live:
 
     def _enqueue(self, what: Ask | str, client: Client) -> None:
         with self._changed:
-            if len(self._queue) >= _WAITING and not isinstance(what, str):
+            if len(self._queue) >= _MAX_QUEUED_REQUESTS and not isinstance(what, str):
                 raise QueueFull
             self._queue.append((what, client))
             self._changed.notify()
@@ -182,7 +182,7 @@ class Live:
     def play(self) -> None:
         self.session.playing, self.stop_at, self._due = True, None, monotonic()
 
-    def pause(self, why: Stop | None = None) -> None:
+    def pause(self, why: PauseReason | None = None) -> None:
         """Pause, and drop pending steps. After an automatic stop the frame is marked."""
         if why is not None:
             self.session.timeline.stop(self.session.frame, why.line)
@@ -234,20 +234,20 @@ class Live:
                 traceback.print_exc(file=sys.stderr)
                 if self._session is not None:
                     self._target = None
-                    self.pause(Stop(_BUG))
-                self.tell_all({"op": "refused", "of": "play", "message": _BUG, "help": "press restart, and report it"})
+                    self.pause(PauseReason(_BUG_MESSAGE))
+                self.tell_all({"op": "refused", "of": "play", "message": _BUG_MESSAGE, "help": "press restart, and report it"})
                 with self._changed:
-                    self._changed.wait(_AFTER_BUG)
+                    self._changed.wait(_PAUSE_AFTER_BUG_SECONDS)
 
     def _run_once(self) -> None:
-        until = monotonic() + _ASKING
+        until = monotonic() + _MAX_REQUEST_SECONDS
         while self._queue and not self._over:
             self._process(*self._queue.popleft())
             if monotonic() > until:
                 break  # many requests of one client do not block display to the others
         now = monotonic()
         if self._watch is not None and now >= self._poll:
-            self._poll = now + _POLL
+            self._poll = now + _FILE_POLL_SECONDS
             changed = self._watch.poll()
             if not changed and self._watch.is_being_written() and self._session is not None:
                 self._session.precompile()  # a file that has just changed may still be being written: the wait is made use of
@@ -263,7 +263,7 @@ class Live:
     def _advance(self, session: Session) -> None:
         """Advance: a part of the way back, a requested step, or the next one of playing."""
         if self._target is not None:
-            end = monotonic() + _SEEKING
+            end = monotonic() + _MAX_SEEK_SECONDS
             while session.frame != self._target and monotonic() < end:
                 session.seek(session.frame + 1)
             if session.frame == self._target:
@@ -274,8 +274,8 @@ class Live:
         elif session.playing and monotonic() >= self._due and self.step():
             now, last = monotonic(), session.shot.frames.last
             if session.frame == last:
-                self.pause(Stop(f"frame {last} is the scene's last: play goes on behind it"))
-            self._due = now if self.speed == 0 else max(self._due + session.world.dt / self.speed, now - _BEHIND)
+                self.pause(PauseReason(f"frame {last} is the scene's last: play goes on behind it"))
+            self._due = now if self.speed == 0 else max(self._due + session.world.dt / self.speed, now - _MAX_CATCH_UP_SECONDS)
 
     def _look_ahead(self, session: Session) -> None:
         """Simulate future frames while a page shows them and no other request waits. During play, a frame for each one played,
@@ -284,7 +284,7 @@ class Live:
         if not self.screen.needs_look_ahead(session):
             self.ahead.clear()
         elif self._may_look_ahead(session):
-            until = monotonic() + _AHEAD
+            until = monotonic() + _MAX_LOOK_AHEAD_SECONDS
             if session.playing:
                 until = min(until, self._due)
             while not self._queue and self.ahead.lacks(session):
@@ -298,7 +298,7 @@ class Live:
         return self.screen.needs_look_ahead(session) and not self.is_seeking and self.light is None
 
     def _sleep(self) -> None:
-        until = monotonic() + _IDLE
+        until = monotonic() + _MAX_SLEEP_SECONDS
         if self._watch is not None:
             until = min(until, self._poll)
         if self._session is not None and (self._session.playing or self.is_seeking):
@@ -312,7 +312,7 @@ class Live:
 
     def _process(self, what: Ask | str, client: Client) -> None:
         if what == "join":
-            self.clients[client] = _NOTHING
+            self.clients[client] = _EMPTY_LOOK
             self.screen.greet(client)
         elif what == "leave":
             self.clients.pop(client, None)
@@ -336,15 +336,15 @@ class Live:
             self._later = [*held, (ask, client)]
             return
         try:
-            if self._session is None and type(ask) not in WITHOUT_SESSION:
+            if self._session is None and type(ask) not in SESSIONLESS_REQUESTS:
                 words = "there is nothing to play yet: the scene has errors"
                 raise Refusal(words, "correct them and save; it starts automatically")
-            HANDLERS[type(ask)](self, ask, client)
+            HANDLER_BY_REQUEST[type(ask)](self, ask, client)
         except Refusal as why:
             client.tell({"op": "refused", "of": ask.op, "message": why.message, "help": why.help})
         except Exception:
             traceback.print_exc(file=sys.stderr)
-            client.tell({"op": "refused", "of": ask.op, "message": _BUG, "help": "the earlier simulation continues"})
+            client.tell({"op": "refused", "of": ask.op, "message": _BUG_MESSAGE, "help": "the earlier simulation continues"})
         self.screen.on_action()
 
     def _try_to_open(self) -> None:

@@ -11,24 +11,24 @@ from pathlib import Path
 
 from antdsl import limits
 from antdsl.diagnostics import Report
-from antdsl.pipeline import Choices, Shot
+from antdsl.pipeline import RunChoices, Shot
 from antdsl.plan.ir import Plan
 from antdsl.plan.traverse import field_nodes, operands, required_nodes, statements
 from antdsl.preview.agent_columns import Arrays
 from antdsl.preview.compiling import Compiler
-from antdsl.preview.layer_order import Off, texts_without_layers
+from antdsl.preview.layer_order import DisabledLayers, texts_without_layers
 from antdsl.preview.speculative import changed_files_text
-from antdsl.preview.timeline import Stretch, Timeline, nearest_checkpoint
+from antdsl.preview.timeline import SimulationStretch, Timeline, nearest_checkpoint
 from antdsl.reload import migration_line
 from antdsl.runtime import BindError, FaultStop, LimitStop, Options, World, bind, state_hash, step
 from antdsl.runtime.binding.start_findings import start_warnings
-from antdsl.runtime.profiling import Meter
+from antdsl.runtime.profiling import StepMeter
 from antdsl.scene.field_settings import settable_names
 from antdsl.scene.matching import check_param
 from antdsl.scene.quantities import Quantity, QuantityError, parse_quantity
 
-_AGAIN = "simulated again from the first frame"
-_LAYER = 60  # letters of a layer in messages
+_RESTARTED_TEXT = "simulated again from the first frame"
+_MAX_LAYER_CHARACTERS = 60  # letters of a layer in messages
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,15 +56,15 @@ class Session:
         self.playing = False
         self.fault: str | None = None  # of the last step
         self._before_off: dict[str, dict[str, str]] = {}  # what was set of fields that are off
-        self.meter: Meter | None = None  # measures each step while there is one; see `measure`
+        self.meter: StepMeter | None = None  # measures each step while there is one; see `measure`
         self.on_world: Callable[[Session], None] | None = None  # called when `world` is another one than before
-        self._stretch: Stretch
+        self._stretch: SimulationStretch
 
     @classmethod
     def open(
         cls,
         scene: Path,
-        choices: Choices | None = None,
+        choices: RunChoices | None = None,
         options: Options | None = None,
         *,
         every: int = 24,
@@ -74,7 +74,7 @@ class Session:
         """Return a session at the scene's first simulated frame, or None, and a report. A checkpoint each `every` frames;
         `budget` bytes of memory for all that is stored. `compiler`: one that has tried this scene before."""
         session = cls(compiler or Compiler(scene), options or Options(), Timeline(every, budget))
-        report = session._start_over(choices or Choices(), {}).report
+        report = session._start_over(choices or RunChoices(), {}).report
         return (session if report.ok else None), report
 
     # --- time --------------------------------------------------------------------------------------------------------
@@ -84,7 +84,7 @@ class Session:
         return self._stretch.shot
 
     @property
-    def disabled_layers(self) -> Off:
+    def disabled_layers(self) -> DisabledLayers:
         """Layers that are off, by species and text, with the file that each stands in."""
         return self._stretch.off
 
@@ -112,7 +112,7 @@ class Session:
         return any(not stretch.fresh or stretch.changes for stretch in self.timeline.stretches)
 
     @property
-    def choices(self) -> Choices:
+    def choices(self) -> RunChoices:
         """What was set by hand, as of this frame."""
         changed = {c.name: c.text for c in self._stretch.changes if c.frame <= self.frame}
         return replace(self._stretch.choices, params={**self._stretch.choices.params, **changed})
@@ -173,15 +173,15 @@ class Session:
         """Start or stop measuring what each step spends its time on, in `meter`. Results do not change."""
         if self.meter is not None:
             self.meter.stop()
-        self.meter = Meter() if on else None
+        self.meter = StepMeter() if on else None
 
-    def _restore(self, stretch: Stretch, frame: int) -> None:
+    def _restore(self, stretch: SimulationStretch, frame: int) -> None:
         """Restore a stretch at a checkpoint, in a world without digging yet."""
         world = stretch.world(stretch.checkpoints[frame], self.options, self.compiler.built)
         world.watchers = self.world.watchers
         self._enter(world, stretch)
 
-    def _enter(self, world: World, stretch: Stretch) -> None:
+    def _enter(self, world: World, stretch: SimulationStretch) -> None:
         self._stretch, self.world = stretch, world
         if self.on_world is not None:
             self.on_world(self)
@@ -254,7 +254,7 @@ class Session:
         of `antdsl run` once the files contain the lines for the settings."""
         return self._start_over(self.choices, self._stretch.off)
 
-    def _start_over(self, choices: Choices, off: Off) -> Outcome:
+    def _start_over(self, choices: RunChoices, off: DisabledLayers) -> Outcome:
         shot, report, _ = self._compile(choices, off)
         if shot is None or not report.ok:
             return Outcome(report)
@@ -263,14 +263,14 @@ class Session:
         except BindError as why:
             return Outcome(why.report)
         report.extend(start_warnings(shot.scene, world))
-        self.timeline = self.timeline.restarted(_AGAIN)
-        stretch = Stretch(shot, world.frame, "from the first frame", world.origin, choices, off)
+        self.timeline = self.timeline.restarted(_RESTARTED_TEXT)
+        stretch = SimulationStretch(shot, world.frame, "from the first frame", world.origin, choices, off)
         self.timeline.start(stretch, world)
         self.fault = None
         self._enter(world, stretch)
-        return Outcome(report, f"{len(self.world):,} agents from frame {self.frame}", did=_AGAIN)
+        return Outcome(report, f"{len(self.world):,} agents from frame {self.frame}", did=_RESTARTED_TEXT)
 
-    def _compile(self, choices: Choices, off: Off) -> tuple[Shot | None, Report, list[tuple[str, str]]]:
+    def _compile(self, choices: RunChoices, off: DisabledLayers) -> tuple[Shot | None, Report, list[tuple[str, str]]]:
         """Return the shot of the files with these choices, and the layers that no longer exist."""
         previous_texts = self.compiler.instead
         self.compiler.instead, missing_layers = texts_without_layers(off)
@@ -279,7 +279,7 @@ class Session:
             self.compiler.instead = previous_texts
         return shot, report, missing_layers
 
-    def _recompile(self, choices: Choices, off: Off, text: str = "", did: str | None = None) -> Outcome:
+    def _recompile(self, choices: RunChoices, off: DisabledLayers, text: str = "", did: str | None = None) -> Outcome:
         """Go on with the current files and other choices. Without `did`, it is the files that may have changed."""
         shot, report, missing_layers = self._compile(choices, off)
         if shot is None or not report.ok:
@@ -298,7 +298,7 @@ class Session:
         report.extend(start_warnings(shot.scene, world))
         line = " · ".join([migration_line(migration), *(f"layer `{layer}` is gone" for _, layer in missing_layers)])
         off = {key: path for key, path in off.items() if key not in missing_layers}
-        stretch = Stretch(shot, world.frame, did, world.origin, choices, off)
+        stretch = SimulationStretch(shot, world.frame, did, world.origin, choices, off)
         stretch.replace(self._stretch, self.world, world)
         self.timeline.start(stretch, world)
         self._enter(world, stretch)
@@ -313,7 +313,7 @@ class Session:
         self.timeline.cut(self.frame, line)
         return line
 
-    def _drop_unknown(self, choices: Choices, off: Off) -> tuple[Choices, list[str]]:
+    def _drop_unknown(self, choices: RunChoices, off: DisabledLayers) -> tuple[RunChoices, list[str]]:
         """Return the choices without values that the current files cannot use, and a text for each dropped value."""
         shot, report, _ = self._compile(replace(choices, params={}), off)
         if shot is None or not report.ok:
@@ -326,7 +326,7 @@ class Session:
 def _short_text(text: str) -> str:
     """A layer's text in a line."""
     words = " ".join(text.split())
-    return words if len(words) <= _LAYER else f"{words[: _LAYER - 1]}…"
+    return words if len(words) <= _MAX_LAYER_CHARACTERS else f"{words[: _MAX_LAYER_CHARACTERS - 1]}…"
 
 
 def silencing_settings(field: str) -> dict[str, str]:

@@ -9,13 +9,13 @@ from pathlib import Path
 
 from antdsl import limits
 from antdsl.diagnostics import Report
-from antdsl.loading import Parsed
-from antdsl.pipeline import Choices, Shot
-from antdsl.scene.document import MappingNode, Node, SequenceNode, decode
+from antdsl.loading import ParsedFileCache
+from antdsl.pipeline import RunChoices, Shot
+from antdsl.scene.document import DocumentNode, MappingNode, SequenceNode, decode
 from antdsl.scene.paths import PathRefused, read_named
 from antdsl.source import Source
 
-_NAMED = 3  # files reported by name
+_MAX_NAMED_FILES = 3  # files reported by name
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -24,11 +24,11 @@ class PrecompiledShot:
 
     shot: Shot
     report: Report
-    choices: Choices
+    choices: RunChoices
     instead: Mapping[Path, str]
-    parsed: Parsed
+    parsed: ParsedFileCache
 
-    def is_current(self, choices: Choices, instead: Mapping[Path, str], parsed: Parsed) -> bool:
+    def is_current(self, choices: RunChoices, instead: Mapping[Path, str], parsed: ParsedFileCache) -> bool:
         """Return whether opening again would give the same shot. `parsed` has the current programs: equal texts give identical
         objects."""
         return (
@@ -50,7 +50,7 @@ class PrecompiledShot:
             if place.suffix == ".ant" or name in ("antdsl", "scene") or name.startswith(("--set ", "set ")):
                 continue
             try:
-                data = roots.read(name, limits.MESH_BYTES)
+                data = roots.read(name, limits.MAX_MESH_BYTES)
             except PathRefused:
                 return False  # it is gone
             if blake2b(data, digest_size=16).hexdigest() != known:
@@ -58,10 +58,10 @@ class PrecompiledShot:
         return True
 
 
-def sources(document: Node) -> Iterator[Source]:
+def sources(document: DocumentNode) -> Iterator[Source]:
     """Yield the texts that contain parts of a scene, including an extended scene."""
     known_sources: set[Source] = set()
-    stack: list[Node] = [document]
+    stack: list[DocumentNode] = [document]
     while stack:
         node = stack.pop()
         if node.span.source not in known_sources:
@@ -75,7 +75,7 @@ def sources(document: Node) -> Iterator[Source]:
 
 def _is_same_text(source: Source) -> bool:
     try:
-        now, report = decode(read_named(Path(source.path), limits.SCENE_BYTES), source.path)
+        now, report = decode(read_named(Path(source.path), limits.MAX_SCENE_BYTES), source.path)
     except PathRefused:
         return False
     return report.ok and now.text == source.text
@@ -91,8 +91,8 @@ def changed_files_text(old: Shot, new: Shot) -> str:
     others = {name for name in old.inputs.keys() & new.inputs.keys() if old.inputs[name] != new.inputs[name]}
     differences += sorted(name for name in others if name not in new_texts and Path(name).suffix)  # meshes and such
     differences += [f"{name} was removed" for name in old_texts if name not in new_texts]
-    remainder = f" and {len(differences) - _NAMED} more" if len(differences) > _NAMED else ""
-    return ", ".join(differences[:_NAMED]) + remainder
+    remainder = f" and {len(differences) - _MAX_NAMED_FILES} more" if len(differences) > _MAX_NAMED_FILES else ""
+    return ", ".join(differences[:_MAX_NAMED_FILES]) + remainder
 
 
 def _texts(shot: Shot) -> dict[str, str]:

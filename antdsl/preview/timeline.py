@@ -11,16 +11,16 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl.pipeline import Choices, Shot
+from antdsl.pipeline import RunChoices, Shot
 from antdsl.preview.agent_columns import Arrays, light_frame
 from antdsl.runtime import BindingCache, Options, World, checkpoint, restore, set_param, state_hash
 from antdsl.runtime.binding.bind_world import bind_empty
 
-_LIGHT = 0.25  # of the budget, that light frames keep
-_POSES = 0.125  # of the budget, that what bodies did keeps
-_CURVES = 50_000  # frames
-_BRANCHES = 8
-_STOPS = 256
+_LIGHT_BUDGET_SHARE = 0.25  # of the budget, that light frames keep
+_POSES_BUDGET_SHARE = 0.125  # of the budget, that what bodies did keeps
+_MAX_CURVE_FRAMES = 50_000  # frames
+_MAX_BRANCHES = 8
+_MAX_STOPS = 256
 
 
 class LightFrames(dict[int, Mapping[str, Arrays]]):
@@ -72,7 +72,7 @@ class Poses(dict[int, Mapping[str, SpeciesPoses]]):
 
 
 @dataclass(frozen=True, slots=True)
-class Change:
+class ParamChange:
     """A param's value from a frame on, as written and in base units; `was` is the one before."""
 
     frame: int
@@ -83,7 +83,7 @@ class Change:
 
 
 @dataclass(slots=True, eq=False)
-class Stretch:
+class SimulationStretch:
     """Frames from `first` on that one shot made. `line` says how it came about; `choices` and `off` are the manual settings at
     that time. `off` has layers by species and text, with the file of each. `changes` are params set on the way. `fresh`: up to
     its first frame, all is as in a run without edits."""
@@ -92,14 +92,14 @@ class Stretch:
     first: int
     line: str
     origin: NDArray[np.float64]
-    choices: Choices
+    choices: RunChoices
     off: Mapping[tuple[str, str], Path] = field(default_factory=dict)
     checkpoints: dict[int, Arrays] = field(default_factory=dict)
-    changes: list[Change] = field(default_factory=list)
+    changes: list[ParamChange] = field(default_factory=list)
     fresh: bool = True
     _unedited: tuple[object, str] | None = None  # what an unedited run to its first frame is made of, and the hash there
 
-    def replace(self, previous: Stretch, old: World, world: World) -> None:
+    def replace(self, previous: SimulationStretch, old: World, world: World) -> None:
         """Replace the stretch `previous` at the frame of `old`, with `world`, which was made from `old`. The stretch still counts
         as a fresh run if an edit was undone at the frame of the edit and nothing was lost."""
         if previous.first == old.frame and previous._unedited is not None:
@@ -118,7 +118,7 @@ class Stretch:
         was = current_changes[0].was if current_changes else float(world.params[name])
         self.changes = [each for each in self.changes if each not in current_changes]
         if np.float32(value) != np.float32(was):
-            self.changes.append(Change(world.frame, name, text, value, was))
+            self.changes.append(ParamChange(world.frame, name, text, value, was))
         set_param(world, name, value)
 
     def world(self, arrays: Arrays, options: Options, built: BindingCache) -> World:
@@ -135,7 +135,7 @@ class Stretch:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Branch:
+class TimelineBranch:
     """The history that was replaced from frame `first` on. Its curves are displayed next to the new ones."""
 
     first: int
@@ -154,8 +154,8 @@ class Timeline:
 
     def __init__(self, every: int, budget: int) -> None:
         self.every, self.budget = every, budget
-        self.stretches: list[Stretch] = []
-        self.branches: list[Branch] = []
+        self.stretches: list[SimulationStretch] = []
+        self.branches: list[TimelineBranch] = []
         self.curves: dict[int, dict[str, float]] = {}
         self.stops: dict[int, str] = {}
         self.light = LightFrames()
@@ -172,15 +172,15 @@ class Timeline:
         """Return the memory of all that is stored but curves."""
         return self._bytes + self.light.nbytes + self.poses.nbytes
 
-    def at(self, frame: int) -> Stretch:
+    def at(self, frame: int) -> SimulationStretch:
         """The stretch that a frame belongs to: where two meet, the later one."""
         return next(stretch for stretch in reversed(self.stretches) if stretch.first <= frame)
 
-    def next_stretch(self, stretch: Stretch) -> Stretch | None:
+    def next_stretch(self, stretch: SimulationStretch) -> SimulationStretch | None:
         number = self.stretches.index(stretch) + 1
         return self.stretches[number] if number < len(self.stretches) else None
 
-    def start(self, stretch: Stretch, world: World) -> None:
+    def start(self, stretch: SimulationStretch, world: World) -> None:
         """Continue with another stretch from its first frame. The old history from that frame on becomes a branch."""
         self.cut(stretch.first, stretch.line)
         self.curves.pop(stretch.first, None)  # to be measured again
@@ -193,7 +193,7 @@ class Timeline:
         """Drop everything after a frame except its curves."""
         old = {each: values for each, values in self.curves.items() if each > frame}
         if old:
-            self._add_branch(Branch(frame, line, old))
+            self._add_branch(TimelineBranch(frame, line, old))
         self.stops = {each: why for each, why in self.stops.items() if each <= frame}
         for each_stretch in [each for each in self.stretches if each.first > frame]:
             self._drop_stretch(each_stretch)
@@ -212,26 +212,26 @@ class Timeline:
         timeline = Timeline(self.every, self.budget)
         timeline.branches = self.branches
         if len(self.curves) > 1:
-            timeline._add_branch(Branch(next(iter(self.curves)), line, self.curves))
+            timeline._add_branch(TimelineBranch(next(iter(self.curves)), line, self.curves))
         return timeline
 
     def stop(self, frame: int, why: str) -> None:
         """Mark a frame as one at which play was stopped."""
         self.stops.pop(frame, None)
         self.stops[frame] = why
-        while len(self.stops) > _STOPS:
+        while len(self.stops) > _MAX_STOPS:
             del self.stops[next(iter(self.stops))]
 
-    def _add_branch(self, branch: Branch) -> None:
-        self.branches = [*self.branches[1 - _BRANCHES :], branch]
+    def _add_branch(self, branch: TimelineBranch) -> None:
+        self.branches = [*self.branches[1 - _MAX_BRANCHES :], branch]
 
-    def store_frame(self, stretch: Stretch, world: World) -> None:
+    def store_frame(self, stretch: SimulationStretch, world: World) -> None:
         """Store the state of a world at its frame, once per frame, even if the frame is simulated again."""
         frame = world.frame
         fresh = not self.curves or frame > self.last_frame
         if fresh:
             self.curves[frame] = count_agents(world)
-            if len(self.curves) > _CURVES:
+            if len(self.curves) > _MAX_CURVE_FRAMES:
                 del self.curves[next(iter(self.curves))]
         if (frame == stretch.first and frame not in stretch.checkpoints) or (fresh and frame % self.every == 0):
             self._bytes -= _byte_count(stretch.checkpoints.get(frame, {}))
@@ -248,21 +248,21 @@ class Timeline:
         self.light.drop(frame)
         self.poses.drop(frame)
 
-    def _drop_stretch(self, stretch: Stretch) -> None:
+    def _drop_stretch(self, stretch: SimulationStretch) -> None:
         self.stretches.remove(stretch)
         self._bytes -= sum(_byte_count(arrays) for arrays in stretch.checkpoints.values())
 
-    def _enforce_budget(self, current: Stretch) -> None:
+    def _enforce_budget(self, current: SimulationStretch) -> None:
         while self.nbytes > self.budget and self._drop_least_useful(current):
             pass
 
-    def _drop_least_useful(self, current: Stretch) -> bool:
+    def _drop_least_useful(self, current: SimulationStretch) -> bool:
         """Drop the data that is missed least. Return False if only one light frame and the first checkpoints of stretches are
         left."""
-        if self.poses.nbytes > _POSES * self.budget:
+        if self.poses.nbytes > _POSES_BUDGET_SHARE * self.budget:
             self.poses.drop(next(iter(self.poses)))
             return True
-        if self.light.nbytes <= _LIGHT * self.budget:
+        if self.light.nbytes <= _LIGHT_BUDGET_SHARE * self.budget:
             between = [entry for each in self.stretches for entry in _droppable_checkpoints(each)]
             if between:
                 _, _, frame, stretch = min(between, key=lambda each: each[:3])
@@ -278,7 +278,7 @@ class Timeline:
         return len(self.light) > 1
 
 
-def _droppable_checkpoints(stretch: Stretch) -> Iterator[tuple[bool, int, int, Stretch]]:
+def _droppable_checkpoints(stretch: SimulationStretch) -> Iterator[tuple[bool, int, int, SimulationStretch]]:
     """Yield the checkpoints of a stretch except the first: whether it is the last one, the longest simulation without it
     (frames), its frame, the stretch."""
     frames = sorted(stretch.checkpoints)
@@ -303,6 +303,6 @@ def _byte_count(arrays: Arrays) -> int:
     return sum(array.nbytes for array in arrays.values())
 
 
-def nearest_checkpoint(stretch: Stretch, frame: int) -> int:
+def nearest_checkpoint(stretch: SimulationStretch, frame: int) -> int:
     """Return the last frame of the stretch with a checkpoint, at or before `frame`."""
     return max(each for each in stretch.checkpoints if each <= frame)

@@ -13,22 +13,22 @@ from time import monotonic
 
 from antdsl.bounded import TooLarge, open_regular, read_blocks
 
-_QUIET = 0.03  # seconds that a file has to stay as it is
-_ABSENT = 0.3  # the same for one that is not there or empty: half of a save by most editors
-_AGAIN = 1.0  # seconds after which small files are read though nothing tells of a change: clocks of disks can be coarse
-_SMALL = 1 << 20
-_AT_ONCE = 1 << 20  # bytes of such files that are read in one look
-_READ = 1 << 26  # bytes of one file that are read; a larger one is known by its date and size alone
-_UNKNOWN = b""  # no hash of any contents
+_UNCHANGED_SECONDS = 0.03  # seconds that a file has to stay as it is
+_MISSING_FILE_SECONDS = 0.3  # the same for one that is not there or empty: half of a save by most editors
+_REREAD_SECONDS = 1.0  # seconds after which small files are read though nothing tells of a change: clocks of disks can be coarse
+_SMALL_FILE_BYTES = 1 << 20
+_REREAD_BYTES_PER_POLL = 1 << 20  # bytes of such files that are read in one look
+_MAX_READ_BYTES = 1 << 26  # bytes of one file that are read; a larger one is known by its date and size alone
+_UNKNOWN_HASH = b""  # no hash of any contents
 
-Stamp = tuple[int, int, int] | None
+FileStamp = tuple[int, int, int] | None
 
 
 @dataclass(slots=True)
 class _WatchedFile:
-    stamp: Stamp
+    stamp: FileStamp
     contents: bytes | None  # a hash; None for a file that is not there
-    held: Stamp  # when that was read
+    held: FileStamp  # when that was read
     since: float | None = None  # when it was found other than before; None: nothing is up
     read: float = 0.0
     stirred: bool = False  # not reported yet
@@ -54,7 +54,7 @@ class FileWatch:
 
     def poll(self) -> tuple[Path, ...]:
         """Return the files with other contents than when they were last reported, or first seen, that no longer change."""
-        now, paths, self._left = self._clock(), list(dict.fromkeys(self._paths())), _AT_ONCE
+        now, paths, self._left = self._clock(), list(dict.fromkeys(self._paths())), _REREAD_BYTES_PER_POLL
         changed = [path for path in paths if path in self._files and self._is_changed(path, self._files[path], now)]
         for path in paths:
             if path not in self._files:
@@ -68,7 +68,7 @@ class FileWatch:
         they have their first contents then."""
         for path, file in self._files.items():
             if _stamp(path) != file.held:
-                file.contents = _UNKNOWN
+                file.contents = _UNKNOWN_HASH
 
     def is_being_written(self) -> bool:
         """Return whether a file changed and may still be being written. Reports each change once."""
@@ -88,10 +88,18 @@ class FileWatch:
         stamp = _stamp(path)
         if stamp != known.stamp:
             known.stamp, known.since, known.stirred = stamp, now, True
-        elif known.since is None and stamp is not None and stamp[1] <= _SMALL and now - known.read >= _AGAIN and self._left > 0:
+        elif (
+            known.since is None
+            and stamp is not None
+            and stamp[1] <= _SMALL_FILE_BYTES
+            and now - known.read >= _REREAD_SECONDS
+            and self._left > 0
+        ):
             known.since = now
             self._left -= stamp[1]
-        if known.since is None or now - known.since < (_ABSENT if stamp is None or stamp[1] == 0 else _QUIET):
+        if known.since is None or now - known.since < (
+            _MISSING_FILE_SECONDS if stamp is None or stamp[1] == 0 else _UNCHANGED_SECONDS
+        ):
             return False
         contents = self._contents(path)
         if _stamp(path) != stamp:  # written to while it was read
@@ -109,7 +117,7 @@ class FileWatch:
         except (OSError, ValueError):
             return None
         try:
-            for block in read_blocks(handle, _READ):
+            for block in read_blocks(handle, _MAX_READ_BYTES):
                 hashed.update(block)
         except TooLarge:
             return repr(_stamp(path)).encode()
@@ -120,7 +128,7 @@ class FileWatch:
         return hashed.digest()
 
 
-def _stamp(path: Path) -> Stamp:
+def _stamp(path: Path) -> FileStamp:
     try:
         status = os.stat(path)
     except (OSError, ValueError):

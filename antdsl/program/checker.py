@@ -14,12 +14,12 @@ from antdsl.program.declarations.behaviours import check_behaviour
 from antdsl.program.declarations.species import complete, draft
 from antdsl.program.declarations.specs import check_spec
 from antdsl.program.declarations.world import check_field, check_world_species, declare_fields, declare_world
-from antdsl.program.memo import Memo, cached_part, update_outside
-from antdsl.program.names.bindings import Bindings
-from antdsl.program.names.collect import Library, Loader, declare
-from antdsl.program.names.scope import Declared, FileNames, SpeciesNames
+from antdsl.program.memo import CheckMemo, cached_part, update_outside
+from antdsl.program.names.bindings import NameBindings
+from antdsl.program.names.collect import FileLoader, LibraryFinder, declare
+from antdsl.program.names.scope import Declarations, FileNames, SpeciesNames
 from antdsl.program.types.descriptions import quote_source
-from antdsl.program.types.rules import RULES
+from antdsl.program.types.rules import TYPING_RULES
 from antdsl.source import Span
 from antdsl.syntax import nodes
 from antdsl.syntax.parts import move_diagnostic
@@ -27,11 +27,11 @@ from antdsl.syntax.parts import move_diagnostic
 
 def check(
     files: nodes.File | Sequence[nodes.File],
-    library: Library,
+    library: LibraryFinder,
     modules: Mapping[str, nodes.File] | None = None,
     *,
     strict: bool = False,
-    memo: Memo | None = None,
+    memo: CheckMemo | None = None,
 ) -> tuple[model.Program, Report]:
     """Check names, types, units, rates and everything else that can be known of one or more files without a run.
 
@@ -40,8 +40,8 @@ def check(
     results of an earlier check for unchanged parts. A program with errors in the report can be inspected, but not lowered."""
     files = [files] if isinstance(files, nodes.File) else list(files)
     report = Report()
-    declared = Declared(RULES, report, strict, memo=memo)
-    loader = Loader(report, library, modules)
+    declared = Declarations(TYPING_RULES, report, strict, memo=memo)
+    loader = FileLoader(report, library, modules)
     declared.home, declared.shipped = loader.library_of, loader.library_behaviour
     names = [loader.file(file) for file in files]
     for each in names:
@@ -66,7 +66,7 @@ def check(
         if any(each.wanting for each in loader.known.values()):
             memo.known.clear()  # parts did not report what a missing `use` would bring
     repeated_spans = {first: tuple(dict.fromkeys(others)) for first, *others in declared.unknown.values() if others}
-    program = replace(program, bindings=Bindings(tuple(declared.bound)))
+    program = replace(program, bindings=NameBindings(tuple(declared.bound)))
     return program, drop_consequences(*_map_to_files(loader, add_all_places(report, repeated_spans), recovered))
 
 
@@ -99,7 +99,7 @@ def _keep_one_state(species: model.Species, machine: model.Machine, state: model
     return replace(species, machines=(replace(machine, states=(state,)),), layers=replace(species.layers, layers=()))
 
 
-def _map_to_files(loader: Loader, report: Report, recovered: Sequence[Span]) -> tuple[Report, list[Span]]:
+def _map_to_files(loader: FileLoader, report: Report, recovered: Sequence[Span]) -> tuple[Report, list[Span]]:
     """The same complaints and recovered places, in whole files instead of in parts of them."""
     files = {part: file.node for file in loader.known.values() for part in file.node.parts}
     if not files:
@@ -111,7 +111,7 @@ def _map_to_files(loader: Loader, report: Report, recovered: Sequence[Span]) -> 
     return Report([move_diagnostic(each, map_span) for each in report.diagnostics]), [map_span(span) for span in recovered]
 
 
-def _outside_key(declared: Declared, loader: Loader) -> Hashable:
+def _outside_key(declared: Declarations, loader: FileLoader) -> Hashable:
     """All that a part of the program can see of the others before the types of attributes are known."""
     things = [(t.name, t.kind, tuple((a.name, a.type) for a in t.attributes)) for t in declared.things.values()]
     machines = [
@@ -131,7 +131,7 @@ def _known_types(species: SpeciesNames) -> Hashable:
 
 
 def _assemble_program(
-    declared: Declared, names: Sequence[FileNames], fields: Iterable[tuple[FileNames, nodes.FieldDecl]]
+    declared: Declarations, names: Sequence[FileNames], fields: Iterable[tuple[FileNames, nodes.FieldDecl]]
 ) -> model.Program:
     made_fields = {node.name.text: field for file, node in fields if (field := check_field(declared, file, node)) is not None}
     drafts = []
@@ -157,7 +157,7 @@ def _assemble_program(
     )  # fmt: skip
 
 
-def _check_spec_names(declared: Declared, file: FileNames) -> None:
+def _check_spec_names(declared: Declarations, file: FileNames) -> None:
     """Check that each spec of a file has its own name: names distinguish specs in reports and stored results."""
     first: dict[str, Span] = {}
     for spec in (item for item in file.node.items if isinstance(item, nodes.Spec)):
@@ -181,7 +181,7 @@ def _unique_modules(names: Sequence[FileNames]) -> list[FileNames]:
     return list(modules.values())
 
 
-def _check_behaviours(declared: Declared, names: Sequence[FileNames]) -> None:
+def _check_behaviours(declared: Declarations, names: Sequence[FileNames]) -> None:
     """Check behaviours of the program's own files even if nothing calls them; those of the library are checked when they are
     called."""
     for file in names:

@@ -10,19 +10,21 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 from antdsl.diagnostics import Diagnostic, Label, Report
-from antdsl.program.tables.things import KINDS_OF_THINGS
+from antdsl.program.tables.things import KIND_BY_WORD
 from antdsl.source import Source, Span
 
-_WORDS = re.compile(r"[a-z_][a-z_0-9]*")
+_WORD_PATTERN = re.compile(r"[a-z_][a-z_0-9]*")
 # Complaints about a name that is missing: dropped where a line that was not understood could be its declaration.
-_MISSING = frozenset(("unknown-name", "unknown-state", "unknown-field", "unknown-species", "unknown-behaviour", "unknown-module"))
+_MISSING_NAME_CODES = frozenset(
+    ("unknown-name", "unknown-state", "unknown-field", "unknown-species", "unknown-behaviour", "unknown-module")
+)
 # Findings that something is left out: dropped where a misspelling of that very word is reported.
-_LEFT_OUT = frozenset(("missing-setting", "missing-start", "state-not-in-layers"))
-_FIRST_WORD = re.compile("`([a-z_]+)[^`]*`")
+_MISSING_PART_CODES = frozenset(("missing-setting", "missing-start", "state-not-in-layers"))
+_FIRST_WORD_PATTERN = re.compile("`([a-z_]+)[^`]*`")
 # A line that has come no further than the word that declares something.
-_NAMELESS = re.compile(rf"\s*(state|field|param|let|latch|fuzzy|{'|'.join(KINDS_OF_THINGS)})\s*")
-_HEAD = 3  # words of a line among which the name that it declares stands
-_MAX_PLACES = 12  # of the places where one thing is missing
+_NAMELESS_DECLARATION = re.compile(rf"\s*(state|field|param|let|latch|fuzzy|{'|'.join(KIND_BY_WORD)})\s*")
+_DECLARATION_WORDS = 3  # words of a line among which the name that it declares stands
+_MAX_LISTED_LOCATIONS = 12  # of the places where one thing is missing
 
 
 @dataclass(slots=True)
@@ -66,14 +68,14 @@ def merge_repeats(report: Report) -> Report:
 
 
 def _other_labels(diagnostic: Diagnostic, repeated_spans: Mapping[Span, Sequence[Span]]) -> tuple[Label, ...]:
-    spans = repeated_spans[diagnostic.span] if diagnostic.code in _MISSING and diagnostic.span else []
+    spans = repeated_spans[diagnostic.span] if diagnostic.code in _MISSING_NAME_CODES and diagnostic.span else []
     others = [each for each in spans if each != diagnostic.span]
     return (*diagnostic.labels, *_repeat_labels(others))
 
 
 def _repeat_labels(others: Sequence[Span]) -> list[Label]:
-    left = len(others) - _MAX_PLACES
-    labels = [Label(span, "and here") for span in others[:_MAX_PLACES]]
+    left = len(others) - _MAX_LISTED_LOCATIONS
+    labels = [Label(span, "and here") for span in others[:_MAX_LISTED_LOCATIONS]]
     if left > 0:
         labels[-1] = replace(labels[-1], text=f"and here, and at {left} more {'place' if left == 1 else 'places'}")
     return labels
@@ -81,7 +83,7 @@ def _repeat_labels(others: Sequence[Span]) -> list[Label]:
 
 def _is_misspelt_declaration(diagnostic: Diagnostic, twice: set[tuple[Source, str]]) -> bool:
     """Whether a name is missing, and two others of its kind are alike: one of them was to have it."""
-    if diagnostic.span is None or diagnostic.code not in _MISSING:
+    if diagnostic.span is None or diagnostic.code not in _MISSING_NAME_CODES:
         return False
     return any(
         source is diagnostic.span.source
@@ -93,27 +95,27 @@ def _is_misspelt_declaration(diagnostic: Diagnostic, twice: set[tuple[Source, st
 def _note_unread_lines(doubt: _UnreadLines, span: Span) -> None:
     first = span.source.line_column(span.start)[0]
     last = span.source.line_column(max(span.start, span.end - 1))[0]
-    nameless_start = _NAMELESS.fullmatch(span.source.line_text(first)[: span.source.line_column(span.start)[1] - 1])
+    nameless_start = _NAMELESS_DECLARATION.fullmatch(span.source.line_text(first)[: span.source.line_column(span.start)[1] - 1])
     if nameless_start and not span.text[:1].isidentifier():
         doubt.missing.add(
             f"unknown-{nameless_start[1]}" if nameless_start[1] in ("state", "field", "species") else "unknown-name"
         )
-    if _WORDS.findall(span.source.line_text(first))[:1] == ["use"]:
+    if _WORD_PATTERN.findall(span.source.line_text(first))[:1] == ["use"]:
         doubt.missing |= {"unknown-behaviour", "unknown-module"}
     for line in range(first, last + 1):
         if line not in doubt.lines:
             doubt.lines.add(line)
-            doubt.first_words.update(_WORDS.findall(span.source.line_text(line).partition("#")[0])[:_HEAD])
+            doubt.first_words.update(_WORD_PATTERN.findall(span.source.line_text(line).partition("#")[0])[:_DECLARATION_WORDS])
 
 
 def _is_consequence(diagnostic: Diagnostic, doubts: dict[Source, _UnreadLines], meant: set[tuple[Source, str | None]]) -> bool:
     if diagnostic.span is None:
         return False
-    if diagnostic.code in _LEFT_OUT and (word := _FIRST_WORD.search(diagnostic.help or "")):
+    if diagnostic.code in _MISSING_PART_CODES and (word := _FIRST_WORD_PATTERN.search(diagnostic.help or "")):
         return (diagnostic.span.source, f"did you mean `{word[1]}`?") in meant
     doubt = doubts.get(diagnostic.span.source)
     if doubt is None:
         return False
     if diagnostic.span.source.line_column(diagnostic.span.start)[0] in doubt.lines or diagnostic.code in doubt.missing:
         return True
-    return diagnostic.code in _MISSING and diagnostic.span.text in doubt.first_words
+    return diagnostic.code in _MISSING_NAME_CODES and diagnostic.span.text in doubt.first_words

@@ -7,15 +7,15 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 
 from antdsl.program import model
-from antdsl.program.tables.effects import EFFECTS
-from antdsl.program.tables.rows import Cost
-from antdsl.program.tables.set_senses import SET_SENSES
-from antdsl.program.tables.vocabulary import COSTS
+from antdsl.program.tables.effects import EFFECT_BY_OPERATION
+from antdsl.program.tables.rows import UseCost
+from antdsl.program.tables.set_senses import SET_SENSE_BY_OPERATION
+from antdsl.program.tables.vocabulary import COST_BY_OPERATION
 from antdsl.program.traverse import parts
 from antdsl.program.types.folding import constant_behind
 
-MEMBERS = 8  # a set is gone over for so many
-_TAKE = Cost(40, "takes {thing}")
+ASSUMED_SET_MEMBERS = 8  # a set is gone over for so many
+_TAKE_COST = UseCost(40, "takes {thing}")
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,7 +72,7 @@ def _count_uses(program: model.Program, root: object) -> tuple[tuple[CostEntry, 
     sums = 0
     inside = _inside_sets(root)
     for part in parts(root):
-        sums += _operations(part) * (MEMBERS if id(part) in inside else 1)
+        sums += _operations(part) * (ASSUMED_SET_MEMBERS if id(part) in inside else 1)
         for use in _cost_entries(part):
             # an equal sense is computed once; draws are each their own
             previous = weights.get((use.kind, use.words), 0.0)
@@ -82,23 +82,25 @@ def _count_uses(program: model.Program, root: object) -> tuple[tuple[CostEntry, 
 
 def _inside_sets(root: object) -> set[int]:
     """Return what is computed for each member of a set."""
-    return {id(inner) for part in parts(root) if isinstance(part, (model.Reduce, model.SetOf)) for inner in _member_parts(part)}
+    return {
+        id(inner) for part in parts(root) if isinstance(part, (model.ReduceExpr, model.SetExpr)) for inner in _member_parts(part)
+    }
 
 
-def _member_parts(part: model.Reduce | model.SetOf) -> Iterator[object]:
-    body = part.body if isinstance(part, model.Reduce) else part.where
+def _member_parts(part: model.ReduceExpr | model.SetExpr) -> Iterator[object]:
+    body = part.body if isinstance(part, model.ReduceExpr) else part.where
     return parts(body) if body is not None else iter(())
 
 
-_PAIR = 100  # operations that it takes to find a place for a value per pair
+_PAIR_VALUE_OPERATIONS = 100  # operations that it takes to find a place for a value per pair
 
 
 def _operations(part: object) -> int:
     if isinstance(part, model.Assign) and (part.of is not None or part.over is not None):
-        return _PAIR
-    if isinstance(part, (model.Steer, model.Face, model.Assign)):
+        return _PAIR_VALUE_OPERATIONS
+    if isinstance(part, (model.Steer, model.FaceLine, model.Assign)):
         return 3
-    if not isinstance(part, model.Op):
+    if not isinstance(part, model.OperationExpr):
         return 0
     return 3 if part.type.kind.value == "vector" else 1
 
@@ -106,22 +108,22 @@ def _operations(part: object) -> int:
 def _cost_entries(part: object) -> Iterable[CostEntry]:
     """What one node of the program asks for."""
     match part:
-        case model.SetOf():
-            cost = SET_SENSES[part.source].cost
+        case model.SetExpr():
+            cost = SET_SENSE_BY_OPERATION[part.source].cost
             return [] if cost is None else [_make_entry(cost, part.of, part.args)]
-        case model.Op():
-            cost = COSTS.get(part.name)
+        case model.OperationExpr():
+            cost = COST_BY_OPERATION.get(part.name)
             thing = next((arg.name for arg in part.args if isinstance(arg, model.ThingRef) and arg.name != "self"), "")
             return [] if cost is None or (cost.named and not thing) else [_make_entry(cost, thing, part.args, part.name)]
         case model.Take():
-            return [_make_entry(_TAKE, part.attribute or part.source.span.text)]
-        case model.Ask():
-            cost = EFFECTS[part.op].cost
+            return [_make_entry(_TAKE_COST, part.attribute or part.source.span.text)]
+        case model.EffectRequest():
+            cost = EFFECT_BY_OPERATION[part.op].cost
             return [] if cost is None else [_make_entry(cost, part.of, part.args)]
     return []
 
 
-def _make_entry(cost: Cost, thing: str, args: tuple[model.Expr | None, ...] = (), op: str = "") -> CostEntry:
+def _make_entry(cost: UseCost, thing: str, args: tuple[model.Expr | None, ...] = (), op: str = "") -> CostEntry:
     """Return a use as its row describes it: count, thing and distance."""
     count = 1
     if cost.times is not None:

@@ -2,20 +2,20 @@
 
 from __future__ import annotations
 
-from antdsl.program.model import Binding, Expr, Type, expression_class
+from antdsl.program.model import Binding, Expr, ValueType, expression_class
 from antdsl.source import Span
 from antdsl.syntax import nodes
 
 
 @expression_class
-class Aggregate(Expr):
+class AggregateExpr(Expr):
     """A number or bool about a whole population. `how`: total mean min max share count any every. `over`: a SPECIES, ITEMS, FIELD
     or SOLID (its total is the volume).
 
     `where` and `body` are expressions about one agent or item. `elements` are the names bound to it."""
 
     how: str
-    over: Type
+    over: ValueType
     elements: tuple[Binding, ...]
     where: Expr | None
     body: Expr | None
@@ -57,7 +57,7 @@ class MotionMeasure(Expr):
 
 
 @expression_class
-class Reading:
+class ExpectationReading:
     """A part of a condition with a value that is reported if it fails; `unit` is one that the author wrote there, or a usual
     one."""
 
@@ -76,7 +76,7 @@ class Expectation:
     species: str | None
     condition: Expr
     time: Expr | None
-    readings: tuple[Reading, ...]
+    readings: tuple[ExpectationReading, ...]
     at_end: bool  # it asks for the motion, which is known when the run is over
     span: Span
     held: Expr | None = None
@@ -116,8 +116,8 @@ class Spec:
     against: ComparisonRun | None = None
 
 
-GEOMETRY = {"overlap": "number", "penetration": "length", "off_surface": "length"}
-MOTION = {
+GEOMETRY_MEASURES = {"overlap": "number", "penetration": "length", "off_surface": "length"}
+MOTION_MEASURES = {
     "turn_p99": "angle",
     "tilt_p99": "angle",
     "tilt_max": "angle",

@@ -5,10 +5,10 @@ from __future__ import annotations
 from enum import Enum, IntEnum
 from typing import NamedTuple
 
-from antdsl.program.tables.things import KINDS_OF_THINGS
+from antdsl.program.tables.things import KIND_BY_WORD
 
 
-class Dim(NamedTuple):
+class Dimension(NamedTuple):
     """Exponents of length (mm), time (s), mass (g) and angle (rad). May be fractions after `sqrt`."""
 
     length: float = 0
@@ -17,7 +17,7 @@ class Dim(NamedTuple):
     angle: float = 0
 
 
-class Kind(Enum):
+class TypeKind(Enum):
     """The kinds of things of the world are members too."""
 
     _ignore_ = "word row"
@@ -33,7 +33,7 @@ class Kind(Enum):
     SET = "set"  # `of` names the items or species, or "hit"
     FIELD = "field"
     OBSTACLE = "obstacle"
-    for word, row in KINDS_OF_THINGS.items():
+    for word, row in KIND_BY_WORD.items():
         if not row.has_values and word != OBSTACLE:
             vars()[word.upper()] = word
     SPECIES = "species"
@@ -42,23 +42,23 @@ class Kind(Enum):
     BAD = "bad"  # complained about already; fits everywhere
 
 
-class Type(NamedTuple):
-    kind: Kind
-    dim: Dim = Dim()
+class ValueType(NamedTuple):
+    kind: TypeKind
+    dim: Dimension = Dimension()
     of: str | None = None
 
 
-BAD = Type(Kind.BAD)
-NUMBER = Type(Kind.NUMBER)
-BOOL = Type(Kind.BOOL)
-PUSH = Type(Kind.VECTOR)
-VELOCITY = Type(Kind.VECTOR, Dim(length=1, time=-1))
-LENGTH = Type(Kind.NUMBER, Dim(length=1))
-TIME = Type(Kind.NUMBER, Dim(time=1))
-PER_SECOND = Type(Kind.NUMBER, Dim(time=-1))
+BAD_TYPE = ValueType(TypeKind.BAD)
+NUMBER_TYPE = ValueType(TypeKind.NUMBER)
+BOOL_TYPE = ValueType(TypeKind.BOOL)
+PUSH_TYPE = ValueType(TypeKind.VECTOR)
+VELOCITY_TYPE = ValueType(TypeKind.VECTOR, Dimension(length=1, time=-1))
+LENGTH_TYPE = ValueType(TypeKind.NUMBER, Dimension(length=1))
+TIME_TYPE = ValueType(TypeKind.NUMBER, Dimension(time=1))
+PER_SECOND_TYPE = ValueType(TypeKind.NUMBER, Dimension(time=-1))
 
 
-class Rate(IntEnum):
+class ChangeRate(IntEnum):
     """How often a value changes; an expression has the greatest rate of its parts."""
 
     CONST = 0

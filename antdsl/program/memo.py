@@ -12,19 +12,19 @@ from antdsl.program.names.bindings import NameUse
 from antdsl.source import Span
 
 if TYPE_CHECKING:
-    from antdsl.program.names.scope import Declared
+    from antdsl.program.names.scope import Declarations
 
 T = TypeVar("T")
-_Key = tuple[tuple[Any, ...], int]  # what a part is and depends on, and a number for all that it can see of the others
+_PartKey = tuple[tuple[Any, ...], int]  # what a part is and depends on, and a number for all that it can see of the others
 
 
-def cached_part(declared: Declared, key: tuple[Any, ...], make: Callable[[], T]) -> T:
+def cached_part(declared: Declarations, key: tuple[Any, ...], make: Callable[[], T]) -> T:
     """Return what `make` returns, or returned in an earlier check with a retained memo. The key holds all that it depends on,
     apart from `declared.outside`."""
     return make() if declared.memo is None else declared.memo.cached_part(declared, (key, declared.outside), make)
 
 
-def update_outside(declared: Declared, outside: Hashable) -> int:
+def update_outside(declared: Declarations, outside: Hashable) -> int:
     """Set `declared.outside` to a number for everything that parts can see of the others from here on, and return it. The visible
     state may be large, so it is compared once, not with each part's key."""
     declared.outside = 0 if declared.memo is None else declared.memo.number(outside)
@@ -54,12 +54,12 @@ class _UnknownNames(dict[tuple[str, ...], list[Span]]):
         return is_known
 
 
-class Memo:
+class CheckMemo:
     """Results of parts by all that they depend on. What a whole check did not use is forgotten after it."""
 
     def __init__(self) -> None:
-        self.known: dict[_Key, _CachedPart] = {}
-        self.asked: set[_Key] = set()
+        self.known: dict[_PartKey, _CachedPart] = {}
+        self.asked: set[_PartKey] = set()
         self.numbers: dict[Hashable, int] = {}
         self.seen: set[int] = set()
         self.given = 0
@@ -73,7 +73,7 @@ class Memo:
         self.seen.add(self.numbers[value])
         return self.numbers[value]
 
-    def cached_part(self, declared: Declared, key: _Key, make: Callable[[], T]) -> T:
+    def cached_part(self, declared: Declarations, key: _PartKey, make: Callable[[], T]) -> T:
         """Return the result of `make`, or its earlier result for the same key. Its findings, resolved names and counted uses and
         writes come with it."""
         self.asked.add(key)
@@ -87,7 +87,7 @@ class Memo:
         declared.report.extend(known.said)
         return known.result  # type: ignore[no-any-return]
 
-    def _compute(self, declared: Declared, key: _Key, make: Callable[[], T]) -> T:
+    def _compute(self, declared: Declarations, key: _PartKey, make: Callable[[], T]) -> T:
         said, expanded, unknown_count = len(declared.report.diagnostics), declared.expanded, len(declared.unknown)
         bound = len(declared.bound)
         used, written, names = declared.used, declared.written, declared.unknown

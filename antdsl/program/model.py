@@ -9,24 +9,24 @@ from collections.abc import Mapping
 from dataclasses import field
 from typing import TYPE_CHECKING
 
-from antdsl.program.kinds import Dim as Dim
-from antdsl.program.kinds import Kind as Kind
-from antdsl.program.kinds import Rate as Rate
-from antdsl.program.kinds import Type as Type
-from antdsl.program.names.bindings import Bindings as Bindings
-from antdsl.program.typed import Attribute as Attribute
+from antdsl.program.kinds import ChangeRate as ChangeRate
+from antdsl.program.kinds import Dimension as Dimension
+from antdsl.program.kinds import TypeKind as TypeKind
+from antdsl.program.kinds import ValueType as ValueType
+from antdsl.program.names.bindings import NameBindings as NameBindings
+from antdsl.program.typed import AttributeRef as AttributeRef
 from antdsl.program.typed import Binding as Binding
 from antdsl.program.typed import BindingRef as BindingRef
 from antdsl.program.typed import ClipTest as ClipTest
-from antdsl.program.typed import Const as Const
+from antdsl.program.typed import Constant as Constant
 from antdsl.program.typed import Expr as Expr
 from antdsl.program.typed import InlinedBehaviour as InlinedBehaviour
 from antdsl.program.typed import NoneRef as NoneRef
-from antdsl.program.typed import Op as Op
+from antdsl.program.typed import OperationExpr as OperationExpr
 from antdsl.program.typed import ParamRef as ParamRef
-from antdsl.program.typed import Reduce as Reduce
-from antdsl.program.typed import SetOf as SetOf
-from antdsl.program.typed import StateConst as StateConst
+from antdsl.program.typed import ReduceExpr as ReduceExpr
+from antdsl.program.typed import SetExpr as SetExpr
+from antdsl.program.typed import StateConstant as StateConstant
 from antdsl.program.typed import ThingRef as ThingRef
 from antdsl.program.typed import expression_class as expression_class
 from antdsl.source import Span
@@ -46,7 +46,7 @@ class Steer:
 
 
 @expression_class
-class Face:
+class FaceLine:
     """Turn the body towards `direction`; only its direction counts."""
 
     direction: Expr
@@ -63,12 +63,12 @@ class Assign:
     per_second: bool
     span: Span
     of: Expr | None = None  # `likes[other]`: the other agent
-    over: SetOf | None = None  # `likes[n in SET]`: the set, and what stands for each of it in the value
+    over: SetExpr | None = None  # `likes[n in SET]`: the set, and what stands for each of it in the value
     element: Binding | None = None
 
 
 @expression_class
-class Ask:
+class EffectRequest:
     """A request of the row `op` of `antdsl.program.tables.effects` to `of`. `args` are the row's `numbers` in order (None:
     absent). `own` is the attribute that the result is added to. `per_second`: the first of `args` is a rate, to be multiplied by
     dt. `key`: the site of its random numbers."""
@@ -139,7 +139,7 @@ class Look:
     span: Span
 
 
-Statement = Steer | Face | Assign | Ask | Give | Play | Wear | Channel | Look
+Statement = Steer | FaceLine | Assign | EffectRequest | Give | Play | Wear | Channel | Look
 
 
 @expression_class
@@ -153,7 +153,7 @@ class Take:
     span: Span
 
 
-ANYWHERE = "from any"  # in the keys of those changes: no state can have this name
+FROM_ANY_KEY = "from any"  # in the keys of those changes: no state can have this name
 
 
 @expression_class
@@ -203,7 +203,7 @@ class AttributeDecl:
     max_speed."""
 
     name: str
-    type: Type
+    type: ValueType
     default: Expr
     is_builtin: bool
     help: str
@@ -219,10 +219,10 @@ class Param:
     """`name` is qualified with its species. Numbers in base units; `unit` as the author wrote it."""
 
     name: str
-    type: Type
-    default: Const
-    low: Const | None
-    high: Const | None
+    type: ValueType
+    default: Constant
+    low: Constant | None
+    high: Constant | None
     unit: str
     help: str
     span: Span
@@ -252,14 +252,14 @@ class Layer:
 
 
 @expression_class
-class Layers:
+class LayerStack:
     mode: str  # budget, sum, first
     layers: tuple[Layer, ...]
     span: Span
 
 
 @expression_class
-class Rest:
+class RestingPush:
     """How agents stand still that no state steers. `silent`: of each machine that steers in some state, by its name, the indices
     of those states that steer nothing. An agent in silent states of all these machines requests `push`."""
 
@@ -278,12 +278,12 @@ class Species:
     latches: tuple[Binding, ...]
     handlers: tuple[Handler, ...]
     machines: tuple[Machine, ...]
-    layers: Layers
+    layers: LayerStack
     span: Span
-    rest: Rest | None = None  # None: every state steers, or none does
+    rest: RestingPush | None = None  # None: every state steers, or none does
 
     @property
-    def own_types(self) -> Mapping[str, Type]:
+    def own_types(self) -> Mapping[str, ValueType]:
         """Return the types of the named values of each agent: attributes, lets and latches."""
         lines: tuple[AttributeDecl | Binding, ...] = (*self.attributes, *self.lets, *self.latches)
         return {each.name: each.type for each in reversed(lines)}
@@ -292,8 +292,8 @@ class Species:
 @expression_class
 class ItemAttribute:
     name: str
-    type: Type
-    default: Const
+    type: ValueType
+    default: Constant
     help: str
     span: Span
 
@@ -339,7 +339,7 @@ class Program:
     events: tuple[str, ...]
     specs: tuple[Spec, ...]
     sources: tuple[nodes.File, ...] = field(default=())
-    bindings: Bindings = field(default=Bindings())
+    bindings: NameBindings = field(default=NameBindings())
 
     def of_kind(self, kind: str) -> list[str]:
         """Return the names of the things of the world of a kind."""

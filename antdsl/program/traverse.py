@@ -6,11 +6,11 @@ from collections.abc import Iterator
 from dataclasses import fields, is_dataclass
 
 from antdsl.program import model
-from antdsl.program.kinds import Dim, Rate, Type
+from antdsl.program.kinds import ChangeRate, Dimension, ValueType
 from antdsl.source import Source, Span
 from antdsl.syntax import nodes
 
-_INNER: dict[type, tuple[str, ...]] = {}  # by type, the fields with something inside, the last one first
+_CHILD_FIELDS: dict[type, tuple[str, ...]] = {}  # by type, the fields with something inside, the last one first
 
 
 def parts(root: object) -> Iterator[object]:
@@ -26,16 +26,16 @@ def parts(root: object) -> Iterator[object]:
         if kind is dict:
             stack += reversed(list(part.values()))  # type: ignore[attr-defined]
             continue
-        names = _INNER.get(kind)
+        names = _CHILD_FIELDS.get(kind)
         if names is None:
-            names = _INNER[kind] = _child_fields(kind)
+            names = _CHILD_FIELDS[kind] = _child_fields(kind)
         if names and id(part) not in visited:
             visited.add(id(part))
             yield part
-            stack += [value for name in names if type(value := getattr(part, name)) not in _LEAVES]
+            stack += [value for name in names if type(value := getattr(part, name)) not in _LEAF_TYPES]
 
 
-_LEAVES = frozenset((Span, str, int, float, bool, type(None), Type, Rate, Dim))
+_LEAF_TYPES = frozenset((Span, str, int, float, bool, type(None), ValueType, ChangeRate, Dimension))
 
 
 def _child_fields(kind: type) -> tuple[str, ...]:
@@ -50,7 +50,7 @@ def bindings_in(expr: model.Expr) -> set[model.Binding]:
     return {part.binding for part in parts(expr) if isinstance(part, model.BindingRef)}
 
 
-_FIELDS: dict[type, tuple[str, ...]] = {}
+_WRITTEN_FIELDS: dict[type, tuple[str, ...]] = {}
 
 
 def written_nodes(root: object) -> Iterator[tuple[object, int]]:
@@ -61,11 +61,11 @@ def written_nodes(root: object) -> Iterator[tuple[object, int]]:
         if isinstance(part, tuple):
             stack += [(each, depth) for each in reversed(part)]
             continue
-        names = _FIELDS.get(type(part))
+        names = _WRITTEN_FIELDS.get(type(part))
         if names is None:
             if not is_dataclass(part) or isinstance(part, (Span, Source)):
                 continue
-            names = _FIELDS[type(part)] = tuple(
+            names = _WRITTEN_FIELDS[type(part)] = tuple(
                 f.name for f in fields(part) if f.name not in ("span", "op_span", "unit_span", "comments")
             )
         yield part, depth
@@ -100,13 +100,13 @@ def _parts(each: object) -> list[object]:
         return [each.binding]
     if isinstance(each, model.Binding):
         return [each.value, each.then]
-    if isinstance(each, model.Attribute):
+    if isinstance(each, model.AttributeRef):
         return [each.of]
-    if isinstance(each, model.Op):
+    if isinstance(each, model.OperationExpr):
         return [each.args]
-    if isinstance(each, model.SetOf):
+    if isinstance(each, model.SetExpr):
         return [each.args, each.where]
-    if isinstance(each, model.Reduce):
+    if isinstance(each, model.ReduceExpr):
         return [each.over, each.body]
     if isinstance(each, model.InlinedBehaviour):
         return [each.arguments, each.body, each.result]

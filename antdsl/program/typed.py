@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import dataclass_transform
 
-from antdsl.program.kinds import Rate, Type
+from antdsl.program.kinds import ChangeRate, ValueType
 from antdsl.source import Span
 
 
@@ -16,13 +16,13 @@ def expression_class(cls: type) -> type:
 
 @expression_class
 class Expr:
-    type: Type
-    rate: Rate
+    type: ValueType
+    rate: ChangeRate
     span: Span
 
 
 @expression_class
-class Const(Expr):
+class Constant(Expr):
     """A number in base units (mm, s, g, rad; bool as 0 or 1), times `unit ** u` (mm per scene unit) and `dt ** step`."""
 
     number: float
@@ -36,7 +36,7 @@ class NoneRef(Expr):
 
 
 @expression_class
-class StateConst(Expr):
+class StateConstant(Expr):
     """A state's index within its machine."""
 
     machine: str
@@ -59,7 +59,7 @@ class ParamRef(Expr):
 
 
 @expression_class
-class Attribute(Expr):
+class AttributeRef(Expr):
     """An attribute of the agent itself (`of` None), or of the agent, item, hit or set element in `of`.
 
     Built-in names are attributes too: position velocity heading up speed id age group size mass radius clearance max_speed
@@ -79,8 +79,8 @@ class Binding:
 
     name: str
     role: str
-    type: Type
-    rate: Rate
+    type: ValueType
+    rate: ChangeRate
     span: Span
     value: Expr | None = None
     then: Expr | None = None
@@ -103,7 +103,7 @@ class ThingRef(Expr):
 
 
 @expression_class
-class Op(Expr):
+class OperationExpr(Expr):
     """A built-in operation of vocabulary.OPS with its arguments in the vocabulary's order, defaults filled in (an absent
     optional argument is None). `site` is the stable identity of a draw (`….uniform#1`) or of a ray, else empty."""
 
@@ -113,7 +113,7 @@ class Op(Expr):
 
 
 @expression_class
-class SetOf(Expr):
+class SetExpr(Expr):
     """A set: `source` is `neighbours` (args radius, fov), `all` (args within or None), `feelers` (args count, spread, reach);
     `of` names the species, items or obstacle; `where` is the condition on `element` (or None)."""
 
@@ -125,12 +125,12 @@ class SetOf(Expr):
 
 
 @expression_class
-class Reduce(Expr):
+class ReduceExpr(Expr):
     """`how`: sum mean min max count any every best (the element with the greatest body) nearest (the element with the least
     distance; body None). `element` is bound in `body`; it may differ from `over.element`, which is bound in its `where`."""
 
     how: str
-    over: SetOf
+    over: SetExpr
     element: Binding
     body: Expr | None
 

@@ -12,7 +12,7 @@ from typing import Final
 
 # Kind of request: the module and the function that answer it in the child. The modules are in higher rooms, so they are named
 # here and imported by the child alone.
-READERS: Final = {
+READER_FUNCTIONS: Final = {
     "usd-layer": ("antdsl.scene.geometry.usd.child.stage", "read_layer"),
     "usd-stage": ("antdsl.scene.geometry.usd.child.requests", "open_stage"),
     "usd-mesh": ("antdsl.scene.geometry.usd.child.requests", "read_mesh"),
@@ -23,4 +23,4 @@ READERS: Final = {
     "image": ("antdsl.reader.images", "read_image"),
 }
 # Modules that the child imports before the first request of a format, while the other process does something else.
-PREPARED: Final = {"usd": ("antdsl.scene.geometry.usd.child.requests", "pxr.Usd", "pxr.UsdGeom")}
+PRELOADED_MODULES: Final = {"usd": ("antdsl.scene.geometry.usd.child.requests", "pxr.Usd", "pxr.UsdGeom")}

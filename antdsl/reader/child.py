@@ -36,7 +36,7 @@ def main() -> None:
             import_module(module)
     while True:
         try:
-            request = protocol.read_message(requests, limits.READER_BYTES)
+            request = protocol.read_message(requests, limits.MAX_READER_ARRAY_BYTES)
         except protocol.ProtocolError:
             return
         sandbox.limit_request(int(request.document["seconds"]), int(request.document["memory"]))
@@ -48,13 +48,13 @@ def main() -> None:
 
 def _answer(request: Any) -> tuple[dict[str, Any], dict[str, Any], bool]:
     """The answer to a request, its arrays, and whether it is the last one."""
-    from antdsl.reader import READERS
-    from antdsl.reader.protocol import Refusal
+    from antdsl.reader import READER_FUNCTIONS
+    from antdsl.reader.protocol import ReadRefusal
 
     try:
-        module, function = READERS[request.document["kind"]]
+        module, function = READER_FUNCTIONS[request.document["kind"]]
         document, arrays = getattr(import_module(module), function)(request)
-    except Refusal as why:
+    except ReadRefusal as why:
         return {"refusal": why.as_document()}, {}, False
     except MemoryError:
         return {"failure": "memory"}, {}, True

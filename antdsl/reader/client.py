@@ -21,14 +21,14 @@ from typing import Any, Final
 
 from antdsl import cpu_budget, limits
 from antdsl.numerics.host import address_space
-from antdsl.reader import PREPARED, READERS, confinement
+from antdsl.reader import PRELOADED_MODULES, READER_FUNCTIONS, confinement
 from antdsl.reader.private_folder import PrivateFolder
-from antdsl.reader.protocol import Arrays, EndOfMessages, Message, ProtocolError, Refusal, read_message, write_message
+from antdsl.reader.protocol import Arrays, EndOfMessages, ProtocolError, ReaderMessage, ReadRefusal, read_message, write_message
 
-_PROGRAM = Path(__file__).with_name("child.py")
-_REMEMBERED = 256  # failures that are not repeated
+_CHILD_PROGRAM = Path(__file__).with_name("child.py")
+_MAX_STORED_FAILURES = 256  # failures that are not repeated
 # Codes that a refusal of the reader may have.
-CODES: Final = frozenset(["bad-image", "bad-mesh", "bad-path", "bad-rig", "bad-usd", "bad-body", "missing-extra",
+REFUSAL_CODES: Final = frozenset(["bad-image", "bad-mesh", "bad-path", "bad-rig", "bad-usd", "bad-body", "missing-extra",
                           "moving-topology", "no-such-prim", "too-large"])  # fmt: skip
 
 
@@ -42,14 +42,14 @@ class ReaderFailure(Exception):
         self.help, self.is_lasting, self.is_heavy = help, is_lasting, is_heavy
 
 
-class _Process:
+class _ReaderProcess:
     """A running child, and what confines it."""
 
     def __init__(self, folder: Path, modules: Sequence[str]) -> None:
         readable = [*confinement.readable_folders(), str(folder)]
         configuration = json.dumps({"paths": confinement.module_folders(), "readable": readable, "modules": modules})
         self.process = subprocess.Popen(
-            [sys.executable, "-P", "-S", str(_PROGRAM), configuration],
+            [sys.executable, "-P", "-S", str(_CHILD_PROGRAM), configuration],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             stderr=subprocess.DEVNULL,
@@ -116,16 +116,16 @@ class _Process:
         self.process.returncode = 0  # nothing is waited for
 
 
-class Reader:
+class FileReader:
     """A reader with its private folder; see `ask`."""
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
-        self._running: _Process | None = None
+        self._running: _ReaderProcess | None = None
         self._folder: PrivateFolder | None = None
         self._failures: OrderedDict[str, tuple[str, str | None]] = OrderedDict()  # messages and help
         self._heavy: dict[str, tuple[str, str | None]] = {}  # the same, by `files`
-        self._seconds, self._allowed = 0.0, float(limits.READER_SECONDS_A_SCENE)  # of CPU, for this scene
+        self._seconds, self._allowed = 0.0, float(limits.READER_CPU_SECONDS_PER_SCENE)  # of CPU, for this scene
         self._known: set[str] = set()  # `files` of this scene
 
     def begin_scene(self) -> None:
@@ -133,7 +133,7 @@ class Reader:
         with self._lock:
             self._heavy.clear()
             self._known.clear()
-            self._seconds, self._allowed = 0.0, float(limits.READER_SECONDS_A_SCENE)
+            self._seconds, self._allowed = 0.0, float(limits.READER_CPU_SECONDS_PER_SCENE)
 
     def folder(self) -> Path:
         """Return a new folder with files that the child may open. Raises OSError."""
@@ -145,22 +145,22 @@ class Reader:
         with self._lock:
             try:
                 running = self._start()
-                with _deadline(running, limits.READER_WALL_SECONDS):
+                with _deadline(running, limits.READER_BASE_WALL_SECONDS):
                     return running.read_greeting()
             except (OSError, ProtocolError) as problem:
                 self._end()
-                if address_space() < limits.READER_MEMORY:
+                if address_space() < limits.READER_BASE_MEMORY_BYTES:
                     raise MemoryError("the process that reads foreign files has no memory to start") from None
                 raise ReaderFailure("the process that reads foreign files cannot be started") from problem
 
     def ask(
         self, kind: str, document: Mapping[str, Any], arrays: Arrays, *, size: int, seconds: int, digest: str, files: str
-    ) -> Message:
+    ) -> ReaderMessage:
         """As the function `ask`."""
         with self._lock:
             if files and files not in self._known:
                 self._known.add(files)
-                self._allowed += size / limits.READER_BYTES_A_SECOND
+                self._allowed += size / limits.READER_BYTES_PER_CPU_SECOND
             self._refuse_repeat(digest, files)
             try:
                 return self._ask(kind, document, arrays, size, seconds)
@@ -169,10 +169,10 @@ class Reader:
                     self._heavy[files] = (str(why), why.help)
                 if digest and why.is_lasting:
                     self._failures[digest] = (str(why), why.help)
-                    if len(self._failures) > _REMEMBERED:
+                    if len(self._failures) > _MAX_STORED_FAILURES:
                         self._failures.popitem(last=False)
                 raise
-            except Refusal:
+            except ReadRefusal:
                 raise
             except BaseException:  # interrupted between a request and its answer, or no memory or time is left
                 self._end(is_counted=False)
@@ -187,11 +187,11 @@ class Reader:
             words = f"cannot be read: the files of this scene took more than {self._allowed:,.0f} s of processor time to be read"
             raise ReaderFailure(words, "use lighter files, or fewer of them", is_lasting=False)
 
-    def _ask(self, kind: str, document: Mapping[str, Any], arrays: Arrays, size: int, seconds: int) -> Message:
-        assert kind in READERS
-        seconds += limits.READER_SECONDS + size // limits.READER_BYTES_A_SECOND
+    def _ask(self, kind: str, document: Mapping[str, Any], arrays: Arrays, size: int, seconds: int) -> ReaderMessage:
+        assert kind in READER_FUNCTIONS
+        seconds += limits.READER_BASE_CPU_SECONDS + size // limits.READER_BYTES_PER_CPU_SECOND
         left = cpu_budget.remaining_seconds()
-        memory = min(limits.READER_MEMORY + limits.READER_MEMORY_A_BYTE * size, limits.READER_MEMORY_MOST)
+        memory = min(limits.READER_BASE_MEMORY_BYTES + limits.READER_MEMORY_PER_FILE_BYTE * size, limits.MAX_READER_MEMORY_BYTES)
         said = {**document, "kind": kind, "seconds": seconds if left > seconds else math.ceil(left), "memory": memory}
         try:
             running = self._start()
@@ -200,20 +200,20 @@ class Reader:
             raise ReaderFailure(words, "run `antdsl doctor`", is_lasting=False) from problem
         late, previous_seconds = threading.Event(), self._seconds
         try:
-            with _deadline(running, limits.READER_WALL_SECONDS + 4 * seconds, late):
+            with _deadline(running, limits.READER_BASE_WALL_SECONDS + 4 * seconds, late):
                 running.read_greeting()
                 write_message(running.requests, said, arrays)
-                answer = read_message(running.answers, limits.READER_BYTES)
+                answer = read_message(running.answers, limits.MAX_READER_ARRAY_BYTES)
         except (EndOfMessages, BrokenPipeError):
             status = self._end()
-            if status == _OVERDUE and left <= seconds:
+            if status == _OVERDUE_STATUS and left <= seconds:
                 cpu_budget.charge(math.inf)  # the budget ended it, not the limit of a request
             failure = _death_failure(running, status, late.is_set(), memory)
-            failure.is_heavy |= self._seconds - previous_seconds > limits.READER_SECONDS / 2
+            failure.is_heavy |= self._seconds - previous_seconds > limits.READER_BASE_CPU_SECONDS / 2
             raise failure from None
         except ProtocolError:
             self._end()
-            raise ReaderFailure(_SENSELESS, _DAMAGED) from None
+            raise ReaderFailure(_INVALID_ANSWER_MESSAGE, _DAMAGED_FILE_HELP) from None
         self._count_seconds(running.new_seconds(answer.document.get("cpu")))
         return self._check_answer(answer, memory)
 
@@ -222,32 +222,32 @@ class Reader:
         self._seconds += seconds
         cpu_budget.charge(seconds)
 
-    def _check_answer(self, answer: Message, memory: int) -> Message:
+    def _check_answer(self, answer: ReaderMessage, memory: int) -> ReaderMessage:
         said = answer.document
         if isinstance(said.get("answer"), dict):
-            return Message(said["answer"], answer.arrays)
+            return ReaderMessage(said["answer"], answer.arrays)
         if "refusal" in said:
-            refusal = Refusal.of_document(said["refusal"], CODES)
+            refusal = ReadRefusal.of_document(said["refusal"], REFUSAL_CODES)
             if refusal is not None:
                 raise refusal
         if said.get("failure") == "memory":
             self._end()
             raise _memory_failure(memory)
         if said.get("failure") == "exception":
-            raise ReaderFailure("cannot be read: it is damaged", _DAMAGED)
+            raise ReaderFailure("cannot be read: it is damaged", _DAMAGED_FILE_HELP)
         self._end()
-        raise ReaderFailure(_SENSELESS, _DAMAGED)
+        raise ReaderFailure(_INVALID_ANSWER_MESSAGE, _DAMAGED_FILE_HELP)
 
     def prepare(self, format: str) -> None:
         """As the function `prepare`."""
         with self._lock, suppress(OSError):  # a request says why it cannot be started
-            self._start(PREPARED[format])
+            self._start(PRELOADED_MODULES[format])
 
-    def _start(self, modules: Sequence[str] = ()) -> _Process:
+    def _start(self, modules: Sequence[str] = ()) -> _ReaderProcess:
         if self._running is not None and self._running.process.poll() is not None:
             self._end()  # it died between two requests
         if self._running is None:
-            self._running = _Process(self._private_folder().path, modules)
+            self._running = _ReaderProcess(self._private_folder().path, modules)
         return self._running
 
     def _private_folder(self) -> PrivateFolder:
@@ -281,15 +281,15 @@ class Reader:
             self._running.close_pipes()
 
 
-_DAMAGED = "export it again"
-_LIGHTER = "use a lighter file, or a part of it"
-_OVERDUE = -getattr(signal, "SIGXCPU", 1 << 20)  # exit statuses
-_KILLED = -getattr(signal, "SIGKILL", 1 << 20)  # by the system, which has no memory left
-_SENSELESS = "cannot be read: the process that reads it gave an answer that makes no sense"
+_DAMAGED_FILE_HELP = "export it again"
+_LIGHTER_FILE_HELP = "use a lighter file, or a part of it"
+_OVERDUE_STATUS = -getattr(signal, "SIGXCPU", 1 << 20)  # exit statuses
+_KILLED_STATUS = -getattr(signal, "SIGKILL", 1 << 20)  # by the system, which has no memory left
+_INVALID_ANSWER_MESSAGE = "cannot be read: the process that reads it gave an answer that makes no sense"
 
 
 @contextmanager
-def _deadline(running: _Process, seconds: float, late: threading.Event | None = None) -> Iterator[None]:
+def _deadline(running: _ReaderProcess, seconds: float, late: threading.Event | None = None) -> Iterator[None]:
     """Kill a child that has not finished after `seconds` of wall-clock time, and set `late`."""
 
     def stop() -> None:
@@ -306,19 +306,19 @@ def _deadline(running: _Process, seconds: float, late: threading.Event | None = 
         timer.cancel()
 
 
-def _death_failure(running: _Process, status: int, is_late: bool, memory: int) -> ReaderFailure:
+def _death_failure(running: _ReaderProcess, status: int, is_late: bool, memory: int) -> ReaderFailure:
     """Return why a child ended without an answer to a request that may use `memory` bytes. Raises MemoryError if this process
     cannot grant that much."""
-    if is_late or status == _OVERDUE:
+    if is_late or status == _OVERDUE_STATUS:
         words = "cannot be read: it takes too long to be read"
-        return ReaderFailure(words, _LIGHTER, is_lasting=not is_late, is_heavy=True)
-    if status == _KILLED or address_space() < memory:
+        return ReaderFailure(words, _LIGHTER_FILE_HELP, is_lasting=not is_late, is_heavy=True)
+    if status == _KILLED_STATUS or address_space() < memory:
         return _memory_failure(memory)
     if running.active is None:
         words = "cannot be read: the process that reads it ends when it starts"
         return ReaderFailure(words, "run `antdsl doctor`", is_lasting=False)
     words = "it brings down the library that reads it, as files do that are damaged, too large or nested without end"
-    return ReaderFailure(f"cannot be read: {words}", _DAMAGED)
+    return ReaderFailure(f"cannot be read: {words}", _DAMAGED_FILE_HELP)
 
 
 def _memory_failure(needed: int) -> ReaderFailure:
@@ -326,11 +326,11 @@ def _memory_failure(needed: int) -> ReaderFailure:
     that of the request."""
     if address_space() < needed:
         raise MemoryError("the process that reads foreign files has no memory")
-    return ReaderFailure("cannot be read: it takes too much memory", _LIGHTER, is_heavy=True)
+    return ReaderFailure("cannot be read: it takes too much memory", _LIGHTER_FILE_HELP, is_heavy=True)
 
 
-_reader = Reader()
-atexit.register(lambda: _reader.end())
+_file_reader = FileReader()
+atexit.register(lambda: _file_reader.end())
 
 
 def ask(
@@ -342,7 +342,7 @@ def ask(
     seconds: int = 0,
     digest: str = "",
     files: str = "",
-) -> Message:
+) -> ReaderMessage:
     """Return the answer to a request of READERS.
 
     `size`: bytes of its files, which allow it more time and memory. `seconds`: additional CPU time. `digest`: a hash of
@@ -352,43 +352,43 @@ def ask(
     Raises Refusal if the child reports why it does not read something, and ReaderFailure if it gives no answer. Raises
     MemoryError if this process cannot grant enough, and CpuBudgetSpent if the budget of a check is spent. No answer is
     trusted."""
-    return _reader.ask(kind, document, arrays or {}, size=size, seconds=seconds, digest=digest, files=files)
+    return _file_reader.ask(kind, document, arrays or {}, size=size, seconds=seconds, digest=digest, files=files)
 
 
 def begin_scene() -> None:
     """Start a new scene: later requests belong to it, with the full `limits.READER_SECONDS_A_SCENE`."""
-    _reader.begin_scene()
+    _file_reader.begin_scene()
 
 
 def prepare(format: str) -> None:
     """Start the reader for a key of PREPARED and return at once, so that it loads libraries while this process does something
     else."""
-    _reader.prepare(format)
+    _file_reader.prepare(format)
 
 
 def new_folder() -> Path:
     """An empty folder that the reader may open, to be removed by the caller; the end of this process removes it too."""
-    return _reader.folder()
+    return _file_reader.folder()
 
 
 def active_layers() -> dict[str, int]:
     """Return the layers that confine the reader on this system; ReaderFailure if it cannot be started."""
-    return _reader.active_layers()
+    return _file_reader.active_layers()
 
 
-_of_owners: list[Reader] = []  # never freed: a thread that is not in this process may hold their locks
+_inherited_readers: list[FileReader] = []  # never freed: a thread that is not in this process may hold their locks
 
 
 def end_reader() -> None:
     """End the reader and remove the private folder now, in a process that leaves without the functions of `atexit`."""
-    _reader.end()
+    _file_reader.end()
 
 
 def _after_fork() -> None:
-    global _reader
-    _reader.forget()
-    _of_owners.append(_reader)
-    _reader = Reader()
+    global _file_reader
+    _file_reader.forget()
+    _inherited_readers.append(_file_reader)
+    _file_reader = FileReader()
 
 
 if hasattr(os, "register_at_fork"):

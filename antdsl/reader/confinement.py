@@ -8,15 +8,16 @@ import sys
 import sysconfig
 from pathlib import Path
 
-from antdsl.child_processes import INSTALLATION, isolate
+from antdsl.child_processes import INSTALLATION_FOLDER, isolate
 
-TRUST = "ANTDSL_TRUST_USD"  # an environment variable, so that the processes of pools and farms have it too
+TRUST_VARIABLE = "ANTDSL_TRUST_USD"  # an environment variable, so that the processes of pools and farms have it too
 # Folders of the system that libraries are loaded from.
-_SYSTEM = ("/lib", "/lib32", "/lib64", "/usr/lib", "/usr/lib32", "/usr/lib64", "/usr/local/lib", "/etc/ld.so.cache", "/nix/store",
+_SYSTEM_FOLDERS = ("/lib", "/lib32", "/lib64", "/usr/lib", "/usr/lib32", "/usr/lib64", "/usr/local/lib", "/etc/ld.so.cache",
+"/nix/store",
            "/gnu/store", "/dev/null", "/dev/urandom", "/sys/devices/system/cpu", "/proc/self", "/proc/cpuinfo")  # fmt: skip
 # Variables that a program needs to start at all; others could name code to load (`PXR_PLUGINPATH_NAME`, `PYTHONPATH`).
-_PASSED = ("PATH", "LD_LIBRARY_PATH", "DYLD_LIBRARY_PATH", "SYSTEMROOT", "SystemRoot", "LANG", "LC_ALL", "PYTHONHOME")
-_SET = {
+_PASSED_VARIABLES = ("PATH", "LD_LIBRARY_PATH", "DYLD_LIBRARY_PATH", "SYSTEMROOT", "SystemRoot", "LANG", "LC_ALL", "PYTHONHOME")
+_SET_VARIABLES = {
     "PYTHONSAFEPATH": "1",
     "PYTHONDONTWRITEBYTECODE": "1",
     "PYTHONUTF8": "1",
@@ -29,19 +30,19 @@ _SET = {
 
 def is_usd_trusted() -> bool:
     """Whether the person trusts the USD files that are read, so that no sandbox is needed."""
-    return os.environ.get(TRUST) == "1"
+    return os.environ.get(TRUST_VARIABLE) == "1"
 
 
 def trust_usd() -> None:
     """Trust USD files from here on, in the processes that this one starts too."""
-    os.environ[TRUST] = "1"
+    os.environ[TRUST_VARIABLE] = "1"
 
 
 def environment() -> dict[str, str]:
     """The environment of the child: what it needs, and nothing that names code or files of a project."""
     isolate()
-    variables = {name: value for name, value in os.environ.items() if name in _PASSED or name.startswith("NPY_")}
-    return variables | _SET
+    variables = {name: value for name, value in os.environ.items() if name in _PASSED_VARIABLES or name.startswith("NPY_")}
+    return variables | _SET_VARIABLES
 
 
 def module_folders() -> list[str]:
@@ -56,12 +57,12 @@ def module_folders() -> list[str]:
         for path in sys.path
         if os.path.isabs(path) and (os.path.realpath(path) != working_folder or _is_package_folder(path))
     ]
-    return folders if INSTALLATION in folders else [*folders, INSTALLATION]
+    return folders if INSTALLATION_FOLDER in folders else [*folders, INSTALLATION_FOLDER]
 
 
 def readable_folders() -> list[str]:
     """Folders and files that the child may read: Python, installed packages and the system's libraries."""
-    readable_paths = {sys.prefix, sys.base_prefix, sys.exec_prefix, str(_package()), *_SYSTEM}
+    readable_paths = {sys.prefix, sys.base_prefix, sys.exec_prefix, str(_package()), *_SYSTEM_FOLDERS}
     if sys.prefix == "/usr" or sys.base_prefix == "/usr":
         readable_paths -= {"/usr"}
     readable_paths |= {path for path in module_folders() if _is_package_folder(path)}

@@ -11,10 +11,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl.reader import client
-from antdsl.reader.protocol import Message, ProtocolError, Refusal
+from antdsl.reader.protocol import ProtocolError, ReaderMessage, ReadRefusal
 
 # Modes of Pillow that can be requested: type of a sample, channels (0: one, without a separate axis).
-MODES = {"F": ("f4", 0), "I;16": ("u2", 0), "I;16L": ("u2", 0), "I;16B": ("u2", 0), "I;16N": ("u2", 0), "RGB": ("u1", 3)}
+SAMPLE_TYPE_BY_MODE = {
+    "F": ("f4", 0),
+    "I;16": ("u2", 0),
+    "I;16L": ("u2", 0),
+    "I;16B": ("u2", 0),
+    "I;16N": ("u2", 0),
+    "RGB": ("u1", 3),
+}
 
 
 class ImageError(Exception):
@@ -41,12 +48,12 @@ class ImageFile:
 def read_image_file(data: bytes, format: str, modes: Collection[str], pixels: int) -> ImageFile:
     """Return the image in a file's bytes. `format`: Pillow's name of it, such as `PNG`; `modes`: keys of MODES. Raises ImageError
     with the reason if there is none."""
-    said = {"format": format, "modes": [mode for mode in modes if mode in MODES], "pixels": pixels}
+    said = {"format": format, "modes": [mode for mode in modes if mode in SAMPLE_TYPE_BY_MODE], "pixels": pixels}
     digest = blake2b(repr(sorted(said.items())).encode() + data, digest_size=16).hexdigest()
     try:
         answer = client.ask("image", said, {"data": np.frombuffer(data, np.uint8)}, size=len(data), digest=digest, files=digest)
         return _check_answer(answer, said["modes"], pixels)
-    except Refusal as why:
+    except ReadRefusal as why:
         raise ImageError(f"cannot be read as {format} ({why})", "export the image again") from None
     except client.ReaderFailure as why:
         raise ImageError(str(why), why.help) from None
@@ -56,7 +63,7 @@ def read_image_file(data: bytes, format: str, modes: Collection[str], pixels: in
         ) from None
 
 
-def _check_answer(answer: Message, modes: Any, pixels: int) -> ImageFile:
+def _check_answer(answer: ReaderMessage, modes: Any, pixels: int) -> ImageFile:
     said = answer.document
     mode, texts = said.get("mode"), said.get("texts")
     rows, columns, pages = (int(answer.number(name)) for name in ("rows", "columns", "pages"))
@@ -64,6 +71,6 @@ def _check_answer(answer: Message, modes: Any, pixels: int) -> ImageFile:
         raise ProtocolError("`mode` or `texts` is missing")
     samples = None
     if pages == 1 and mode in modes and rows * columns <= pixels:
-        dtype, channels = MODES[mode]
+        dtype, channels = SAMPLE_TYPE_BY_MODE[mode]
         samples = answer.array("samples", dtype, rows, columns, *([channels] if channels else []))
     return ImageFile(mode[:40], rows, columns, pages, texts, samples)

@@ -9,16 +9,16 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl.reader.protocol import Refusal
+from antdsl.reader.protocol import ReadRefusal
 
 if TYPE_CHECKING:
-    from antdsl.reader.protocol import Message
+    from antdsl.reader.protocol import ReaderMessage
 
-_TEXTS = 64  # text entries of a PNG file that are passed on
-_CHARACTERS = 1000
+_MAX_TEXT_ENTRIES = 64  # text entries of a PNG file that are passed on
+_MAX_TEXT_CHARACTERS = 1000
 
 
-def read_image(request: Message) -> tuple[dict[str, Any], Mapping[str, NDArray[Any]]]:
+def read_image(request: ReaderMessage) -> tuple[dict[str, Any], Mapping[str, NDArray[Any]]]:
     """Return an image from the file in the array `data`: its `mode`, `columns`, `rows`, number of `pages` and `texts`, and the
     array `samples` (rows, columns) or (rows, columns, channels). `format` is Pillow's name of the format. There are no samples if
     the image has several pages, more than `pixels`, or a mode that is not one of `modes`."""
@@ -36,10 +36,10 @@ def read_image(request: Message) -> tuple[dict[str, Any], Mapping[str, NDArray[A
                 arrays["samples"] = np.asarray(image)
             document = {"mode": image.mode, "columns": columns, "rows": rows, "pages": pages}
             return document | {"texts": _texts(image.info)}, arrays  # texts may come after the samples
-    except (MemoryError, Refusal):
+    except (MemoryError, ReadRefusal):
         raise
     except Exception as problem:  # a library's reader meets a stranger's file
-        raise Refusal("bad-image", type(problem).__name__) from problem
+        raise ReadRefusal("bad-image", type(problem).__name__) from problem
 
 
 def _require_all_parts(image: Any) -> None:
@@ -48,9 +48,9 @@ def _require_all_parts(image: Any) -> None:
     if boxes and all(boxes):
         covered = sum((right - left) * (bottom - top) for left, top, right, bottom in boxes)
         if covered < image.width * image.height:
-            raise Refusal("bad-image", "parts of the image are missing")
+            raise ReadRefusal("bad-image", "parts of the image are missing")
 
 
 def _texts(info: Mapping[Any, Any]) -> dict[str, str]:
     entries = [(name, text) for name, text in info.items() if isinstance(name, str) and isinstance(text, str)]
-    return {name[:_CHARACTERS]: text[:_CHARACTERS] for name, text in entries[:_TEXTS]}
+    return {name[:_MAX_TEXT_CHARACTERS]: text[:_MAX_TEXT_CHARACTERS] for name, text in entries[:_MAX_TEXT_ENTRIES]}

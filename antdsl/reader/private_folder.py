@@ -9,9 +9,9 @@ import tempfile
 from contextlib import suppress
 from pathlib import Path
 
-_PREFIX = "antdsl-reader-"
-_LOCK = "lock"
-_FILES = "files"
+_FOLDER_PREFIX = "antdsl-reader-"
+_LOCK_FILE_NAME = "lock"
+_FILES_FOLDER_NAME = "files"
 
 
 class PrivateFolder:
@@ -19,10 +19,10 @@ class PrivateFolder:
 
     def __init__(self) -> None:
         remove_stale()
-        self._whole = Path(os.path.abspath(tempfile.mkdtemp(prefix=_PREFIX)))  # the child has another working directory
+        self._whole = Path(os.path.abspath(tempfile.mkdtemp(prefix=_FOLDER_PREFIX)))  # the child has another working directory
         self._process = os.getpid()
-        self._lock = _try_lock(self._whole / _LOCK, os.O_CREAT)
-        self.path = self._whole / _FILES
+        self._lock = _try_lock(self._whole / _LOCK_FILE_NAME, os.O_CREAT)
+        self.path = self._whole / _FILES_FOLDER_NAME
         self.path.mkdir(mode=0o700)
         self._count = 0
 
@@ -47,7 +47,7 @@ def remove_stale() -> None:
     """Remove the folders of this user's processes that have ended."""
     with suppress(OSError):
         for entry in os.scandir(tempfile.gettempdir()):
-            if entry.name.startswith(_PREFIX) and entry.is_dir(follow_symlinks=False):
+            if entry.name.startswith(_FOLDER_PREFIX) and entry.is_dir(follow_symlinks=False):
                 with suppress(OSError):
                     _remove_if_stale(Path(entry.path))
 
@@ -55,7 +55,7 @@ def remove_stale() -> None:
 def _remove_if_stale(folder: Path) -> None:
     if hasattr(os, "getuid") and folder.lstat().st_uid != os.getuid():
         return
-    lock = _try_lock(folder / _LOCK, 0)
+    lock = _try_lock(folder / _LOCK_FILE_NAME, 0)
     if lock is not None:
         shutil.rmtree(folder, ignore_errors=True)
         os.close(lock)

@@ -18,14 +18,14 @@ from numpy.typing import NDArray
 from antdsl import limits
 from antdsl.diagnostics.model import printable
 
-_CHARACTERS = 2000
-MAGIC = b"ant1"
-DTYPES = ("|u1", "<u2", "<i4", "<i8", "<f4", "<f8")
-_PREFIX = struct.Struct("<4sQ")
-_BLOCK = 64 * limits.MIB  # bytes that are allocated before more have arrived
-_ARRAYS = 4096
-_AXES = 8
-_LARGEST = 1.7e308
+_MAX_TEXT_CHARACTERS = 2000
+MESSAGE_MAGIC = b"ant1"
+ALLOWED_DTYPES = ("|u1", "<u2", "<i4", "<i8", "<f4", "<f8")
+_PREFIX_STRUCT = struct.Struct("<4sQ")
+_READ_BLOCK_BYTES = 64 * limits.MIB  # bytes that are allocated before more have arrived
+_MAX_ARRAYS = 4096
+_MAX_AXES = 8
+_MAX_NUMBER = 1.7e308
 
 Arrays = Mapping[str, NDArray[Any]]
 
@@ -39,7 +39,7 @@ class EndOfMessages(ProtocolError):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Message:
+class ReaderMessage:
     """A JSON object and arrays by name."""
 
     document: dict[str, Any]
@@ -65,7 +65,7 @@ class Message:
     def number(self, name: str) -> float:
         """A finite number of the document."""
         found = self.document.get(name)
-        if isinstance(found, bool) or not isinstance(found, int | float) or not -_LARGEST < found < _LARGEST:
+        if isinstance(found, bool) or not isinstance(found, int | float) or not -_MAX_NUMBER < found < _MAX_NUMBER:
             raise ProtocolError(f"`{name}` is not a finite number")
         return float(found)
 
@@ -82,7 +82,7 @@ class Message:
         blob = self.array(f"{name}:bytes", "|u1", None)
         if len(lengths) and (lengths.min() < 0 or lengths.max() > len(blob)):
             raise ProtocolError(f"`{name}` has a length that is out of range")
-        if int(lengths.sum()) != len(blob) or len(lengths) > limits.AGENTS:
+        if int(lengths.sum()) != len(blob) or len(lengths) > limits.MAX_AGENTS:
             raise ProtocolError(f"`{name}` does not have as many bytes as its lengths state")
         data, ends = blob.tobytes(), np.cumsum(lengths).tolist()
         try:
@@ -105,24 +105,24 @@ def write_message(file: IO[bytes], document: Mapping[str, Any], arrays: Arrays) 
     listed, parts = [], []
     for name, array in arrays.items():
         little = np.ascontiguousarray(array, array.dtype.newbyteorder("<"))
-        if little.dtype.str not in DTYPES:
+        if little.dtype.str not in ALLOWED_DTYPES:
             raise ValueError(f"arrays of the type {little.dtype.str} are not sent")
         listed.append([name, little.dtype.str, list(array.shape)])
         parts.append(little)
     header = json.dumps({"document": document, "arrays": listed}, allow_nan=False).encode("ascii")
-    if len(header) > limits.READER_HEADER_BYTES:
+    if len(header) > limits.MAX_READER_HEADER_BYTES:
         raise ValueError("the document of a message is too large")
-    file.write(_PREFIX.pack(MAGIC, len(header)) + header)
+    file.write(_PREFIX_STRUCT.pack(MESSAGE_MAGIC, len(header)) + header)
     for part in parts:
         if part.size:
             file.write(part.reshape(-1).view(np.uint8).data)
     file.flush()
 
 
-def read_message(file: IO[bytes], most: int) -> Message:
+def read_message(file: IO[bytes], most: int) -> ReaderMessage:
     """Return the next message; its arrays have at most `most` bytes together. Raises ProtocolError for anything else."""
-    magic, length = _PREFIX.unpack(_read_bytes(file, _PREFIX.size).tobytes())
-    if magic != MAGIC or length > limits.READER_HEADER_BYTES:
+    magic, length = _PREFIX_STRUCT.unpack(_read_bytes(file, _PREFIX_STRUCT.size).tobytes())
+    if magic != MESSAGE_MAGIC or length > limits.MAX_READER_HEADER_BYTES:
         raise ProtocolError("a message begins with the wrong bytes")
     try:
         header = json.loads(_read_bytes(file, length).tobytes(), parse_constant=_refuse_constant)
@@ -131,13 +131,13 @@ def read_message(file: IO[bytes], most: int) -> Message:
     if not isinstance(header, dict) or not isinstance(header.get("document"), dict) or not isinstance(header.get("arrays"), list):
         raise ProtocolError("the header of a message has the wrong keys")
     plan = [_parse_entry(entry) for entry in header["arrays"]]
-    if len(plan) > _ARRAYS or sum(size for *_, size in plan) > most or len({name for name, *_ in plan}) != len(plan):
+    if len(plan) > _MAX_ARRAYS or sum(size for *_, size in plan) > most or len({name for name, *_ in plan}) != len(plan):
         raise ProtocolError("a message has more or larger arrays than are accepted")
     arrays = {}
     for name, dtype, shape, size in plan:
         native = np.dtype(dtype).newbyteorder("=")
         arrays[name] = _read_bytes(file, size).view(dtype).astype(native, copy=False).reshape(shape)
-    return Message(header["document"], arrays)
+    return ReaderMessage(header["document"], arrays)
 
 
 def _parse_entry(entry: object) -> tuple[str, str, tuple[int, ...], int]:
@@ -145,7 +145,7 @@ def _parse_entry(entry: object) -> tuple[str, str, tuple[int, ...], int]:
     if not isinstance(entry, list) or len(entry) != 3:
         raise ProtocolError("an array is announced in another form")
     name, dtype, shape = entry
-    if not isinstance(name, str) or dtype not in DTYPES or not isinstance(shape, list) or len(shape) > _AXES:
+    if not isinstance(name, str) or dtype not in ALLOWED_DTYPES or not isinstance(shape, list) or len(shape) > _MAX_AXES:
         raise ProtocolError("an array is announced in another form")
     if not all(isinstance(side, int) and not isinstance(side, bool) and 0 <= side < 1 << 40 for side in shape):
         raise ProtocolError("an array is described with invalid dimensions")
@@ -154,7 +154,7 @@ def _parse_entry(entry: object) -> tuple[str, str, tuple[int, ...], int]:
 
 def _read_bytes(file: IO[bytes], size: int) -> NDArray[np.uint8]:
     """Read exactly `size` bytes. Memory grows with the bytes that arrive, not with the announced size."""
-    buffer = np.empty(min(size, _BLOCK), np.uint8)
+    buffer = np.empty(min(size, _READ_BLOCK_BYTES), np.uint8)
     filled = 0
     while filled < size:
         if filled == len(buffer):
@@ -170,7 +170,7 @@ def _refuse_constant(word: str) -> NoReturn:
     raise ValueError(word)
 
 
-class Refusal(Exception):
+class ReadRefusal(Exception):
     """The reader's reason for not reading something. `code` is a diagnostic's code, the text its message, `help` what to do
     instead, `key` the key of the scene concerned. `about`: the subject of the message, "" for the whole file, or a word on which
     the requester and the function agree."""
@@ -184,7 +184,7 @@ class Refusal(Exception):
         return {"code": self.code, "message": str(self), "help": self.help, "key": self.key, "about": self.about}
 
     @classmethod
-    def of_document(cls, document: Any, codes: Any) -> Refusal | None:
+    def of_document(cls, document: Any, codes: Any) -> ReadRefusal | None:
         """Return the refusal that a process sent; None if it is not one, or its code is not in `codes`."""
         if not isinstance(document, dict):
             return None
@@ -203,5 +203,5 @@ class Refusal(Exception):
 
 def display_text(text: str) -> str:
     """Return a text of the process in a form for messages: printable and not too long."""
-    line = printable(text[: _CHARACTERS + 1])
-    return line if len(line) <= _CHARACTERS else line[: _CHARACTERS - 1] + "…"
+    line = printable(text[: _MAX_TEXT_CHARACTERS + 1])
+    return line if len(line) <= _MAX_TEXT_CHARACTERS else line[: _MAX_TEXT_CHARACTERS - 1] + "…"

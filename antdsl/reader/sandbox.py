@@ -17,9 +17,9 @@ import struct
 import sys
 from collections.abc import Sequence
 
-MEMORY_MOST = 8 << 30  # bytes of address space that no request can exceed
-_FILES = 256
-_STACK = 8 << 20
+MAX_MEMORY_BYTES = 8 << 30  # bytes of address space that no request can exceed
+_MAX_OPEN_FILES = 256
+_STACK_BYTES = 8 << 20
 
 # ---- limits of the system
 
@@ -30,11 +30,11 @@ def limit_resources() -> bool:
         import resource
     except ImportError:
         return False
-    _lower_limit("RLIMIT_AS", MEMORY_MOST, hard=True)
-    _lower_limit("RLIMIT_NOFILE", _FILES, hard=True)
+    _lower_limit("RLIMIT_AS", MAX_MEMORY_BYTES, hard=True)
+    _lower_limit("RLIMIT_NOFILE", _MAX_OPEN_FILES, hard=True)
     _lower_limit("RLIMIT_FSIZE", 0, hard=True)
     _lower_limit("RLIMIT_CORE", 0, hard=True)
-    _lower_limit("RLIMIT_STACK", _STACK)
+    _lower_limit("RLIMIT_STACK", _STACK_BYTES)
     del resource
     return True
 
@@ -80,9 +80,9 @@ def _lower_limit(name: str, most: int, *, hard: bool = False) -> None:
 
 # ---- Landlock
 
-_CREATE, _ADD, _RESTRICT = 444, 445, 446  # the same numbers on every processor
-_READ_FILE, _READ_DIR = 1 << 2, 1 << 3
-_FILE_RIGHTS = {1: 13, 2: 14, 3: 15, 4: 15, 5: 16}  # bits that each ABI knows
+_LANDLOCK_CREATE_CALL, _LANDLOCK_ADD_CALL, _LANDLOCK_RESTRICT_CALL = 444, 445, 446  # the same numbers on every processor
+_READ_FILE_RIGHT, _READ_FOLDER_RIGHT = 1 << 2, 1 << 3
+_FILE_RIGHT_BITS_BY_ABI = {1: 13, 2: 14, 3: 15, 4: 15, 5: 16}  # bits that each ABI knows
 
 
 def restrict_files(folders: Sequence[str]) -> int:
@@ -91,18 +91,18 @@ def restrict_files(folders: Sequence[str]) -> int:
     libc = _load_libc()
     if libc is None or sys.platform != "linux":
         return 0
-    abi = int(libc.syscall(_CREATE, None, 0, 1))
+    abi = int(libc.syscall(_LANDLOCK_CREATE_CALL, None, 0, 1))
     if abi < 1:
         return 0
-    files = (1 << _FILE_RIGHTS[min(abi, 5)]) - 1
+    files = (1 << _FILE_RIGHT_BITS_BY_ABI[min(abi, 5)]) - 1
     rules = struct.pack("<QQQ", files, 3 if abi >= 4 else 0, 3 if abi >= 6 else 0)[: 8 if abi < 4 else 16 if abi < 6 else 24]
-    ruleset = int(libc.syscall(_CREATE, rules, len(rules), 0))
+    ruleset = int(libc.syscall(_LANDLOCK_CREATE_CALL, rules, len(rules), 0))
     if ruleset < 0:
         return 0
     try:
         for folder in folders:
             _allow_path(libc, ruleset, folder)
-        if libc.prctl(38, 1, 0, 0, 0) or libc.syscall(_RESTRICT, ruleset, 0):
+        if libc.prctl(38, 1, 0, 0, 0) or libc.syscall(_LANDLOCK_RESTRICT_CALL, ruleset, 0):
             return 0
     finally:
         os.close(ruleset)
@@ -115,8 +115,8 @@ def _allow_path(libc: ctypes.CDLL, ruleset: int, path: str) -> None:
     except OSError:
         return
     try:
-        rights = _READ_FILE | (_READ_DIR if os.path.isdir(path) else 0)
-        libc.syscall(_ADD, ruleset, 1, struct.pack("<Qi", rights, handle), 0)
+        rights = _READ_FILE_RIGHT | (_READ_FOLDER_RIGHT if os.path.isdir(path) else 0)
+        libc.syscall(_LANDLOCK_ADD_CALL, ruleset, 1, struct.pack("<Qi", rights, handle), 0)
     finally:
         os.close(handle)
 
@@ -124,7 +124,7 @@ def _allow_path(libc: ctypes.CDLL, ruleset: int, path: str) -> None:
 # ---- seccomp
 
 # Numbers of the calls that are refused, by processor: x86-64, ARM64 (None: it has no such call).
-_REFUSED: dict[str, tuple[int | None, int | None]] = {
+_REFUSED_CALL_NUMBERS: dict[str, tuple[int | None, int | None]] = {
     "fork": (57, None), "vfork": (58, None), "execve": (59, 221), "execveat": (322, 281),
     "socket": (41, 198), "connect": (42, 203), "accept": (43, 202), "sendto": (44, 206), "sendmsg": (46, 211),
     "bind": (49, 200), "listen": (50, 201), "socketpair": (53, 199), "accept4": (288, 242), "sendmmsg": (307, 269),
@@ -148,24 +148,24 @@ _REFUSED: dict[str, tuple[int | None, int | None]] = {
     "mq_open": (240, 180), "memfd_create": (319, 279), "inotify_init1": (294, 26), "fanotify_init": (300, 262),
 }  # fmt: skip
 # Calls decided by arguments: opening a file, making a thread, limits of a process, a signal to a thread, control of a terminal.
-_OPEN, _OPENAT, _OPENAT2 = (2, None), (257, 56), (437, 437)
-_CLONE, _CLONE3, _PRLIMIT, _TGKILL, _IOCTL = (56, 220), (435, 435), (302, 261), (234, 131), (16, 29)
-_MACHINES = {"x86_64": (0, 0xC000003E), "aarch64": (1, 0xC00000B7)}
-_WRITES = os.O_WRONLY | os.O_RDWR | os.O_CREAT | os.O_TRUNC | os.O_APPEND
-_THREAD = 0x10000  # CLONE_THREAD
-_TIOCSTI = 0x5412
-_KILL, _ALLOW, _FAIL = 0x80000000, 0x7FFF0000, 0x00050000
-_LOAD, _EQUAL, _ABOVE, _BITS, _RETURN = 0x20, 0x15, 0x35, 0x45, 0x06
+_OPEN_CALLS, _OPENAT_CALLS, _OPENAT2_CALLS = (2, None), (257, 56), (437, 437)
+_CLONE_CALLS, _CLONE3_CALLS, _PRLIMIT_CALLS, _TGKILL_CALLS, _IOCTL_CALLS = (56, 220), (435, 435), (302, 261), (234, 131), (16, 29)
+_ARCHITECTURE_BY_MACHINE = {"x86_64": (0, 0xC000003E), "aarch64": (1, 0xC00000B7)}
+_WRITE_FLAGS = os.O_WRONLY | os.O_RDWR | os.O_CREAT | os.O_TRUNC | os.O_APPEND
+_CLONE_THREAD_FLAG = 0x10000  # CLONE_THREAD
+_TIOCSTI_REQUEST = 0x5412
+_KILL_ACTION, _ALLOW_ACTION, _FAIL_ACTION = 0x80000000, 0x7FFF0000, 0x00050000
+_LOAD_OPCODE, _JUMP_EQUAL_OPCODE, _JUMP_ABOVE_OPCODE, _JUMP_BITS_OPCODE, _RETURN_OPCODE = 0x20, 0x15, 0x35, 0x45, 0x06
 
-Instruction = tuple[int, int, int, int]
+BpfInstruction = tuple[int, int, int, int]
 
 
 def refuse_calls() -> bool:
     """Install the seccomp filter for this process; return False if there is none."""
     libc = _load_libc()
-    if libc is None or sys.platform != "linux" or os.uname().machine not in _MACHINES or sys.maxsize < 1 << 32:
+    if libc is None or sys.platform != "linux" or os.uname().machine not in _ARCHITECTURE_BY_MACHINE or sys.maxsize < 1 << 32:
         return False
-    which, architecture = _MACHINES[os.uname().machine]
+    which, architecture = _ARCHITECTURE_BY_MACHINE[os.uname().machine]
     program = _filter_program(which, architecture, os.getpid())
     code = b"".join(struct.pack("<HBBI", *each) for each in program)
     buffer = ctypes.create_string_buffer(code, len(code))
@@ -175,31 +175,58 @@ def refuse_calls() -> bool:
     return not libc.prctl(22, 2, head, 0, 0)
 
 
-def _filter_program(which: int, architecture: int, process: int) -> list[Instruction]:
+def _filter_program(which: int, architecture: int, process: int) -> list[BpfInstruction]:
     """The filter as instructions (code, jump where true, jump where false, operand) of the classic packet filter."""
-    refused = _FAIL | errno.EPERM
-    lines: list[Instruction] = [(_LOAD, 0, 0, 4), (_EQUAL, 1, 0, architecture), (_RETURN, 0, 0, _KILL), (_LOAD, 0, 0, 0)]
+    refused = _FAIL_ACTION | errno.EPERM
+    lines: list[BpfInstruction] = [
+        (_LOAD_OPCODE, 0, 0, 4),
+        (_JUMP_EQUAL_OPCODE, 1, 0, architecture),
+        (_RETURN_OPCODE, 0, 0, _KILL_ACTION),
+        (_LOAD_OPCODE, 0, 0, 0),
+    ]
     if which == 0:  # the x32 calls of x86-64 have numbers of their own
-        lines += [(_ABOVE, 0, 1, 0x40000000), (_RETURN, 0, 0, refused)]
-    for call in _REFUSED.values():
-        lines += _match_call(call[which], [(_RETURN, 0, 0, refused)])
-    for call in (_OPENAT2, _CLONE3):  # their arguments are behind a pointer; the C library falls back to the older calls
-        lines += _match_call(call[which], [(_RETURN, 0, 0, _FAIL | errno.ENOSYS)])
-    allow, refuse = (_RETURN, 0, 0, _ALLOW), (_RETURN, 0, 0, refused)
-    lines += _match_call(_OPEN[which], [(_LOAD, 0, 0, _argument_offset(1)), (_BITS, 0, 1, _WRITES), refuse, allow])
-    lines += _match_call(_OPENAT[which], [(_LOAD, 0, 0, _argument_offset(2)), (_BITS, 0, 1, _WRITES), refuse, allow])
-    lines += _match_call(_CLONE[which], [(_LOAD, 0, 0, _argument_offset(0)), (_BITS, 1, 0, _THREAD), refuse, allow])
-    lines += _match_call(_TGKILL[which], [(_LOAD, 0, 0, _argument_offset(0)), (_EQUAL, 1, 0, process), refuse, allow])
+        lines += [(_JUMP_ABOVE_OPCODE, 0, 1, 0x40000000), (_RETURN_OPCODE, 0, 0, refused)]
+    for call in _REFUSED_CALL_NUMBERS.values():
+        lines += _match_call(call[which], [(_RETURN_OPCODE, 0, 0, refused)])
+    for call in (
+        _OPENAT2_CALLS,
+        _CLONE3_CALLS,
+    ):  # their arguments are behind a pointer; the C library falls back to the older calls
+        lines += _match_call(call[which], [(_RETURN_OPCODE, 0, 0, _FAIL_ACTION | errno.ENOSYS)])
+    allow, refuse = (_RETURN_OPCODE, 0, 0, _ALLOW_ACTION), (_RETURN_OPCODE, 0, 0, refused)
     lines += _match_call(
-        _PRLIMIT[which], [(_LOAD, 0, 0, _argument_offset(0)), (_EQUAL, 2, 0, 0), (_EQUAL, 1, 0, process), refuse, allow]
+        _OPEN_CALLS[which], [(_LOAD_OPCODE, 0, 0, _argument_offset(1)), (_JUMP_BITS_OPCODE, 0, 1, _WRITE_FLAGS), refuse, allow]
     )
-    lines += _match_call(_IOCTL[which], [(_LOAD, 0, 0, _argument_offset(1)), (_EQUAL, 0, 1, _TIOCSTI), refuse, allow])
+    lines += _match_call(
+        _OPENAT_CALLS[which], [(_LOAD_OPCODE, 0, 0, _argument_offset(2)), (_JUMP_BITS_OPCODE, 0, 1, _WRITE_FLAGS), refuse, allow]
+    )
+    lines += _match_call(
+        _CLONE_CALLS[which],
+        [(_LOAD_OPCODE, 0, 0, _argument_offset(0)), (_JUMP_BITS_OPCODE, 1, 0, _CLONE_THREAD_FLAG), refuse, allow],
+    )
+    lines += _match_call(
+        _TGKILL_CALLS[which], [(_LOAD_OPCODE, 0, 0, _argument_offset(0)), (_JUMP_EQUAL_OPCODE, 1, 0, process), refuse, allow]
+    )
+    lines += _match_call(
+        _PRLIMIT_CALLS[which],
+        [
+            (_LOAD_OPCODE, 0, 0, _argument_offset(0)),
+            (_JUMP_EQUAL_OPCODE, 2, 0, 0),
+            (_JUMP_EQUAL_OPCODE, 1, 0, process),
+            refuse,
+            allow,
+        ],
+    )
+    lines += _match_call(
+        _IOCTL_CALLS[which],
+        [(_LOAD_OPCODE, 0, 0, _argument_offset(1)), (_JUMP_EQUAL_OPCODE, 0, 1, _TIOCSTI_REQUEST), refuse, allow],
+    )
     return [*lines, allow]
 
 
-def _match_call(number: int | None, then: list[Instruction]) -> list[Instruction]:
+def _match_call(number: int | None, then: list[BpfInstruction]) -> list[BpfInstruction]:
     """Return the instructions for one system call. The call's number stays loaded for the next test."""
-    return [] if number is None else [(_EQUAL, 0, len(then), number), *then]
+    return [] if number is None else [(_JUMP_EQUAL_OPCODE, 0, len(then), number), *then]
 
 
 def _argument_offset(number: int) -> int:

@@ -19,9 +19,9 @@ from antdsl.runtime.binding.bind_world import run_value
 from antdsl.runtime.binding.placing import give_at_birth
 from antdsl.runtime.binding.reuse import digest
 from antdsl.runtime.lifecycle import initialise_newborn
-from antdsl.runtime.requests import Effects
+from antdsl.runtime.requests import EffectRequests
 from antdsl.runtime.world import Population, World, add_rows, stored_registers
-from antdsl.scene.setting import Setting
+from antdsl.scene.setting import WorldSetting
 
 _PLACE = frozenset(("snap", "load"))
 Rows = NDArray[np.intp]
@@ -81,7 +81,7 @@ def fill_registers(world: World, name: str, values: dict[str, NDArray[Any]]) -> 
             first = (population.born == world.setting.first_frame) & (population.now["group"] == crowd.group)
             give_at_birth(population, np.flatnonzero(first), crowd.place)
     initialise_newborn(world, {name: np.arange(len(population))})
-    population.effects = Effects()
+    population.effects = EffectRequests()
     write_registers(population, values)
 
 
@@ -154,7 +154,7 @@ def _changed_defaults(old: World, world: World, old_plan: ir.SpeciesPlan, new_pl
     return {name for name in attributes - stored if one.get(name) != other.get(name) or name in placed}
 
 
-def _place_digests(setting: Setting, species: str, attribute: str) -> list[str]:
+def _place_digests(setting: WorldSetting, species: str, attribute: str) -> list[str]:
     """Return digests of the attribute's values at the start places of the scene, line by line."""
     return [digest(crowd.place.values.get(attribute)) for crowd in setting.crowds if crowd.species == species]
 
@@ -264,8 +264,8 @@ def _block(block: ir.Block, where: tuple[int, ...], hashes: dict[str, int], para
             hashes[statement.register] = hash((where, previous_hash, value))
 
 
-def _value(node: ir.Node, hashes: Mapping[str, int], params: Mapping[str, float]) -> int:
-    node_hashes: dict[ir.Node, int] = {}
+def _value(node: ir.PlanNode, hashes: Mapping[str, int], params: Mapping[str, float]) -> int:
+    node_hashes: dict[ir.PlanNode, int] = {}
     for each in required_nodes([node]):
         attrs: tuple[object, ...] = each.attrs
         if each.op in _PLACE:

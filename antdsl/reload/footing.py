@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl.ground.plane import Plane
+from antdsl.ground.plane import PlaneGround
 from antdsl.ground.protocol import Footing
 from antdsl.numerics.vector_rows import length, unit_tangent
 from antdsl.runtime.binding.reuse import digest
@@ -49,9 +49,9 @@ def align_with_ground(world: World, population: Population, moved: NDArray[np.bo
 
 def _migrate_footing(old: World, world: World, old_population: Population) -> Footing:
     ground, place = world.ground, old_population.position
-    if isinstance(ground, Plane):
-        return old_population.footing if isinstance(old.ground, Plane) else ground.place(place, world.up)[0]
-    if isinstance(old.ground, Plane):
+    if isinstance(ground, PlaneGround):
+        return old_population.footing if isinstance(old.ground, PlaneGround) else ground.place(place, world.up)[0]
+    if isinstance(old.ground, PlaneGround):
         return ground.nearest(place)[0]
     number = _ground_numbers(old, world)
     was = old_population.footing.mesh

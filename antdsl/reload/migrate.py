@@ -20,10 +20,10 @@ from antdsl.runtime.binding.reuse import BindingCache, digest
 from antdsl.runtime.faults import FaultLog
 from antdsl.runtime.feet import walking
 from antdsl.runtime.lifecycle import forget_the_dead
-from antdsl.runtime.motion_measures import Motion
+from antdsl.runtime.motion_measures import MotionMeasures
 from antdsl.runtime.moving.moving_geometry import pose_world
 from antdsl.runtime.world import World
-from antdsl.scene.setting import CrowdData, Setting
+from antdsl.scene.setting import CrowdData, WorldSetting
 
 
 @dataclass(slots=True)
@@ -44,7 +44,7 @@ class Migration:
 
 
 @standard_floats()
-def take_over(old: World, plan: ir.Plan, setting: Setting, built: BindingCache | None = None) -> tuple[World, Migration]:
+def take_over(old: World, plan: ir.Plan, setting: WorldSetting, built: BindingCache | None = None) -> tuple[World, Migration]:
     """Return the world of an edited plan and setting at the frame of a running one, and the migration. Raises BindError as in
     `bind`.
 
@@ -96,11 +96,11 @@ def _migrate_agents(old: World, world: World, migration: Migration) -> list[tupl
     return joining
 
 
-def _crowd_lines(setting: Setting, species: str) -> list[CrowdData]:
+def _crowd_lines(setting: WorldSetting, species: str) -> list[CrowdData]:
     return [crowd for crowd in setting.crowds if crowd.species == species]
 
 
-def _staying_rows(old: World, setting: Setting, name: str, migration: Migration) -> NDArray[np.intp]:
+def _staying_rows(old: World, setting: WorldSetting, name: str, migration: Migration) -> NDArray[np.intp]:
     """Return the rows of a species that stay. Where a line of the scene has fewer agents now, the latest ones are removed."""
     population = old.populations[name]
     stays = np.ones(len(population), np.bool_)
@@ -116,7 +116,7 @@ def _staying_rows(old: World, setting: Setting, name: str, migration: Migration)
     return np.flatnonzero(stays)
 
 
-def _regroup(old_setting: Setting, world: World, name: str, values: dict[str, NDArray[np.generic]]) -> None:
+def _regroup(old_setting: WorldSetting, world: World, name: str, values: dict[str, NDArray[np.generic]]) -> None:
     """Update the number of each agent's line in the scene, which may have changed."""
     population = world.populations[name]
     group, values["group"] = population.now["group"], population.now["group"].copy()
@@ -206,7 +206,7 @@ def _migrate_feet(old: World, world: World) -> None:
 def _migrate_counts(old: World, world: World) -> None:
     """Transfer counts, measurements and watchers."""
     world.transitions = dict(old.transitions)
-    world.motion = Motion.of(old.motion.arrays())
+    world.motion = MotionMeasures.of(old.motion.arrays())
     world.faults = FaultLog(old.faults.count, old.faults.refused_births, list(old.faults.reported))
     world.watchers = list(old.watchers)
     world.carved = None if old.carved is None else {}

@@ -14,7 +14,7 @@ from antdsl.runtime.feet.state import feet_hash
 from antdsl.runtime.lifecycle import event_names, take_emissions
 from antdsl.runtime.phases import step
 from antdsl.runtime.world import Items, Options, Population, World
-from antdsl.scene.setting import CrowdData, FieldStart, ItemData, MeshData, PlaceData, Setting
+from antdsl.scene.setting import CrowdData, FieldStart, ItemData, MeshData, PlaceData, WorldSetting
 
 __all__ = [
     "BindError",
@@ -31,8 +31,8 @@ __all__ = [
     "Options",
     "PlaceData",
     "Population",
-    "Setting",
     "World",
+    "WorldSetting",
     "bind",
     "checkpoint",
     "event_names",

@@ -16,7 +16,7 @@ from antdsl.numerics.row_hash import describe_columns
 from antdsl.program.tables.columns import FIXED
 from antdsl.runtime.feet import walking
 from antdsl.runtime.feet.state import feet_from_arrays
-from antdsl.runtime.motion_measures import Motion
+from antdsl.runtime.motion_measures import MotionMeasures
 from antdsl.runtime.moving.moving_geometry import pose_world
 from antdsl.runtime.world import Population, World, fixed_columns
 
@@ -95,7 +95,7 @@ def _restore(world: World, arrays: Mapping[str, NDArray[Any]]) -> None:
     text = _take(arrays, "transitions.names").astype(np.uint8).tobytes().decode()
     counts = _take(arrays, "transitions.counts")
     world.transitions = dict(zip(text.split("\n") if text else [], (int(c) for c in counts), strict=True))
-    world.motion = Motion.of(part_of(arrays, "motion."))
+    world.motion = MotionMeasures.of(part_of(arrays, "motion."))
     if world.detail is not None:
         world.detail.counts = _take(arrays, "lod.counts", world.detail.counts.shape).copy()
     world.grids.clear()

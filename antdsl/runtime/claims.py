@@ -12,19 +12,19 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl.fields.pheromone import UNIT
+from antdsl.fields.pheromone import DEPOSIT_UNIT
 from antdsl.machine_code.kernels import BOOL, F32, F64, I64, Array1, inlined, kernel
 from antdsl.numerics import randomness
 from antdsl.runtime.requests import ClaimEntry, GiveEntry
 from antdsl.runtime.world import Population, World
 
-Entries = list[tuple[Population, ClaimEntry]]
+ClaimEntries = list[tuple[Population, ClaimEntry]]
 
 
 def settle(world: World) -> None:
     """Serve the claims on each amount in the order of (draw, id), while the rest suffices."""
-    item_claims: dict[tuple[str, str], Entries] = {}
-    of_fields: dict[str, Entries] = {}
+    item_claims: dict[tuple[str, str], ClaimEntries] = {}
+    of_fields: dict[str, ClaimEntries] = {}
     for population in world.populations.values():
         population.all_taken.clear()
         for entry in population.effects.claims:
@@ -47,19 +47,19 @@ def settle(world: World) -> None:
         cells = cells[somewhere:]
         rest = field.values[cells]
         amount = _join_arrays([e.amount for _, e in entries]).astype(np.float64)
-        amount = np.where(np.isinf(amount), amount, np.rint(amount / UNIT) * UNIT).astype(np.float32)
-        _settle_amount(world, rest, which - somewhere, amount, UNIT, entries)
+        amount = np.where(np.isinf(amount), amount, np.rint(amount / DEPOSIT_UNIT) * DEPOSIT_UNIT).astype(np.float32)
+        _settle_amount(world, rest, which - somewhere, amount, DEPOSIT_UNIT, entries)
         field.set_remaining(cells, rest)
 
 
-def _merge_by_statement(entries: Entries) -> Entries:
+def _merge_by_statement(entries: ClaimEntries) -> ClaimEntries:
     """Merge the claims of each statement into one entry, however they were chunked."""
     if len(entries) == 1:
         return entries
-    groups: dict[tuple[str, int], Entries] = {}
+    groups: dict[tuple[str, int], ClaimEntries] = {}
     for population, entry in entries:
         groups.setdefault((population.name, entry.order), []).append((population, entry))
-    merged_entries: Entries = []
+    merged_entries: ClaimEntries = []
     for (_, order), group in groups.items():
         rows, item, amount = (_join_arrays([getattr(e, name) for _, e in group]) for name in ("rows", "item", "amount"))
         population, first = group[0]
@@ -73,7 +73,12 @@ def _join_arrays(arrays: list[NDArray[Any]]) -> NDArray[Any]:
 
 
 def _settle_amount(
-    world: World, rest: NDArray[np.float64], item: NDArray[np.integer], amount: NDArray[np.float32], unit: float, entries: Entries
+    world: World,
+    rest: NDArray[np.float64],
+    item: NDArray[np.integer],
+    amount: NDArray[np.float32],
+    unit: float,
+    entries: ClaimEntries,
 ) -> None:
     """Settle the claims of `entries`: `amount` (inf: all) from the places `item` of `rest` (-1: none). Claims for all get whole
     units."""
@@ -125,7 +130,7 @@ def _serve(
     row: NDArray[np.intp],
     amount: NDArray[np.float32],
     unit: float,
-    entries: Entries,
+    entries: ClaimEntries,
     source: NDArray[np.intp] | None,
 ) -> None:
     """Serve the claims `now`, of different agents, in the order of `keys`. The last key, the item, is the primary one. `source`

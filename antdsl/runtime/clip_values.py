@@ -10,14 +10,14 @@ from numpy.typing import NDArray
 from antdsl.runtime.world import Population, World
 from antdsl.scene.setting import ClipData
 
-_UNKNOWN = ClipData()
+_UNKNOWN_CLIP = ClipData()
 
 
 def clip_table(world: World, population: Population, what: str) -> NDArray[np.float32]:
     """`seconds`, `stride`, `loop` or `mark NAME` of each clip of the species' plan, and at the end of an unknown one."""
     known = world.setting.clips.get(population.name, {})
-    every = [known.get(each.name, _UNKNOWN) for each in population.plan.clips]
-    return np.array([_clip_number(each, what) for each in (*every, _UNKNOWN)], np.float32)
+    every = [known.get(each.name, _UNKNOWN_CLIP) for each in population.plan.clips]
+    return np.array([_clip_number(each, what) for each in (*every, _UNKNOWN_CLIP)], np.float32)
 
 
 def clip_value(world: World, population: Population, what: str, clip: Any) -> NDArray[np.float32]:

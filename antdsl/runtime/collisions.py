@@ -11,15 +11,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl.runtime.moving.capsules import Crowd, find_near_pairs
+from antdsl.runtime.moving.capsules import CapsuleCrowd, find_near_pairs
 from antdsl.runtime.world import Population, World
 from antdsl.senses.touching import Touching
 
 Ids = NDArray[np.int64]
 Rows = NDArray[np.intp]
 
-_BEGINS = 0.02  # of the sum of two radii: a gap below which a contact begins
-_ENDS = 0.25  # of the same: a gap above which it is over
+_CONTACT_BEGIN_GAP = 0.02  # of the sum of two radii: a gap below which a contact begins
+_CONTACT_END_GAP = 0.25  # of the same: a gap above which it is over
 
 
 def new_contacts(world: World, population: Population, of: str, rows: Rows, touched: Ids) -> tuple[Ids, Ids]:
@@ -50,21 +50,21 @@ def new_contacts(world: World, population: Population, of: str, rows: Rows, touc
 def _touching(world: World) -> Mapping[tuple[str, str], Touching]:
     """Return which agents touched at the start of the step, by both species; computed once in a step."""
     if world.touching is None:
-        world.touching = _find_touching(Crowd(world, start=True))
+        world.touching = _find_touching(CapsuleCrowd(world, start=True))
     return world.touching
 
 
-def _find_touching(crowd: Crowd) -> dict[tuple[str, str], Touching]:
+def _find_touching(crowd: CapsuleCrowd) -> dict[tuple[str, str], Touching]:
     contacts: dict[tuple[str, str], Touching] = {}
     if len(crowd) < 2:
         return contacts
     pairs = find_near_pairs(crowd)
     gap = pairs.gap
     radius_sum = pairs.radius.take(pairs.i) + pairs.radius.take(pairs.j)
-    close_rows = np.flatnonzero(gap < _ENDS * radius_sum)
+    close_rows = np.flatnonzero(gap < _CONTACT_END_GAP * radius_sum)
     i, j = pairs.rows.take(pairs.i.take(close_rows)), pairs.rows.take(pairs.j.take(close_rows))
     one, other, gap = np.concatenate([i, j]), np.concatenate([j, i]), np.tile(gap.take(close_rows), 2)
-    near = gap < _BEGINS * np.tile(radius_sum.take(close_rows), 2)
+    near = gap < _CONTACT_BEGIN_GAP * np.tile(radius_sum.take(close_rows), 2)
     kinds: Any = [np.searchsorted(crowd.first, rows, "right") - 1 for rows in (one, other)]
     for a, species in enumerate(crowd.species):
         for b, other_species in enumerate(crowd.species):

@@ -17,8 +17,8 @@ from antdsl.runtime.world import Population, World
 
 Floats = NDArray[np.float64]
 
-_NEAR = 0.5  # voxels: a point of a ball that lies no farther from the surface is on a wall that it left
-_FINEST = 16  # points along an edge of the cube that is projected onto a ball
+_SURFACE_DISTANCE_VOXELS = 0.5  # voxels: a point of a ball that lies no farther from the surface is on a wall that it left
+_MAX_POINTS_PER_EDGE = 16  # points along an edge of the cube that is projected onto a ball
 
 
 def dig(world: World) -> None:
@@ -90,11 +90,11 @@ def walls(volume: Volume, middle: Floats, radius: Floats, spacing: float) -> tup
     """Return points [n,3], about half of `spacing` from each other, on the surface that balls left, and unit normals towards the
     air."""
     found = [(np.empty((0, 3)), np.empty((0, 3)))]
-    lines = np.minimum(np.ceil(4 * radius / spacing).astype(np.int64), _FINEST)
+    lines = np.minimum(np.ceil(4 * radius / spacing).astype(np.int64), _MAX_POINTS_PER_EDGE)
     for number in np.unique(lines):
         rows, directions = np.flatnonzero(lines == number), _ways(max(int(number), 1))
         points = (middle[rows, None, :] + radius[rows, None, None] * directions).reshape(-1, 3)
-        near = np.flatnonzero(np.abs(volume.sample(points)) < _NEAR * volume.voxel)
+        near = np.flatnonzero(np.abs(volume.sample(points)) < _SURFACE_DISTANCE_VOXELS * volume.voxel)
         found.append((points[near], -np.broadcast_to(directions, (len(rows), *directions.shape)).reshape(-1, 3)[near]))
     points, normals = (np.concatenate(parts) for parts in zip(*found, strict=True))
     return points, normals

@@ -17,7 +17,7 @@ from antdsl.source import Span
 if TYPE_CHECKING:
     from antdsl.runtime.world import Population, World
 
-_REPORTED = 20  # faults reported in full; the others are only counted
+_MAX_REPORTED_FAULTS = 20  # faults reported in full; the others are only counted
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,11 +87,11 @@ def gather(world: World) -> None:
             rows = np.unique(np.concatenate([entry.rows for entry in entries]))  # a vector has three parts and one fault
             rows = rows[np.argsort(population.ids[rows])]
             log.count += len(rows)
-            for row in rows[: max(_REPORTED - len(log.reported), 0 if log.latest else 1)]:
+            for row in rows[: max(_MAX_REPORTED_FAULTS - len(log.reported), 0 if log.latest else 1)]:
                 entry = min((e for e in entries if row in e.rows), key=lambda e: e.register)
                 fault = _make_fault(world, population, int(row), entry, word)
                 log.latest = log.latest or fault
-                if len(log.reported) < _REPORTED:
+                if len(log.reported) < _MAX_REPORTED_FAULTS:
                     log.reported.append(fault)
             if world.options.on_fault == "quarantine":
                 population.quarantined[rows] = True

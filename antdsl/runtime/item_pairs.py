@@ -13,32 +13,35 @@ from numpy.typing import NDArray
 from antdsl.machine_code.kernels import F32, I64, Array1, kernel
 from antdsl.numerics.kernel_vectors import VectorColumns
 from antdsl.numerics.parallel import contiguous
-from antdsl.numerics.vectors import Vector
+from antdsl.numerics.vectors import VectorArrays
 from antdsl.runtime.world import AXES, Items
 
 Floats = NDArray[np.float32]
-Columns = tuple[NDArray[Any], ...]  # row, item, x, y, z, distance
+ItemPairColumns = tuple[NDArray[Any], ...]  # row, item, x, y, z, distance
 PairColumns = tuple[Array1[I64], Array1[I64], Array1[F32], Array1[F32], Array1[F32], Array1[F32]]
 
-_MEASURED = 1 << 16  # pairs of an agent and an item at once
-_MANY_ITEMS = 128  # above it those that are too far off along an axis are not measured
-_WIDER, _TINY = 1 + 1e-5, 1e-15  # of a radius, and mm: more than float32 rounds, and than squares of it lose
+_PAIRS_PER_CHUNK = 1 << 16  # pairs of an agent and an item at once
+_MIN_ITEMS_TO_FILTER = 128  # above it those that are too far off along an axis are not measured
+_RADIUS_SLACK_FACTOR, _MIN_DISTANCE_MM = (
+    1 + 1e-5,
+    1e-15,
+)  # of a radius, and mm: more than float32 rounds, and than squares of it lose
 
 
-def items_within(items: Items, own: tuple[Floats, ...], radius: Any) -> Columns:
+def items_within(items: Items, own: tuple[Floats, ...], radius: Any) -> ItemPairColumns:
     """Return the items within a radius (mm, one or float[n]) of positions (three float32[n])."""
     reach = np.full(len(own[0]), radius, np.float32) if np.ndim(radius) == 0 else np.asarray(radius, np.float32)
-    if len(items) > _MANY_ITEMS:
+    if len(items) > _MIN_ITEMS_TO_FILTER:
         return measure_near(items, own, reach)
     return each(items, own, reach)
 
 
-def _visible_positions(items: Items) -> Vector:
+def _visible_positions(items: Items) -> VectorArrays:
     x, y, z = (np.asarray(items.visible_values[axis], np.float32) for axis in AXES)
     return x, y, z
 
 
-def each(items: Items, own: tuple[Floats, ...], reach: Floats) -> Columns:
+def each(items: Items, own: tuple[Floats, ...], reach: Floats) -> ItemPairColumns:
     """All items measured from all rows."""
     item_points, agent_points, (reach,) = contiguous(*_visible_positions(items)), contiguous(*own), contiguous(reach)
     pairs = tuple(np.empty(max(2 * reach.size, 64), kind) for kind in (np.int64, np.int64, *(np.float32,) * 4))
@@ -49,24 +52,24 @@ def each(items: Items, own: tuple[Floats, ...], reach: Floats) -> Columns:
     return tuple(a[:used] for a in pairs)
 
 
-def measure_near(items: Items, own: tuple[Floats, ...], reach: Floats) -> Columns:
+def measure_near(items: Items, own: tuple[Floats, ...], reach: Floats) -> ItemPairColumns:
     """Return the pairs of rows and items that are in reach along the two axes with the widest spread of items."""
     n, item_points = len(own[0]), _visible_positions(items)
     with np.errstate(invalid="ignore"):
         one, two = sorted(range(3), key=lambda k: -float(np.nan_to_num(np.ptp(item_points[k]))))[:2]
         order = np.argsort(item_points[one], kind="stable")
-        far = reach.astype(np.float64) * _WIDER + _TINY
+        far = reach.astype(np.float64) * _RADIUS_SLACK_FACTOR + _MIN_DISTANCE_MM
         far[~np.isfinite(far)] = np.inf
         place = np.where(far < np.inf, own[one], np.float32(0)).astype(np.float64)
         first_axis, second_axis = (item_points[axis].astype(np.float64)[order] for axis in (one, two))
         first, last = first_axis.searchsorted(place - far, "left"), first_axis.searchsorted(place + far, "right")
     count = np.maximum(last - first, 0)
     ends = np.cumsum(count)
-    parts: list[Columns] = []
+    parts: list[ItemPairColumns] = []
     a = 0
     while a < n:
         previous_end = int(ends[a - 1]) if a else 0
-        b = max(a + 1, int(ends.searchsorted(previous_end + _MEASURED, "right")))
+        b = max(a + 1, int(ends.searchsorted(previous_end + _PAIRS_PER_CHUNK, "right")))
         counts = count[a:b]
         at = np.arange(int(counts.sum())) + np.repeat(first[a:b] - (np.cumsum(counts) - counts), counts)
         offsets = second_axis.take(at) - np.repeat(own[two][a:b].astype(np.float64), counts)
@@ -81,7 +84,7 @@ def measure_near(items: Items, own: tuple[Floats, ...], reach: Floats) -> Column
     return _join_columns(parts)
 
 
-def _join_columns(parts: list[Columns]) -> Columns:
+def _join_columns(parts: list[ItemPairColumns]) -> ItemPairColumns:
     if len(parts) == 1:
         return parts[0]
     if not parts:

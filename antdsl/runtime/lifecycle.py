@@ -22,7 +22,7 @@ from antdsl.runtime.moving.moving_geometry import agent_rest_positions
 from antdsl.runtime.requests import RequestEntry
 from antdsl.runtime.world import AXES, Population, World, add_rows, select_rows, shares_start, stored_registers
 
-_BLOCK = 1 << 22  # pairs of emitter and receiver that are measured at once
+_PAIRS_PER_BLOCK = 1 << 22  # pairs of emitter and receiver that are measured at once
 _INHERITED = {name: column.inherited for name, column in FIXED.items() if column.inherited}  # fixed columns of newborns
 
 
@@ -104,7 +104,7 @@ def _flag_in_reach(population: Population, entry: RequestEntry, other: Populatio
     within = entry.arg(0)
     own = [population.start[f"position.{axis}"][entry.rows] for axis in AXES]
     theirs = [other.start[f"position.{axis}"] for axis in AXES]
-    step = max(1, _BLOCK // len(other))
+    step = max(1, _PAIRS_PER_BLOCK // len(other))
     for a in range(0, len(entry.rows), step):
         dx, dy, dz = (t[None, :] - o[a : a + step, None] for t, o in zip(theirs, own, strict=True))
         flags |= (np.sqrt((dx * dx + dy * dy) + dz * dz) <= within[a : a + step, None]).any(axis=0)
@@ -121,7 +121,7 @@ def apply_deaths_and_births(world: World) -> None:
             select_rows(population, np.flatnonzero(~dead))
             bereft = True
     generation = 0
-    while coming and generation < limits.BIRTHS_IN_A_ROW:
+    while coming and generation < limits.MAX_BIRTH_GENERATIONS:
         newborn = {name: _add_newborn(world, world.populations[name], births) for name, births in coming.items()}
         initialise_newborn(world, {name: rows for name, rows in newborn.items() if len(rows)})
         coming = _collect_births(world)
@@ -131,13 +131,13 @@ def apply_deaths_and_births(world: World) -> None:
 
 
 Arrays = dict[str, NDArray[Any]]
-Births = list[tuple[Population, NDArray[np.intp], NDArray[np.float64], Footing, Arrays, Arrays]]
+BirthRows = list[tuple[Population, NDArray[np.intp], NDArray[np.float64], Footing, Arrays, Arrays]]
 
 
-def _collect_births(world: World) -> dict[str, Births]:
+def _collect_births(world: World) -> dict[str, BirthRows]:
     """Return the requested births, by species of the child, in the order in which they get their ids. Parents are read while they
     live."""
-    births: dict[str, Births] = {}
+    births: dict[str, BirthRows] = {}
     for population in world.populations.values():
         entries = population.effects.drain("spawn")
         for species in sorted({e.request.of for e in entries}):
@@ -152,11 +152,11 @@ def _collect_births(world: World) -> dict[str, Births]:
     return births
 
 
-def _add_newborn(world: World, population: Population, births: Births) -> NDArray[np.intp]:
+def _add_newborn(world: World, population: Population, births: BirthRows) -> NDArray[np.intp]:
     """Add newborn agents to the world; return their rows."""
     old = len(population)
     for _, rows, position, footing, registers, columns in births:
-        capacity = limits.AGENTS - len(world)
+        capacity = limits.MAX_AGENTS - len(world)
         count = min(len(rows), max(0, capacity))
         if count < len(rows):
             world.faults.refused_births += len(rows) - count
@@ -213,7 +213,7 @@ def forget_the_dead(world: World, population: Population, *, between_steps: bool
     """Set references to dead agents to none, in registers that the plan marks as ids. `between_steps`: also in the start state of
     the next step."""
     for register in population.plan.registers.values():
-        if register.kind is ir.Kind.I64 and register.of in world.populations and register.role != "temp":
+        if register.kind is ir.ValueKind.I64 and register.of in world.populations and register.role != "temp":
             for holder in (population.now, population.start) if between_steps else (population.now,):
                 held = holder[register.name]
                 is_dead = (held >= 0) & (world.populations[register.of].rows_of(held) < 0)

@@ -15,12 +15,12 @@ from antdsl.runtime.world import AXES, Population, World
 from antdsl.scene.geometry.live_faces import component_numbers
 from antdsl.scene.setting import DetailData, MeshData
 
-Boxes = tuple[NDArray[np.float32], NDArray[np.float32]]  # least and greatest corners
+BoxArrays = tuple[NDArray[np.float32], NDArray[np.float32]]  # least and greatest corners
 
-_CELLS = 32  # of a coarse grid, along each axis
-LEVELS = ("triangles", "boxes", "nothing")
-_CORNERS = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)], np.float64)
-_SIDES = np.array(
+_GRID_CELLS_PER_AXIS = 32  # of a coarse grid, along each axis
+DETAIL_LEVELS = ("triangles", "boxes", "nothing")
+_BOX_CORNERS = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)], np.float64)
+_BOX_TRIANGLES = np.array(
     [
         [0, 1, 3], [0, 3, 2], [4, 6, 7], [4, 7, 5], [0, 4, 5], [0, 5, 1],
         [2, 3, 7], [2, 7, 6], [0, 2, 6], [0, 6, 4], [1, 5, 7], [1, 7, 3],
@@ -29,19 +29,19 @@ _SIDES = np.array(
 )  # fmt: skip
 
 
-class Detail:
+class DetailLevels:
     """The levels of detail of one world. `counts` int64: the steps so far, and the agents at each of LEVELS, summed over these
     steps."""
 
     def __init__(self, data: DetailData, origin: NDArray[np.float64], obstacles: Mapping[str, MeshData]) -> None:
         self._camera = np.asarray(data.camera, np.float64).reshape(-1, 3) - origin
         self._near, self._far, self._first = data.near, max(data.far, data.near), data.first
-        self._pieces = {name: Pieces(mesh) for name, mesh in obstacles.items()}
-        self._boxes: dict[str, Boxes] = {}
+        self._pieces = {name: MeshPieces(mesh) for name, mesh in obstacles.items()}
+        self._boxes: dict[str, BoxArrays] = {}
         self._scenes: dict[str, RayScene] = {}
         for name, mesh in obstacles.items():
             self.move_boxes(name, mesh.vertices)
-        self.counts = np.zeros(1 + len(LEVELS), np.int64)
+        self.counts = np.zeros(1 + len(DETAIL_LEVELS), np.int64)
 
     def move_boxes(self, name: str, vertices: NDArray[np.float64]) -> None:
         """Move an obstacle's boxes to its current vertices."""
@@ -55,15 +55,15 @@ class Detail:
 
     def now(self, world: World) -> NDArray[np.int64]:
         """How many agents are at each level."""
-        each = [np.bincount(self._cached_levels(world, p)[1], minlength=len(LEVELS)) for p in world.populations.values()]
-        return np.sum(each, axis=0, dtype=np.int64) if each else np.zeros(len(LEVELS), np.int64)
+        each = [np.bincount(self._cached_levels(world, p)[1], minlength=len(DETAIL_LEVELS)) for p in world.populations.values()]
+        return np.sum(each, axis=0, dtype=np.int64) if each else np.zeros(len(DETAIL_LEVELS), np.int64)
 
     def summary(self, world: World) -> dict[str, dict[str, float]]:
         """Return the number of agents at each level, at the end and as the mean of all steps."""
         steps = max(int(self.counts[0]), 1)
         return {
-            "end": {name: int(count) for name, count in zip(LEVELS, self.now(world), strict=True)},
-            "mean": {name: round(int(count) / steps, 3) for name, count in zip(LEVELS, self.counts[1:], strict=True)},
+            "end": {name: int(count) for name, count in zip(DETAIL_LEVELS, self.now(world), strict=True)},
+            "mean": {name: round(int(count) / steps, 3) for name, count in zip(DETAIL_LEVELS, self.counts[1:], strict=True)},
         }
 
     def find_levels(self, world: World, population: Population, name: str) -> NDArray[np.int8] | None:
@@ -114,7 +114,7 @@ def _read_positions(population: Population) -> NDArray[np.float32]:
     return np.stack([population.start[f"position.{axis}"] for axis in AXES], axis=1)
 
 
-class Pieces:
+class MeshPieces:
     """The connected pieces of a mesh: faces are connected if they share corners, by number or by position."""
 
     def __init__(self, mesh: MeshData) -> None:
@@ -122,7 +122,7 @@ class Pieces:
         self._piece = _number_pieces(mesh, self._used)
         self._count = int(self._piece.max(initial=-1)) + 1
 
-    def boxes(self, vertices: NDArray[np.float64]) -> Boxes:
+    def boxes(self, vertices: NDArray[np.float64]) -> BoxArrays:
         """Return the least and greatest corner of each piece, float32[m,3], at the mesh's current vertices."""
         low, high = np.full((self._count, 3), np.inf), np.full((self._count, 3), -np.inf)
         np.minimum.at(low, self._piece, vertices[self._used])
@@ -142,8 +142,8 @@ def _number_pieces(mesh: MeshData, used: NDArray[np.int32]) -> NDArray[np.int64]
 
 
 def _boxes_scene(low: NDArray[np.float32], high: NDArray[np.float32]) -> RayScene:
-    corners = low[:, None, :].astype(np.float64) + _CORNERS * (high.astype(np.float64) - low)[:, None, :]
-    faces = _SIDES[None] + 8 * np.arange(len(low), dtype=np.int32)[:, None, None]
+    corners = low[:, None, :].astype(np.float64) + _BOX_CORNERS * (high.astype(np.float64) - low)[:, None, :]
+    faces = _BOX_TRIANGLES[None] + 8 * np.arange(len(low), dtype=np.int32)[:, None, None]
     return RayScene(corners.reshape(-1, 3), faces.reshape(-1, 3))
 
 
@@ -153,13 +153,13 @@ def is_in_boxes(place: NDArray[np.float32], low: NDArray[np.float32], high: NDAr
     if not len(place) or not len(low):
         return is_inside
     least, most = low.min(axis=0), high.max(axis=0)
-    width = np.maximum(most - least, np.float32(1e-6)) / np.float32(_CELLS)
+    width = np.maximum(most - least, np.float32(1e-6)) / np.float32(_GRID_CELLS_PER_AXIS)
 
     def cell(where: NDArray[np.float32]) -> NDArray[np.intp]:  # never less for a greater coordinate, so no box is missed
-        at: NDArray[np.intp] = np.clip(np.floor((where - least) / width), 0, _CELLS - 1).astype(np.intp)
+        at: NDArray[np.intp] = np.clip(np.floor((where - least) / width), 0, _GRID_CELLS_PER_AXIS - 1).astype(np.intp)
         return at
 
-    reached = np.zeros((_CELLS, _CELLS, _CELLS), np.bool_)
+    reached = np.zeros((_GRID_CELLS_PER_AXIS, _GRID_CELLS_PER_AXIS, _GRID_CELLS_PER_AXIS), np.bool_)
     for (a, b, c), (d, e, f) in zip(cell(low), cell(high), strict=True):
         reached[a : d + 1, b : e + 1, c : f + 1] = True
     maybe = np.flatnonzero(reached[tuple(cell(place).T)])

@@ -27,26 +27,28 @@ from antdsl.senses.overlaps import worst_overlaps
 if TYPE_CHECKING:
     from antdsl.runtime.world import Population, World
 
-_BINS = 1800  # of turns, 0.1 degree each; of overlaps, 1/1800 each
-_WINDOW = 2.0  # s over which a way is called straight or circling
-_CIRCLING = 0.15  # net way of a whole window at most this share of the way walked
-_MOVED = 3.0  # body lengths walked in a window, to have a way at all
-_WISH = 0.2  # a push that is meant
-_STILL = 0.03  # of max_speed: standing
-_TOUCH = 0.01  # of the room that two take: closer than this they stand in each other
-_DEEP_SHARE = 0.05  # of its width: farther in another than this an agent is seen to be
-_AT_EVERY_STEP = 2_000  # agents up to which trunks are measured in every step; with k times as many, about every k steps
+_HISTOGRAM_BINS = 1800  # of turns, 0.1 degree each; of overlaps, 1/1800 each
+_WINDOW_SECONDS = 2.0  # s over which a way is called straight or circling
+_MAX_CIRCLING_SHARE = 0.15  # net way of a whole window at most this share of the way walked
+_MIN_PATH_BODY_LENGTHS = 3.0  # body lengths walked in a window, to have a way at all
+_MIN_PUSH = 0.2  # a push that is meant
+_STANDING_SPEED_SHARE = 0.03  # of max_speed: standing
+_TOUCH_OVERLAP_SHARE = 0.01  # of the room that two take: closer than this they stand in each other
+_VISIBLE_OVERLAP_SHARE = 0.05  # of its width: farther in another than this an agent is seen to be
+_MAX_AGENTS_MEASURED_EACH_STEP = (
+    2_000  # agents up to which trunks are measured in every step; with k times as many, about every k steps
+)
 _POSE_REGISTERS = tuple(f"{name}.{axis}" for name in ("position", "heading", "up") for axis in AXES)
 _MOTION_REGISTERS = tuple(f"{name}.{axis}" for name in ("velocity", "push") for axis in AXES)
-_COUNTED = (*_POSE_REGISTERS, *_MOTION_REGISTERS, "max_speed", "size")
-_NOW, _START = itemgetter(*_COUNTED), itemgetter(*_POSE_REGISTERS)
-_MEANT = (np.float32(_WISH), np.float32(_STILL), np.float32(_MOVED))
-_PART = 512  # agents per part: their numbers are computed before they are counted
-_CELLS = 4096  # of half chords, each of which knows where the bins begin that it reaches
+_MEASURED_REGISTERS = (*_POSE_REGISTERS, *_MOTION_REGISTERS, "max_speed", "size")
+_CURRENT_REGISTERS, _STEP_START_REGISTERS = itemgetter(*_MEASURED_REGISTERS), itemgetter(*_POSE_REGISTERS)
+_MOTION_THRESHOLDS = (np.float32(_MIN_PUSH), np.float32(_STANDING_SPEED_SHARE), np.float32(_MIN_PATH_BODY_LENGTHS))
+_AGENTS_PER_PART = 512  # agents per part: their numbers are computed before they are counted
+_BIN_LOOKUP_CELLS = 4096  # of half chords, each of which knows where the bins begin that it reaches
 
 
 @dataclass(slots=True, eq=False)
-class Window:
+class PathWindow:
     """Paths of one species since the window began, by id."""
 
     ids: NDArray[np.int64]
@@ -60,12 +62,12 @@ class Window:
 
 
 @dataclass(slots=True, eq=False)
-class Motion:
+class MotionMeasures:
     """Counts so far."""
 
-    turns: NDArray[np.int64] = field(default_factory=lambda: np.zeros(_BINS + 1, np.int64))
-    tilts: NDArray[np.int64] = field(default_factory=lambda: np.zeros(_BINS + 1, np.int64))
-    overlaps: NDArray[np.int64] = field(default_factory=lambda: np.zeros(_BINS + 1, np.int64))
+    turns: NDArray[np.int64] = field(default_factory=lambda: np.zeros(_HISTOGRAM_BINS + 1, np.int64))
+    tilts: NDArray[np.int64] = field(default_factory=lambda: np.zeros(_HISTOGRAM_BINS + 1, np.int64))
+    overlaps: NDArray[np.int64] = field(default_factory=lambda: np.zeros(_HISTOGRAM_BINS + 1, np.int64))
     standing: int = 0
     wishing: int = 0
     ways: int = 0
@@ -80,12 +82,14 @@ class Motion:
     overlapping: int = 0
     deep_max: float = 0.0
     half_max: float = 0.0  # the half chord of a tilt that `tilt_max` was computed for
-    counted: NDArray[np.int64] = field(default_factory=lambda: np.zeros((2, 1, _BINS + 1), np.int64))  # see `_sum_parts`
-    windows: dict[str, Window] = field(default_factory=dict)
+    counted: NDArray[np.int64] = field(
+        default_factory=lambda: np.zeros((2, 1, _HISTOGRAM_BINS + 1), np.int64)
+    )  # see `_sum_parts`
+    windows: dict[str, PathWindow] = field(default_factory=dict)
 
     def reset(self) -> None:
         """Restart the measures, for example after a preroll; how the crowd was placed stays known."""
-        fresh = Motion(placed=self.placed, overlapping=self.overlapping)
+        fresh = MotionMeasures(placed=self.placed, overlapping=self.overlapping)
         for each in fields(self):
             setattr(self, each.name, getattr(fresh, each.name))
 
@@ -98,7 +102,7 @@ class Motion:
         wide = has_extent(radius)
         x, y, z = (np.concatenate([now[f"position.{axis}"] for now in crowds])[wide] for axis in "xyz")
         self.placed = len(radius)
-        self.overlapping = int(np.count_nonzero(worst_overlaps(x, y, z, radius[wide]) > _TOUCH))
+        self.overlapping = int(np.count_nonzero(worst_overlaps(x, y, z, radius[wide]) > _TOUCH_OVERLAP_SHARE))
 
     def arrays(self) -> dict[str, NDArray[Any]]:
         """All counts by name, for a checkpoint."""
@@ -109,7 +113,7 @@ class Motion:
         return named_arrays
 
     @classmethod
-    def of(cls, arrays: dict[str, NDArray[Any]]) -> Motion:
+    def of(cls, arrays: dict[str, NDArray[Any]]) -> MotionMeasures:
         """Return the measures from the arrays of a checkpoint; missing ones restart."""
         motion = cls()
         for name in _COUNTS:
@@ -117,13 +121,13 @@ class Motion:
                 value = arrays[name]
                 setattr(motion, name, value.copy() if value.ndim else value.item())
         for species in sorted({name.split(".", 1)[1].rsplit(".", 1)[0] for name in arrays if name.startswith("window.")}):
-            motion.windows[species] = Window(*(arrays[f"window.{species}.{name}"].copy() for name in _WINDOW_COLUMNS))
+            motion.windows[species] = PathWindow(*(arrays[f"window.{species}.{name}"].copy() for name in _WINDOW_COLUMNS))
         return motion
 
     def observe(self, world: World) -> None:
         """Count one step. Call it after the move, before the ground moves on."""
         second = max(1, round(1.0 / world.dt))
-        every = second if world.setting.contacts == "off" else 1 + len(world) // _AT_EVERY_STEP
+        every = second if world.setting.contacts == "off" else 1 + len(world) // _MAX_AGENTS_MEASURED_EACH_STEP
         crowds = [population for population in world.populations.values() if len(population)]
         for population in crowds:
             self._add_step(world, population)
@@ -134,29 +138,31 @@ class Motion:
         self.steps += 1
 
     def _add_step(self, world: World, population: Population) -> None:
-        window, steps = self._window(population), max(1, round(_WINDOW / world.dt))
+        window, steps = self._window(population), max(1, round(_WINDOW_SECONDS / world.dt))
         straight = self._run_step(population, window, np.float32(world.dt), steps, world.options.threads)
         self.wishing += len(population)
         if len(straight):
             self.ways += len(straight)
-            self.circling += int(np.count_nonzero(straight < _CIRCLING))
+            self.circling += int(np.count_nonzero(straight < _MAX_CIRCLING_SHARE))
             self.straightness += fsum(straight)  # the same in any order of rows
 
-    def _run_step(self, population: Population, window: Window, dt: np.float32, steps: int, threads: int) -> NDArray[np.float64]:
+    def _run_step(
+        self, population: Population, window: PathWindow, dt: np.float32, steps: int, threads: int
+    ) -> NDArray[np.float64]:
         """Add a step to the counts and the paths; return the straightness of the paths that have ended, 0 to 1."""
-        now, start = _NOW(population.now), _START(population.start)
+        now, start = _CURRENT_REGISTERS(population.now), _STEP_START_REGISTERS(population.start)
         poses = (now[0:3], now[3:6], now[6:9], start[0:3], start[3:6], start[6:9])
-        agents = Agents(*poses, now[9:12], now[12:15], *now[15:])
-        paths = Paths(population.position, window.start, window.path, window.age, window.straight)
+        agents = AgentColumns(*poses, now[9:12], now[12:15], *now[15:])
+        paths = PathColumns(population.position, window.start, window.path, window.age, window.straight)
         n = len(population)
-        several = parallel.parts(n, threads, parallel.LIGHT)
+        several = parallel.parts(n, threads, parallel.MIN_LIGHT_ITEMS_PER_THREAD)
         if self.counted.shape[1] < several:
             self._sum_parts()
-            self.counted = np.zeros((2, several, _BINS + 1), np.int64)
+            self.counted = np.zeros((2, several, _HISTOGRAM_BINS + 1), np.int64)
         (turns, tilts), (least, first) = self.counted, _bin_table()
-        bins = Bins(turns, tilts, several, n, least, first)
-        work = partial(_count_step, agents, paths, bins, MotionLimits(dt, *_MEANT, steps))
-        counts = parallel.in_parts(work, n, threads, parallel.LIGHT)
+        bins = HistogramBins(turns, tilts, several, n, least, first)
+        work = partial(_count_step, agents, paths, bins, MotionLimits(dt, *_MOTION_THRESHOLDS, steps))
+        counts = parallel.in_parts(work, n, threads, parallel.MIN_LIGHT_ITEMS_PER_THREAD)
         for _, _, standing, half, share in counts:
             if half > self.half_max:
                 self.half_max = half
@@ -171,7 +177,7 @@ class Motion:
             total += rows.sum(axis=0)
         self.counted.fill(0)
 
-    def _window(self, population: Population) -> Window:
+    def _window(self, population: Population) -> PathWindow:
         """Return the window of a species, with its rows reordered to those of the agents."""
         known, ids = self.windows.get(population.name), population.ids
         if known is not None and known.ids is ids:
@@ -180,7 +186,7 @@ class Motion:
             known.ids = ids  # not compared again
             return known
         n = len(ids)
-        fresh = Window(ids, np.empty((n, 3)), np.empty(n), np.empty(n, np.int64))
+        fresh = PathWindow(ids, np.empty((n, 3)), np.empty(n), np.empty(n, np.int64))
         if known is not None and population.reordered is not None and population.reordered[0] is known.ids:
             rows = population.reordered[1]
             if len(rows) == n:
@@ -212,9 +218,9 @@ class Motion:
 
         results = chain.from_iterable(parallel.in_parts(run_looks, len(looks), world.options.threads, 1))
         if with_depths:
-            self.deep_max = max(self.deep_max, float((next(results) > _DEEP_SHARE).mean()))
+            self.deep_max = max(self.deep_max, float((next(results) > _VISIBLE_OVERLAP_SHARE).mean()))
         for population in crowds:
-            self.overlaps += np.bincount((next(results) * _BINS).astype(np.int64), minlength=_BINS + 1)
+            self.overlaps += np.bincount((next(results) * _HISTOGRAM_BINS).astype(np.int64), minlength=_HISTOGRAM_BINS + 1)
             self.heads += len(population)
             self.heads_inside += int(np.count_nonzero(next(results)))
 
@@ -237,8 +243,8 @@ class Motion:
         }
 
 
-_COUNTS = tuple(each.name for each in fields(Motion))[:-3]  # those in checkpoints
-_WINDOW_COLUMNS = tuple(each.name for each in fields(Window) if each.init)
+_COUNTS = tuple(each.name for each in fields(MotionMeasures))[:-3]  # those in checkpoints
+_WINDOW_COLUMNS = tuple(each.name for each in fields(PathWindow) if each.init)
 
 
 def _degrees(half: NDArray[np.float32]) -> NDArray[np.float32]:
@@ -248,7 +254,7 @@ def _degrees(half: NDArray[np.float32]) -> NDArray[np.float32]:
 
 
 def _bin_of(angle: NDArray[np.float32]) -> NDArray[np.int64]:
-    return (angle * np.float32(_BINS / 180)).astype(np.int64)
+    return (angle * np.float32(_HISTOGRAM_BINS / 180)).astype(np.int64)
 
 
 @cache
@@ -257,20 +263,20 @@ def _bin_table() -> tuple[NDArray[np.float32], NDArray[np.int64]]:
 
     First the least half chord of each bin, float32[bins + 2]; the last is beyond all. Then the bin of the least half chord of
     each of 4096 cells, int64[cells + 1]. Bins are found by bisection, since a longer chord is a greater angle."""
-    bin_numbers = np.arange(1, _BINS + 1)
-    low, high = (np.full(_BINS, np.float32(end).view(np.int32), np.int64) for end in (0.0, 1.0))
+    bin_numbers = np.arange(1, _HISTOGRAM_BINS + 1)
+    low, high = (np.full(_HISTOGRAM_BINS, np.float32(end).view(np.int32), np.int64) for end in (0.0, 1.0))
     while (low < high).any():  # positive floats are ordered as their bits are
         middle = (low + high) >> 1
         is_reached = _bin_of(_degrees(middle.astype(np.int32).view(np.float32))) >= bin_numbers
         low, high = np.where(is_reached, low, np.minimum(middle + 1, high)), np.where(is_reached, middle, high)
     least = np.concatenate([[0.0], low.astype(np.int32).view(np.float32), [np.inf]]).astype(np.float32)
-    return least, _bin_of(_degrees(np.arange(_CELLS + 1, dtype=np.float32) / np.float32(_CELLS)))
+    return least, _bin_of(_degrees(np.arange(_BIN_LOOKUP_CELLS + 1, dtype=np.float32) / np.float32(_BIN_LOOKUP_CELLS)))
 
 
 def _percentile(counts: NDArray[Any]) -> float:
     """The 99th percentile of a histogram over 0 .. 1."""
     total = int(counts.sum())
-    return float(np.searchsorted(np.cumsum(counts), 0.99 * total)) / _BINS if total else 0.0
+    return float(np.searchsorted(np.cumsum(counts), 0.99 * total)) / _HISTOGRAM_BINS if total else 0.0
 
 
 @inlined
@@ -293,7 +299,7 @@ def _count_bin(half: F32, least: Array1[F32], first: Array1[I64], bins: Array2[I
     bins[part, k] += 1
 
 
-class Agents(NamedTuple):
+class AgentColumns(NamedTuple):
     """Agents now and before the step; `fastest` (mm/s) and `size` (mm) of each."""
 
     position: VectorColumns
@@ -308,7 +314,7 @@ class Agents(NamedTuple):
     size: Array1[F32]
 
 
-class Paths(NamedTuple):
+class PathColumns(NamedTuple):
     """Positions of agents and where their paths `began` (n, 3), length (mm) and age of the paths, and straightness of those that
     end."""
 
@@ -319,7 +325,7 @@ class Paths(NamedTuple):
     straight: Array1[F64]
 
 
-class Bins(NamedTuple):
+class HistogramBins(NamedTuple):
     """Bins of turns and tilts, one row for each of `several` parts of `count` agents; the `least` half chord of each bin, and the
     `first` bin to test."""
 
@@ -354,7 +360,9 @@ class StepCounts(NamedTuple):
 
 
 @kernel
-def _count_step(agents: Agents, paths: Paths, bins: Bins, meant: MotionLimits, begin: I64, end: I64) -> StepCounts:
+def _count_step(
+    agents: AgentColumns, paths: PathColumns, bins: HistogramBins, meant: MotionLimits, begin: I64, end: I64
+) -> StepCounts:
     """Add one step of agents from `begin` to before `end` to the measures."""
     position, heading, up, position_before, heading_before, up_before, velocity, push, fastest, size = agents
     place, began, path, age, straight = paths
@@ -362,10 +370,15 @@ def _count_step(agents: Agents, paths: Paths, bins: Bins, meant: MotionLimits, b
     dt, wish, still, far, steps = meant
     ended, standing, part = 0, 0, buffer_index(begin, count, several)
     tilted, longest = np.float32(0.0), np.float32(0.0)
-    turn, tilt, share, speed = scratch(_PART, F32), scratch(_PART, F32), scratch(_PART, F32), scratch(_PART, F32)
-    push_lengths = scratch(_PART, F32)
+    turn, tilt, share, speed = (
+        scratch(_AGENTS_PER_PART, F32),
+        scratch(_AGENTS_PER_PART, F32),
+        scratch(_AGENTS_PER_PART, F32),
+        scratch(_AGENTS_PER_PART, F32),
+    )
+    push_lengths = scratch(_AGENTS_PER_PART, F32)
     for low in range(begin, end, 512):
-        high = min(low + _PART, end)
+        high = min(low + _AGENTS_PER_PART, end)
         for i in independent(low, high):
             turn[i - low] = _half_chord(heading, heading_before, i) * np.float32(0.5)
         for i in independent(low, high):

@@ -15,13 +15,13 @@ from antdsl.runtime.world import AXES, Population, World
 Floats = NDArray[np.float32]
 PairColumns = tuple[NDArray[np.intp], NDArray[np.intp], Floats, Floats, Floats, Floats]
 
-_ROUNDED = 1 + 1e-6  # by more than float32 rounds a distance
-_LEAST = 1e-15  # mm, below which squares of float32 lose digits
-_MOST = 1e15  # mm, above which they overflow
-_FIRST = 3  # how many of the nearest are looked at first
-_GROWTH = 4  # times as many, where all of them are as near
-_ALIKE = 64  # above which all are measured: so many are as far as float32 can tell
-_AT_ONCE = 1 << 20  # pairs
+_DISTANCE_SLACK_FACTOR = 1 + 1e-6  # by more than float32 rounds a distance
+_MIN_DISTANCE_MM = 1e-15  # mm, below which squares of float32 lose digits
+_MAX_DISTANCE_MM = 1e15  # mm, above which they overflow
+_FIRST_QUERY_NEIGHBOURS = 3  # how many of the nearest are looked at first
+_QUERY_GROWTH_FACTOR = 4  # times as many, where all of them are as near
+_MAX_EQUAL_DISTANCES = 64  # above which all are measured: so many are as far as float32 can tell
+_PAIRS_PER_CHUNK = 1 << 20  # pairs
 
 
 def nearest_of_all(world: World, other: Population, own: tuple[Floats, ...], ids: NDArray[np.int64] | None) -> PairColumns | None:
@@ -29,17 +29,17 @@ def nearest_of_all(world: World, other: Population, own: tuple[Floats, ...], ids
     other's species, so that none finds itself. Returns the ascending indices of agents with a result, rows of the others, offsets
     x, y, z from the asking agent, and distances. Returns None if a position is not finite or its square exceeds float32."""
     mine, sites = np.stack(own, axis=1).astype(np.float64), _cached_sites(world, other)
-    if sites is None or not (np.abs(mine) < _MOST).all():
+    if sites is None or not (np.abs(mine) < _MAX_DISTANCE_MM).all():
         return None
     every = len(sites.first)
-    count, parts = min(every, _FIRST), []
+    count, parts = min(every, _FIRST_QUERY_NEIGHBOURS), []
     asking = np.arange(len(mine))
     while len(asking):
-        if count > _ALIKE:
+        if count > _MAX_EQUAL_DISTANCES:
             parts += _nearest_by_measuring(other, own, ids, asking)
             break
         left = []
-        at_once = max(1, _AT_ONCE // count)
+        at_once = max(1, _PAIRS_PER_CHUNK // count)
         for first in range(0, len(asking), at_once):
             batch = asking[first : first + at_once]
             away, place = sites.tree.query(mine[batch], np.arange(1, count + 1))
@@ -47,13 +47,13 @@ def nearest_of_all(world: World, other: Population, own: tuple[Floats, ...], ids
             if ids is not None:
                 row = np.where(other.ids.take(row) == ids.take(batch)[:, None], sites.second.take(place), row)
                 away[row < 0] = np.inf
-            reach = np.maximum(away.min(axis=1) * _ROUNDED, _LEAST)
+            reach = np.maximum(away.min(axis=1) * _DISTANCE_SLACK_FACTOR, _MIN_DISTANCE_MM)
             is_complete = (last > reach) | (count == every)
             near = np.isfinite(away) & (away <= reach[:, None]) & is_complete[:, None]
             who, which = np.nonzero(near)
             parts.append(_measure_pairs(other, own, batch.take(who), row[who, which]))
             left.append(batch[~is_complete])
-        asking, count = np.concatenate(left), min(every, _GROWTH * count)
+        asking, count = np.concatenate(left), min(every, _QUERY_GROWTH_FACTOR * count)
     if not parts:
         return asking, asking, own[0], own[0], own[0], own[0]
     joined = [np.concatenate(arrays) for arrays in zip(*parts, strict=True)]
@@ -68,7 +68,7 @@ def _nearest_by_measuring(
     """Find the nearest of all others for some requesting agents, by measuring all pairs."""
     order = other.in_id_order()
     known, place = other.ids.take(order), [other.start[f"position.{axis}"].take(order) for axis in AXES]
-    parts, at_once = [], max(1, _AT_ONCE // len(order))
+    parts, at_once = [], max(1, _PAIRS_PER_CHUNK // len(order))
     for first in range(0, len(asking), at_once):
         batch = asking[first : first + at_once]
         dx, dy, dz = (theirs - mine.take(batch)[:, None] for theirs, mine in zip(place, own, strict=True))
@@ -93,7 +93,7 @@ def _measure_pairs(other: Population, own: tuple[Floats, ...], i: NDArray[np.int
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Sites:
+class _AgentSites:
     """The distinct positions of agents of a species: a k-d `tree`, and the rows of the two least ids at each. The second is -1 if
     there is only one. It is needed because the requesting agent may be the first."""
 
@@ -102,20 +102,20 @@ class _Sites:
     second: NDArray[np.intp]
 
 
-def _cached_sites(world: World, other: Population) -> _Sites | None:
+def _cached_sites(world: World, other: Population) -> _AgentSites | None:
     """Return the positions of a species at the start of the step, cached within the step. None if there are none, or one is not
     finite or too far out."""
     if other.name not in world.trees:
         world.trees[other.name] = _build_sites(other)
-    sites: _Sites | None = world.trees[other.name]
+    sites: _AgentSites | None = world.trees[other.name]
     return sites
 
 
-def _build_sites(other: Population) -> _Sites | None:
+def _build_sites(other: Population) -> _AgentSites | None:
     from scipy.spatial import cKDTree
 
     x, y, z = (other.start[f"position.{axis}"] for axis in AXES)
-    if not len(x) or not all((np.abs(each) < _MOST).all() for each in (x, y, z)):
+    if not len(x) or not all((np.abs(each) < _MAX_DISTANCE_MM).all() for each in (x, y, z)):
         return None
     order = np.lexsort((other.ids, z, y, x))
     x, y, z = x.take(order), y.take(order), z.take(order)
@@ -124,4 +124,4 @@ def _build_sites(other: Population) -> _Sites | None:
     several = np.diff(np.append(starts, len(order))) > 1
     second = np.where(several, order.take(np.minimum(starts + 1, len(order) - 1)), -1)
     points = np.stack([each.take(starts) for each in (x, y, z)], axis=1).astype(np.float64)
-    return _Sites(cKDTree(points), order.take(starts), second)
+    return _AgentSites(cKDTree(points), order.take(starts), second)

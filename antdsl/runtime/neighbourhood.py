@@ -11,11 +11,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl.limits import NEIGHBOURS
-from antdsl.machine_code.kinds import WIDTH
+from antdsl.limits import MAX_QUERY_NEIGHBOURS
+from antdsl.machine_code.kinds import LANE_COUNT
 from antdsl.numerics import parallel
 from antdsl.numerics import vectors as vec
-from antdsl.numerics.vectors import Vector
+from antdsl.numerics.vectors import VectorArrays
 from antdsl.runtime.world import AXES, Population, World
 from antdsl.senses.clear_velocity import Wishes, fill_clear_velocities, widest_gaps
 from antdsl.senses.nearest_others import Crowd, Requesters, fill_offsets, store_sensed
@@ -28,7 +28,7 @@ Rows = NDArray[np.intp]
 
 
 def clear_velocity(
-    world: World, population: Population, rows: Rows, wish: Vector, within: Floats, horizon: Floats, most: Floats
+    world: World, population: Population, rows: Rows, wish: VectorArrays, within: Floats, horizon: Floats, most: Floats
 ) -> tuple[NDArray[np.float32], ...]:
     """Return velocities (mm/s, x y z) along the ground, for some agents, nearest to a requested velocity. They avoid, for
     `horizon` s, the `most` nearest others of any species within `within` mm on the same side of the ground. All agents are taken
@@ -46,7 +46,7 @@ def widest_gap(world: World, population: Population, rows: Rows, within: Floats,
     """Return unit directions (x y z) along the ground, for some agents, into the widest gap between neighbours. These are the
     `most` nearest others of any species within `within` mm, on their side of the ground; 0 without any."""
     crowd, requesters = request_nearest(world, population, rows, within, most)
-    shape = len(rows), int(min(np.max(most, initial=0.0, where=most > 0), NEIGHBOURS))
+    shape = len(rows), int(min(np.max(most, initial=0.0, where=most > 0), MAX_QUERY_NEIGHBOURS))
     x, y, is_present, axes = np.zeros(shape), np.zeros(shape), np.zeros(shape, np.bool_), np.empty((6, len(rows)))
     parallel.in_parts(partial(fill_offsets, crowd, requesters, x, y, is_present, axes), len(rows), world.options.threads)
     ahead, left = widest_gaps(x, y, is_present)
@@ -73,7 +73,7 @@ class _CrowdGrid(CellGrid):
         def join(arrays: Sequence[NDArray[Any]]) -> NDArray[Any]:
             return np.concatenate(arrays) if len(arrays) > 1 else np.ascontiguousarray(arrays[0])
 
-        def join_vectors(name: str) -> Vector:
+        def join_vectors(name: str) -> VectorArrays:
             x, y, z = zip(*[vec.vector_registers(each.start, name) for each in populations.values()], strict=True)
             return join(x), join(y), join(z)
 
@@ -81,9 +81,11 @@ class _CrowdGrid(CellGrid):
         super().__init__(x, y, z, np.arange(x.size), cell, threads)
         numbers = join([each.id_ranks() + self.begins[name] for name, each in populations.items()])
         radius = join([each.start["radius"] for each in populations.values()])
-        up, motion = np.empty((2, 4 * (x.size + WIDTH)), np.float32)
+        up, motion = np.empty((2, 4 * (x.size + LANE_COUNT)), np.float32)
         sensed = join_vectors("up"), join_vectors("velocity"), radius, numbers
-        parallel.in_parts(partial(store_sensed, self.order.at, *sensed, up, motion), x.size, threads, parallel.LIGHT)
+        parallel.in_parts(
+            partial(store_sensed, self.order.at, *sensed, up, motion), x.size, threads, parallel.MIN_LIGHT_ITEMS_PER_THREAD
+        )
         by_name = np.empty(0, np.int32)
         if len(populations) > 1:
             by_name = join([np.arange(len(each), dtype=np.int32) + named[name] for name, each in populations.items()])

@@ -28,8 +28,8 @@ Floats = NDArray[np.float32]
 Index = NDArray[np.integer[Any]]
 NO_AGENT = np.int64(-1)
 NO_ITEM = np.int32(-1)
-_ROUNDED = 1 + 1e-6  # by more than float32 rounds a distance
-MOST_PAIRS = 1 << 22  # of one chunk, where all agents are compared with all
+_DISTANCE_SLACK_FACTOR = 1 + 1e-6  # by more than float32 rounds a distance
+MAX_PAIRS_PER_CHUNK = 1 << 22  # of one chunk, where all agents are compared with all
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -56,7 +56,7 @@ class PairRows:
 
 
 def find_pairs(
-    world: World, population: Population, node: ir.Node, rows: Any, args: tuple[Any, ...], threads: int = 1
+    world: World, population: Population, node: ir.PlanNode, rows: Any, args: tuple[Any, ...], threads: int = 1
 ) -> PairRows:
     """The pairs of a set for some rows (a slice or an array); `args` are the values of the set's operands."""
     own = tuple(np.ascontiguousarray(population.start[f"position.{axis}"][rows]) for axis in AXES)
@@ -83,7 +83,10 @@ def find_pairs(
     except TooManyNeighbours:
         span = _find_request(species, node)
         what = "neighbours" if span is None else " ".join(span.text.split())
-        why = f"has more than {limits.WITHIN_RADIUS:,} others in its radius; the {limits.NEIGHBOURS} nearest count"
+        why = (
+            f"has more than {limits.MAX_CANDIDATES_IN_RADIUS:,} others in its radius; the {limits.MAX_QUERY_NEIGHBOURS} "
+            f"nearest count"
+        )
         fault = Fault(world.frame, population.name, -1, what, span, (), f"{why}: {_radius_advice(other, radius)}")
         raise LimitStop(fault) from None
 
@@ -91,18 +94,18 @@ def find_pairs(
 def _radius_advice(other: Population, radius: Any) -> str:
     """Return advice on too many agents in a radius: more than fit next to each other in it must overlap."""
     widest, body = float(np.max(radius)), float(np.median(other.start["radius"]))
-    if 0 < widest < body * np.sqrt(limits.WITHIN_RADIUS):
+    if 0 < widest < body * np.sqrt(limits.MAX_CANDIDATES_IN_RADIUS):
         return "they stand in each other, so give them more room, or write a smaller radius"
     return "write a smaller one"
 
 
-def is_nearest_only(species: ir.SpeciesPlan, node: ir.Node) -> bool:
+def is_nearest_only(species: ir.SpeciesPlan, node: ir.PlanNode) -> bool:
     """Return whether a set is a whole species of which only the nearest agent is used: then that one stands for the set."""
     return node.op == "set.every" and count_nearest(species, node) == 1
 
 
 @lru_cache(256)
-def count_nearest(species: ir.SpeciesPlan, node: ir.Node) -> int | None:
+def count_nearest(species: ir.SpeciesPlan, node: ir.PlanNode) -> int | None:
     """Return how many of the nearest agents of a set determine all its results; None if more than its nearest is used."""
     every = required_nodes(n for _, block in blocks(species) for _, statement in statements(block) for n in operands(statement))
     reductions = [each for each in every if each.op.startswith("reduce.") and each.args[0] is node]
@@ -110,7 +113,7 @@ def count_nearest(species: ir.SpeciesPlan, node: ir.Node) -> int | None:
         return None
     all_round = node.op == "set.every" or node.attrs[1]
     plain = all_round and all(each.args[1].op == "const.bool" and each.args[1].attrs[0] for each in reductions)
-    return 1 if plain else limits.NEIGHBOURS
+    return 1 if plain else limits.MAX_QUERY_NEIGHBOURS
 
 
 def _shorten_radii(other: Population, own: tuple[Floats, ...], ids: NDArray[np.int64] | None, radius: Any, count: int) -> Floats:
@@ -122,11 +125,11 @@ def _shorten_radii(other: Population, own: tuple[Floats, ...], ids: NDArray[np.i
     known, is_finite = np.isfinite(theirs).all(axis=1), np.isfinite(mine).all(axis=1)
     away = np.full(len(mine), np.inf)
     away[is_finite] = cKDTree(theirs[known]).query(mine[is_finite], [count + (ids is not None)])[0][:, 0]
-    shorter: Floats = np.minimum(radius, away * _ROUNDED).astype(np.float32)
+    shorter: Floats = np.minimum(radius, away * _DISTANCE_SLACK_FACTOR).astype(np.float32)
     return shorter
 
 
-def _find_request(species: ir.SpeciesPlan, node: ir.Node) -> Span | None:
+def _find_request(species: ir.SpeciesPlan, node: ir.PlanNode) -> Span | None:
     """Return where the species' own text uses a set that a library may define: the smallest part of the text that needs the
     set."""
     if _is_own_text(node.span):
@@ -166,7 +169,7 @@ def _pairs_within(
     widest = widest if np.isfinite(widest) and widest > 0 else 1.0
     grid = grid_for(world, other, widest)
     p = grid.find_pairs(
-        None, radius, qx=own[0], qy=own[1], qz=own[2], qid=ids, view=view, threads=threads, limit=limits.WITHIN_RADIUS
+        None, radius, qx=own[0], qy=own[1], qz=own[2], qid=ids, view=view, threads=threads, limit=limits.MAX_CANDIDATES_IN_RADIUS
     )
     return PairRows(other, len(own[0]), p.i, p.j, p.dx, p.dy, p.dz, p.distance)
 
@@ -197,16 +200,16 @@ def _body_values(pairs: PairRows, body: Any, keep: NDArray[np.intp] | None) -> F
     return values if keep is None else values.take(keep)
 
 
-def _sum(pairs: PairRows, node: ir.Node, condition: Any, body: Any) -> Any:
+def _sum(pairs: PairRows, node: ir.PlanNode, condition: Any, body: Any) -> Any:
     i, keep = _select_rows(pairs, condition)
     return exact_sums.sum_by_index(i, _body_values(pairs, body, keep), int(node.attrs[0]), pairs.count)
 
 
-def _count(pairs: PairRows, node: ir.Node, condition: Any) -> Any:
+def _count(pairs: PairRows, node: ir.PlanNode, condition: Any) -> Any:
     return np.bincount(_select_rows(pairs, condition)[0], minlength=pairs.count).astype(np.float32)
 
 
-def _any(pairs: PairRows, node: ir.Node, condition: Any) -> Any:
+def _any(pairs: PairRows, node: ir.PlanNode, condition: Any) -> Any:
     has_any = np.zeros(pairs.count, np.bool_)
     has_any[_select_rows(pairs, condition)[0]] = True
     return has_any
@@ -225,12 +228,12 @@ def _row_minimum(i: Index, body: Floats, count: int) -> Floats:
     return result
 
 
-def _min(pairs: PairRows, node: ir.Node, condition: Any, body: Any) -> Any:
+def _min(pairs: PairRows, node: ir.PlanNode, condition: Any, body: Any) -> Any:
     i, keep = _select_rows(pairs, condition)
     return _row_minimum(i, _body_values(pairs, body, keep), pairs.count)
 
 
-def _max(pairs: PairRows, node: ir.Node, condition: Any, body: Any) -> Any:
+def _max(pairs: PairRows, node: ir.PlanNode, condition: Any, body: Any) -> Any:
     i, keep = _select_rows(pairs, condition)
     return -_row_minimum(i, -_body_values(pairs, body, keep), pairs.count) + np.float32(0)
 
@@ -251,12 +254,12 @@ def _first(pairs: PairRows, condition: Any, body: Any, label: NDArray[Any], none
     return result
 
 
-def _agent(pairs: PairRows, node: ir.Node, condition: Any, body: Any) -> Any:
+def _agent(pairs: PairRows, node: ir.PlanNode, condition: Any, body: Any) -> Any:
     assert isinstance(pairs.of, Population)
     return _first(pairs, condition, body, pairs.of.ids.take(pairs.j), NO_AGENT)
 
 
-def _item(pairs: PairRows, node: ir.Node, condition: Any, body: Any) -> Any:
+def _item(pairs: PairRows, node: ir.PlanNode, condition: Any, body: Any) -> Any:
     return _first(pairs, condition, body, pairs.j.astype(np.int32), NO_ITEM)
 
 
@@ -277,16 +280,16 @@ def _nth(pairs: PairRows, condition: Any, body: Any, number: Any, label: NDArray
     return result
 
 
-def _nth_agent(pairs: PairRows, node: ir.Node, condition: Any, body: Any, number: Any) -> Any:
+def _nth_agent(pairs: PairRows, node: ir.PlanNode, condition: Any, body: Any, number: Any) -> Any:
     assert isinstance(pairs.of, Population)
     return _nth(pairs, condition, body, number, pairs.of.ids.take(pairs.j), NO_AGENT)
 
 
-def _nth_item(pairs: PairRows, node: ir.Node, condition: Any, body: Any, number: Any) -> Any:
+def _nth_item(pairs: PairRows, node: ir.PlanNode, condition: Any, body: Any, number: Any) -> Any:
     return _nth(pairs, condition, body, number, pairs.j.astype(np.int32), NO_ITEM)
 
 
-REDUCTIONS: Mapping[str, Callable[..., Any]] = {
+REDUCTION_FUNCTIONS: Mapping[str, Callable[..., Any]] = {
     "reduce.sum": _sum,
     "reduce.count": _count,
     "reduce.any": _any,
@@ -299,7 +302,7 @@ REDUCTIONS: Mapping[str, Callable[..., Any]] = {
 }
 
 
-def pair_leaf(pairs: PairRows, node: ir.Node) -> NDArray[Any]:
+def pair_leaf(pairs: PairRows, node: ir.PlanNode) -> NDArray[Any]:
     """A value of the other one or of the pair."""
     match node.op:
         case "pair.x":

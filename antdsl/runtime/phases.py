@@ -14,15 +14,15 @@ from numpy.typing import NDArray
 
 from antdsl.numerics.float_environment import is_standard, standard_floats
 from antdsl.numerics.sorting import morton_codes, stable_order
-from antdsl.plan.ir import Kind
+from antdsl.plan.ir import ValueKind
 from antdsl.program.tables.effects import effects_of_phase
 from antdsl.runtime import claims, digging, faults, lifecycle
 from antdsl.runtime.faults import FaultStop
 from antdsl.runtime.feet import walking
 from antdsl.runtime.moving import advance, contacts, moving_geometry, tilting, walks
-from antdsl.runtime.world import PUSHED, Population, World, publish_state
+from antdsl.runtime.world import PUSHED_REGISTER, Population, World, publish_state
 
-_SORT_EVERY, _SORT_FROM = 16, 2048  # frames, agents
+_SORT_INTERVAL_FRAMES, _MIN_AGENTS_TO_SORT = 16, 2048  # frames, agents
 
 
 def sense(world: World) -> None:
@@ -89,7 +89,7 @@ def effects(world: World) -> None:
 def _settle_requests(phase: str, world: World) -> None:
     """Settle the requests of a phase, by the rows; a function that settles several is called once."""
     if any([population.effects.requests for population in world.populations.values()]):
-        for settle in dict.fromkeys(SETTLES[op] for op in effects_of_phase(phase)):
+        for settle in dict.fromkeys(SETTLER_BY_EFFECT[op] for op in effects_of_phase(phase)):
             settle(world)
 
 
@@ -105,8 +105,8 @@ def move(world: World) -> None:
     with np.errstate(all="ignore"):
         for population in world.populations.values():
             tilting.restore_bodies(population)
-            if PUSHED in population.now:
-                population.now[PUSHED].fill(0)
+            if PUSHED_REGISTER in population.now:
+                population.now[PUSHED_REGISTER].fill(0)
         for substep in range(world.setting.substeps):
             stances = contacts.record_stances(world)
             for population in world.populations.values():
@@ -131,12 +131,12 @@ def apply_births(world: World) -> None:
 def commit(world: World) -> None:
     """Make what was written in this step the state that agents see in the next."""
     world.frame, world.stepping = world.display_frame, False
-    by_place = (world.frame - world.setting.first_frame - 1) % _SORT_EVERY == 0  # after the first step, too
+    by_place = (world.frame - world.setting.first_frame - 1) % _SORT_INTERVAL_FRAMES == 0  # after the first step, too
     for population in world.populations.values():
         for name in population.events:
             population.events[name], population.raised[name] = population.raised[name], population.events[name]
             population.raised[name].fill(False)
-        sorts = by_place and len(population) >= _SORT_FROM
+        sorts = by_place and len(population) >= _MIN_AGENTS_TO_SORT
         threads = world.options.threads
         publish_state(population, threads, _order_by_position(population, threads) if sorts else None)
 
@@ -152,7 +152,7 @@ def _order_by_position(population: Population, threads: int) -> NDArray[np.intp]
 def _count_transitions(world: World, population: Population) -> None:
     for machine in population.plan.machines:
         name = f"{machine.name}.state"
-        if population.plan.registers[name].kind is not Kind.I32 or not len(population):
+        if population.plan.registers[name].kind is not ValueKind.I32 or not len(population):
             continue
         previous_states, next_states = population.start[name], population.now[name]
         (changed,) = (previous_states != next_states).nonzero()
@@ -165,7 +165,7 @@ def _count_transitions(world: World, population: Population) -> None:
 
 
 # What settles an effect, by its row's op; the phase that the row names calls it.
-SETTLES: dict[str, Callable[[World], None]] = {
+SETTLER_BY_EFFECT: dict[str, Callable[[World], None]] = {
     "deposit": lifecycle.deposit,
     "carve": digging.dig,
     "emit": lifecycle.raise_events,
@@ -192,8 +192,8 @@ PHASES: tuple[tuple[str, Callable[[World], None]], ...] = (
 )
 
 
-_SHORT = 200e-6  # s
-_LAST = PHASES[-1][0]
+_SHORT_PHASE_SECONDS = 200e-6  # s
+_LAST_PHASE = PHASES[-1][0]
 
 
 def step(world: World) -> None:
@@ -215,7 +215,7 @@ def _step(world: World) -> None:
         passed = ended - started
         # The processors' clock takes longer to read than many a phase of a small crowd: those have what passed, and the next that
         # takes longer the rest.
-        processor_time = worked + passed if passed < _SHORT and name != _LAST else process_time()
+        processor_time = worked + passed if passed < _SHORT_PHASE_SECONDS and name != _LAST_PHASE else process_time()
         timings[name] = timings.get(name, 0.0) + passed
         spent[name] = spent.get(name, 0.0) + processor_time - worked
         started, worked = ended, processor_time

@@ -11,13 +11,13 @@ from time import monotonic
 
 from antdsl.plan.ir import LayerPlan, Plan
 from antdsl.runtime.backends import NumpyBackend
-from antdsl.runtime.backends.compile import Instruction
+from antdsl.runtime.backends.compile import BlockInstruction
 from antdsl.runtime.backends.metering import MeteredBlock
 from antdsl.runtime.world import World
 from antdsl.source import Span
 
-Key = tuple[str, str]  # species and block
-_COMMENT = re.compile(r'("[^"]*")|#.*')
+BlockKey = tuple[str, str]  # species and block
+_COMMENT_PATTERN = re.compile(r'("[^"]*")|#.*')
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,7 +40,7 @@ class LineTime:
 
 
 @dataclass(frozen=True, slots=True)
-class Profile:
+class StepProfile:
     """Milliseconds per frame, over `frames` frames: wall time, and for the phases also the CPU time, `worked`.
 
     `lines` begin with the most expensive. They add up to less than the phases, because work for all agents at once (neighbour
@@ -64,7 +64,7 @@ class _Measurement:
     at: float
     phases: dict[str, float]
     worked: dict[str, float]
-    calls: dict[Key, list[float]]
+    calls: dict[BlockKey, list[float]]
 
     def add(self, other: _Measurement) -> None:
         self.steps += other.steps
@@ -77,7 +77,7 @@ class _Measurement:
             self.calls[key] = times if known is None else [a + b for a, b in zip(known, times, strict=True)]
 
 
-class Meter:
+class StepMeter:
     """Averages over the frames of the last `seconds`, or over all of them (None).
 
     Call `begin` before a step and `end` after it; each time the world may be a different one. Measurements of another program are
@@ -87,7 +87,7 @@ class Meter:
         self._seconds, self._clock = seconds, clock
         self._measured: deque[_Measurement] = deque()
         self._plan: Plan | None = None
-        self._instructions: dict[Key, list[Instruction]] = {}
+        self._instructions: dict[BlockKey, list[BlockInstruction]] = {}
         self._world: World | None = None
         self._by = ""  # what ran the last step
         self._ran: dict[str, int] = {}
@@ -137,10 +137,10 @@ class Meter:
             self._world.backend.measure(False)
         self._world = None
 
-    def profile(self) -> Profile:
+    def profile(self) -> StepProfile:
         """Return what was measured; empty before the first step."""
         if not self._measured or self._plan is None:
-            return Profile()
+            return StepProfile()
         total = _Measurement(0, 0.0, {}, {}, {})
         for each in self._measured:
             total.add(each)
@@ -149,9 +149,9 @@ class Meter:
         worked = {name: seconds * to_ms for name, seconds in total.worked.items()}
         lines = sorted(_line_times(self._block_times(total), to_ms), key=lambda each: (-each.ms, each.file, each.line))
         layers = self._layer_times(self._plan, total, to_ms)
-        return Profile(total.steps, sum(phases.values()), phases, worked, layers, tuple(lines), dict(self._ran))
+        return StepProfile(total.steps, sum(phases.values()), phases, worked, layers, tuple(lines), dict(self._ran))
 
-    def _block_times(self, total: _Measurement) -> Iterator[tuple[Instruction, float]]:
+    def _block_times(self, total: _Measurement) -> Iterator[tuple[BlockInstruction, float]]:
         for key, times in total.calls.items():
             yield from zip(self._instructions[key], times, strict=True)
 
@@ -170,7 +170,7 @@ class Meter:
         return tuple(layer_times)
 
 
-def _metered_calls(world: World) -> dict[Key, MeteredBlock]:
+def _metered_calls(world: World) -> dict[BlockKey, MeteredBlock]:
     return world.backend.metered if isinstance(world.backend, NumpyBackend) else {}
 
 
@@ -178,7 +178,7 @@ def _layer_time(species: str, layer: LayerPlan, ms: float) -> LayerTime:
     return LayerTime(species, layer.span, ms)
 
 
-def _line_times(spent: Iterator[tuple[Instruction, float]], to_ms: float) -> list[LineTime]:
+def _line_times(spent: Iterator[tuple[BlockInstruction, float]], to_ms: float) -> list[LineTime]:
     """Return the calls by the line in which their text begins. Files are compared by name, because parts of a file are read more
     than once."""
     seconds_by_line: dict[tuple[str, int], float] = {}
@@ -190,5 +190,5 @@ def _line_times(spent: Iterator[tuple[Instruction, float]], to_ms: float) -> lis
         place = (span.source.path, span.source.line_column(span.start)[0])
         seconds_by_line[place] = seconds_by_line.get(place, 0.0) + seconds
         if place not in texts:
-            texts[place] = _COMMENT.sub(r"\1", span.source.line_text(place[1])).strip()
+            texts[place] = _COMMENT_PATTERN.sub(r"\1", span.source.line_text(place[1])).strip()
     return [LineTime(file, line, texts[file, line], seconds * to_ms) for (file, line), seconds in seconds_by_line.items()]

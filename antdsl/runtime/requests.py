@@ -61,7 +61,7 @@ class FaultEntry:
 
 
 @dataclass(slots=True, eq=False)
-class Effects:
+class EffectRequests:
     """All requests of the agents of one species in one step."""
 
     claims: list[ClaimEntry] = field(default_factory=list)
@@ -81,7 +81,7 @@ class Effects:
         """The requests of one op, which are removed."""
         return self.requests.pop(op, [])
 
-    def extend(self, other: Effects) -> None:
+    def extend(self, other: EffectRequests) -> None:
         """Put another's entries after one's own."""
         self.claims += other.claims
         self.gives += other.gives

@@ -11,11 +11,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl.casting.nearby import Ask
+from antdsl.casting.nearby import FeelerQuery
 from antdsl.casting.obstacle import Obstacle
-from antdsl.casting.tolerances import SHORTEST
+from antdsl.casting.tolerances import MIN_VECTOR_LENGTH
 from antdsl.casting.triangle_grid import Arrays
-from antdsl.ground.protocol import Footing, Move
+from antdsl.ground.protocol import Footing, GroundMove
 from antdsl.numerics import elementary, noise, randomness
 from antdsl.numerics import vectors as vec
 from antdsl.plan import ir
@@ -26,14 +26,14 @@ from antdsl.runtime.moving.obstacle_clearance import cached_clearance, may_touch
 from antdsl.runtime.neighbourhood import clear_velocity, widest_gap
 from antdsl.runtime.world import AXES, Population, World
 
-Value = Any
+SenseValue = Any
 Rows = slice | NDArray[np.intp]
-TINY = np.float32(SHORTEST)
+FLOAT32_MIN_VECTOR_LENGTH = np.float32(MIN_VECTOR_LENGTH)
 NO_HIT = (np.False_, np.float32(np.inf), np.float32(0), np.float32(0), np.float32(0))  # what a ray gives that touches nothing
-_HAIR = 1e-6  # of the way to the middle of a face
+_PULL_INSIDE_SHARE = 1e-6  # of the way to the middle of a face
 
 
-def constant(node: ir.Node) -> Value:
+def constant(node: ir.PlanNode) -> SenseValue:
     """A constant as one NumPy scalar."""
     match node.op:
         case "const":
@@ -47,9 +47,9 @@ def constant(node: ir.Node) -> Value:
     raise AssertionError(f"{node.op} is not constant")
 
 
-def uniform_leaf(world: World, node: ir.Node) -> Value:
+def uniform_leaf(world: World, node: ir.PlanNode) -> SenseValue:
     """A constant, a param or a value of the run or step, as one NumPy scalar."""
-    if node.rate is ir.Rate.CONST:
+    if node.rate is ir.UpdateRate.CONST:
         return constant(node)
     match node.op:
         case "param":
@@ -70,7 +70,7 @@ def _row_count(rows: Rows) -> int:
     return rows.stop - rows.start if isinstance(rows, slice) else len(rows)
 
 
-def _spread_rows(value: Value, rows: Rows) -> NDArray[Any]:
+def _spread_rows(value: SenseValue, rows: Rows) -> NDArray[Any]:
     """One value for each row."""
     return np.full(_row_count(rows), value) if np.ndim(value) == 0 else value
 
@@ -79,40 +79,40 @@ def _read_positions(world: World, population: Population, rows: Rows) -> tuple[N
     return tuple(population.start[f"position.{axis}"][rows] for axis in AXES)
 
 
-def _id(world: World, population: Population, node: ir.Node, rows: Rows) -> Value:
+def _id(world: World, population: Population, node: ir.PlanNode, rows: Rows) -> SenseValue:
     return population.ids[rows]
 
 
-def _age(world: World, population: Population, node: ir.Node, rows: Rows) -> Value:
+def _age(world: World, population: Population, node: ir.PlanNode, rows: Rows) -> SenseValue:
     return _age_of(world, population.born[rows])
 
 
-def _age_of(world: World, born: NDArray[np.int64]) -> Value:
+def _age_of(world: World, born: NDArray[np.int64]) -> SenseValue:
     steps = np.maximum(world.frame - born, 0)  # at birth itself it is the frame before
     return (steps * world.dt).astype(np.float32)
 
 
-def _draw(world: World, population: Population, node: ir.Node, rows: Rows) -> Value:
+def _draw(world: World, population: Population, node: ir.PlanNode, rows: Rows) -> SenseValue:
     site, index = node.attrs
     return randomness.uniform(world.setting.seed, world.frame, population.name, site, index, population.ids[rows])
 
 
-def _draw_agent(world: World, population: Population, node: ir.Node, rows: Rows) -> Value:
+def _draw_agent(world: World, population: Population, node: ir.PlanNode, rows: Rows) -> SenseValue:
     site, species = node.attrs
     word = randomness.words(world.setting.seed, world.frame, population.name, site, 0, population.ids[rows])[0]
     return world.populations[species].nth_id(word)
 
 
-def _event(world: World, population: Population, node: ir.Node, rows: Rows) -> Value:
+def _event(world: World, population: Population, node: ir.PlanNode, rows: Rows) -> SenseValue:
     flags = population.events.get(node.attrs[0])
     return np.zeros(_row_count(rows), np.bool_) if flags is None else flags[rows]
 
 
-def _surface_touching(world: World, population: Population, node: ir.Node, rows: Rows) -> Value:
+def _surface_touching(world: World, population: Population, node: ir.PlanNode, rows: Rows) -> SenseValue:
     return population.footing.mesh[rows] == world.surface_index.get(node.attrs[0], -1)
 
 
-def _agent_get(world: World, population: Population, node: ir.Node, rows: Rows, ids: Value) -> Value:
+def _agent_get(world: World, population: Population, node: ir.PlanNode, rows: Rows, ids: SenseValue) -> SenseValue:
     species, register = node.attrs
     other = world.populations[species]
     at = other.rows_of(_spread_rows(ids, rows))
@@ -125,7 +125,7 @@ def _agent_get(world: World, population: Population, node: ir.Node, rows: Rows, 
     )
 
 
-def _agent_age(world: World, population: Population, node: ir.Node, rows: Rows, ids: Value) -> Value:
+def _agent_age(world: World, population: Population, node: ir.PlanNode, rows: Rows, ids: SenseValue) -> SenseValue:
     other = world.populations[node.attrs[0]]
     at = other.rows_of(_spread_rows(ids, rows))
     if not len(other):
@@ -133,11 +133,11 @@ def _agent_age(world: World, population: Population, node: ir.Node, rows: Rows, 
     return np.where(at >= 0, _age_of(world, other.born[np.where(at >= 0, at, 0)]), np.float32(0))
 
 
-def _agent_alive(world: World, population: Population, node: ir.Node, rows: Rows, ids: Value) -> Value:
+def _agent_alive(world: World, population: Population, node: ir.PlanNode, rows: Rows, ids: SenseValue) -> SenseValue:
     return world.populations[node.attrs[0]].rows_of(_spread_rows(ids, rows)) >= 0
 
 
-def _item_get(world: World, population: Population, node: ir.Node, rows: Rows, item: Value) -> Value:
+def _item_get(world: World, population: Population, node: ir.PlanNode, rows: Rows, item: SenseValue) -> SenseValue:
     items, attribute = node.attrs
     source = world.items[items].visible_values[attribute]
     item = _spread_rows(item, rows)
@@ -147,12 +147,21 @@ def _item_get(world: World, population: Population, node: ir.Node, rows: Rows, i
     )
 
 
-def _item_alive(world: World, population: Population, node: ir.Node, rows: Rows, item: Value) -> Value:
+def _item_alive(world: World, population: Population, node: ir.PlanNode, rows: Rows, item: SenseValue) -> SenseValue:
     item = _spread_rows(item, rows)
     return (item >= 0) & (item < len(world.items[node.attrs[0]]))
 
 
-def _ray(world: World, population: Population, node: ir.Node, rows: Rows, dx: Value, dy: Value, dz: Value, reach: Value) -> Value:
+def _ray(
+    world: World,
+    population: Population,
+    node: ir.PlanNode,
+    rows: Rows,
+    dx: SenseValue,
+    dy: SenseValue,
+    dz: SenseValue,
+    reach: SenseValue,
+) -> SenseValue:
     n = _row_count(rows)
     rays = tuple(np.ascontiguousarray(_spread_rows(v, rows), np.float32) for v in (dx, dy, dz, reach))
     hits = tuple(np.full(n, value) for value in NO_HIT)
@@ -160,7 +169,7 @@ def _ray(world: World, population: Population, node: ir.Node, rows: Rows, dx: Va
     return hits
 
 
-def _rays(world: World, population: Population, node: ir.Node, rows: Rows, asks: Sequence[Ask]) -> None:
+def _rays(world: World, population: Population, node: ir.PlanNode, rows: Rows, asks: Sequence[FeelerQuery]) -> None:
     """Compute what feelers of n `rows` touch. Operands: directions (x y z) of any length and the reach, float32[n] each. Results,
     initially `NO_HIT`: whether they hit, the distance (mm) and the normal (x y z)."""
     name, start = node.attrs[0], population.start
@@ -179,7 +188,7 @@ def _rays(world: World, population: Population, node: ir.Node, rows: Rows, asks:
 
 
 def _feel_scene(
-    scene: Obstacle, columns: Arrays, left: Sequence[tuple[int, NDArray[np.intp]]], asks: Sequence[Ask], threads: int
+    scene: Obstacle, columns: Arrays, left: Sequence[tuple[int, NDArray[np.intp]]], asks: Sequence[FeelerQuery], threads: int
 ) -> None:
     """Do the same for the remaining feelers with a scene, all rays at once. `left` and `columns`: as `Obstacle.felt` returns and
     takes them."""
@@ -190,7 +199,7 @@ def _feel_scene(
         wx, wy, wz, far = (np.concatenate([asks[each][1][k].take(rows) for each, rows in left]) for k in range(4))
         size = np.sqrt((wx * wx + wy * wy) + wz * wz)
         near = (far > 0) & (far < np.inf) & may_touch(clear.take(row), far)
-        sound = np.flatnonzero(near & (size > TINY) & (size < np.inf))
+        sound = np.flatnonzero(near & (size > FLOAT32_MIN_VECTOR_LENGTH) & (size < np.inf))
         if not len(sound):
             return
         row, ask_numbers, size, far = (v.take(sound) for v in (row, ask_numbers, size, far))
@@ -202,18 +211,20 @@ def _feel_scene(
             into[row[own]] = values[own]
 
 
-def _obstacle_near(world: World, population: Population, node: ir.Node, rows: Rows, reach: Value) -> Value:
+def _obstacle_near(world: World, population: Population, node: ir.PlanNode, rows: Rows, reach: SenseValue) -> SenseValue:
     reach = _spread_rows(reach, rows)
     x, y, z = _read_positions(world, population, rows)
     hits = world.obstacles[node.attrs[0]].nearest_within(x, y, z, reach, threads=world.options.threads)
     return hits.hit, hits.t, hits.nx, hits.ny, hits.nz
 
 
-def _field_value(world: World, population: Population, node: ir.Node, rows: Rows) -> Value:
+def _field_value(world: World, population: Population, node: ir.PlanNode, rows: Rows) -> SenseValue:
     return world.fields[node.attrs[0]].sample(population.cells[node.attrs[0]][rows])
 
 
-def _field_ahead(world: World, population: Population, node: ir.Node, rows: Rows, ahead: Value, turn: Value) -> Value:
+def _field_ahead(
+    world: World, population: Population, node: ir.PlanNode, rows: Rows, ahead: SenseValue, turn: SenseValue
+) -> SenseValue:
     """Read a field ahead. `turn` is to the left of the heading, which lies along the ground below the feet; `up` is its normal
     there."""
     up = vec.columns(population.normal[rows], np.float32)
@@ -241,7 +252,7 @@ def _field_ahead(world: World, population: Population, node: ir.Node, rows: Rows
     return field.sample(np.where(moved.lost, -1, cells))
 
 
-def _pull_inside(world: World, moved: Move) -> tuple[Footing, NDArray[np.float64]]:
+def _pull_inside(world: World, moved: GroundMove) -> tuple[Footing, NDArray[np.float64]]:
     """Return where paths end, moved slightly inside the face if they end at an open border.
 
     A border may lie between two cells. Exactly on it, one side of a strip would read its own cells and the other the cells
@@ -253,13 +264,13 @@ def _pull_inside(world: World, moved: Move) -> tuple[Footing, NDArray[np.float64
     footing, position = moved.footing.copy(), moved.position.copy()
     inner = footing.take_on_meshes(rows)
     for weight in (inner.b1, inner.b2):
-        weight += (1 / 3 - weight) * _HAIR
+        weight += (1 / 3 - weight) * _PULL_INSIDE_SHARE
     footing.put(rows, inner)
     position[rows] = meshes.position(inner)
     return footing, position
 
 
-def _field_strongest(world: World, population: Population, node: ir.Node, rows: Rows) -> Value:
+def _field_strongest(world: World, population: Population, node: ir.PlanNode, rows: Rows) -> SenseValue:
     field, count = node.attrs
     value, x, y, z = world.fields[field].strongest(population.cells[field][rows], int(count))
     nothing = ~(value > 0)
@@ -267,42 +278,42 @@ def _field_strongest(world: World, population: Population, node: ir.Node, rows: 
     return value, *(np.where(nothing, own, k) for own, k in zip(_read_positions(world, population, rows), positions, strict=True))
 
 
-def _field_gradient(world: World, population: Population, node: ir.Node, rows: Rows) -> Value:
+def _field_gradient(world: World, population: Population, node: ir.PlanNode, rows: Rows) -> SenseValue:
     slope = world.fields[node.attrs[0]].gradient(population.cells[node.attrs[0]][rows])
     return moving_geometry.rotate_from_rest(world, population, rows, slope)
 
 
-def _curve_closest(world: World, population: Population, node: ir.Node, rows: Rows) -> Value:
+def _curve_closest(world: World, population: Population, node: ir.PlanNode, rows: Rows) -> SenseValue:
     nearest = world.curves[node.attrs[0]].closest(*_read_positions(world, population, rows))
     return nearest.distance, nearest.px, nearest.py, nearest.pz, nearest.tx, nearest.ty, nearest.tz
 
 
-def _flow_value(world: World, population: Population, node: ir.Node, rows: Rows) -> Value:
+def _flow_value(world: World, population: Population, node: ir.PlanNode, rows: Rows) -> SenseValue:
     place = np.stack(_read_positions(world, population, rows), axis=1).astype(np.float64)
     up = population.normal[rows].astype(np.float64)
     return world.flows[node.attrs[0]].at(world.ground.meshes, population.footing.take(rows), place, up)
 
 
-def _flow_reachable(world: World, population: Population, node: ir.Node, rows: Rows) -> Value:
+def _flow_reachable(world: World, population: Population, node: ir.PlanNode, rows: Rows) -> SenseValue:
     place = np.stack(_read_positions(world, population, rows), axis=1).astype(np.float64)
     up = population.normal[rows].astype(np.float64)
     return world.flows[node.attrs[0]].reaches(world.ground.meshes, population.footing.take(rows), place, up)
 
 
-def _map_value(world: World, population: Population, node: ir.Node, rows: Rows) -> Value:
+def _map_value(world: World, population: Population, node: ir.PlanNode, rows: Rows) -> SenseValue:
     meshes = world.ground.meshes
     assert meshes is not None  # maps are painted on them
     return world.maps[node.attrs[0]].at(meshes, population.footing.take(rows))
 
 
-def _noise(world: World, population: Population, node: ir.Node, rows: Rows, *how: Value) -> Value:
+def _noise(world: World, population: Population, node: ir.PlanNode, rows: Rows, *how: SenseValue) -> SenseValue:
     """Return noise. `how`: scale, seed and period. The position is in the scene's own axes, the time is that of the step."""
     scale, seed, period = (np.float64(1) * _spread_rows(each, rows) for each in how)
     place = np.stack(_read_positions(world, population, rows)).astype(np.float64) + world.origin[:, None]
     step_time = np.full((1, _row_count(rows)), world.display_frame * world.dt)
     unit = np.stack((scale, scale, scale, period))
     cells = np.concatenate((place, step_time)) / np.where(unit > 0, unit, np.nan)
-    which = np.floor(np.where(np.abs(seed) < noise.FAR, seed, 0.0)).astype(np.int64)
+    which = np.floor(np.where(np.abs(seed) < noise.MAX_LATTICE_COORDINATE, seed, 0.0)).astype(np.int64)
     return noise.noise(cells, which).astype(np.float32)
 
 
@@ -310,7 +321,7 @@ def _row_numbers(rows: Rows) -> NDArray[np.intp]:
     return np.arange(rows.start, rows.stop) if isinstance(rows, slice) else np.asarray(rows)
 
 
-def _clear_velocity(world: World, population: Population, node: ir.Node, rows: Rows, *how: Value) -> Value:
+def _clear_velocity(world: World, population: Population, node: ir.PlanNode, rows: Rows, *how: SenseValue) -> SenseValue:
     """Return a collision-free velocity. `how`: the wish x y z, `within`, `horizon` and the largest number of others."""
     which = _row_numbers(rows)
     wx, wy, wz = (_spread_rows(each, rows) for each in how[:3])
@@ -318,23 +329,25 @@ def _clear_velocity(world: World, population: Population, node: ir.Node, rows: R
     return clear_velocity(world, population, which, (wx, wy, wz), within, horizon, most)
 
 
-def _widest_gap(world: World, population: Population, node: ir.Node, rows: Rows, within: Value, most: Value) -> Value:
+def _widest_gap(
+    world: World, population: Population, node: ir.PlanNode, rows: Rows, within: SenseValue, most: SenseValue
+) -> SenseValue:
     within, most = (_spread_rows(np.float64(1) * each, rows) for each in (within, most))
     return widest_gap(world, population, _row_numbers(rows), within, most)
 
 
-def _clip_value(world: World, population: Population, node: ir.Node, rows: Rows, clip: Value) -> Value:
+def _clip_value(world: World, population: Population, node: ir.PlanNode, rows: Rows, clip: SenseValue) -> SenseValue:
     return clip_value(world, population, node.attrs[0], clip)
 
 
-def _contact(world: World, population: Population, node: ir.Node, rows: Rows, *touched: Value) -> Value:
+def _contact(world: World, population: Population, node: ir.PlanNode, rows: Rows, *touched: SenseValue) -> SenseValue:
     """Return the new contact and the touched ids. `touched`: ids of the agents touched until now."""
     known = np.stack([np.asarray(_spread_rows(each, rows), np.int64) for each in touched], axis=1)
     contact_ids, known = new_contacts(world, population, node.attrs[0], _row_numbers(rows), known)
     return contact_ids, *(np.ascontiguousarray(ids) for ids in known.T)
 
 
-SENSES: Mapping[str, Callable[..., Value]] = {
+SENSE_FUNCTIONS: Mapping[str, Callable[..., SenseValue]] = {
     "id": _id,
     "age": _age,
     "draw": _draw,
@@ -365,6 +378,6 @@ SENSES: Mapping[str, Callable[..., Value]] = {
 
 # Senses that are answered where machine code has left who asks and what: for n rows, of which some are asking, several times at
 # once; and what the results are until then.
-IN_PLACE: Mapping[str, tuple[Callable[[World, Population, ir.Node, Rows, Sequence[Ask]], None], tuple[Any, ...]]] = {
-    "ray": (_rays, NO_HIT)
-}
+BATCHED_SENSES: Mapping[
+    str, tuple[Callable[[World, Population, ir.PlanNode, Rows, Sequence[FeelerQuery]], None], tuple[Any, ...]]
+] = {"ray": (_rays, NO_HIT)}

@@ -14,36 +14,36 @@ from numpy.typing import NDArray
 
 from antdsl.ground.protocol import Footing, Ground
 from antdsl.machine_code.memory import padded_empty, padded_rows
-from antdsl.numerics.row_copies import RowCopies, copy_rows
-from antdsl.numerics.row_hash import RowHash
+from antdsl.numerics.row_copies import RowCopier, copy_rows
+from antdsl.numerics.row_hash import RowHasher
 from antdsl.numerics.sorting import stable_order
 from antdsl.plan import ir
 from antdsl.program.tables.columns import FIXED, REGISTERS
-from antdsl.runtime.requests import Effects
-from antdsl.scene.setting import Setting
+from antdsl.runtime.requests import EffectRequests
+from antdsl.scene.setting import WorldSetting
 
 if TYPE_CHECKING:
-    from antdsl.casting.curves import Curve
+    from antdsl.casting.curves import SampledCurve
     from antdsl.casting.obstacle import Obstacle
     from antdsl.fields.cells import KnownCells
-    from antdsl.fields.flow import Flow, Map
+    from antdsl.fields.flow import PaintedMap, SurfaceFlow
     from antdsl.fields.pheromone import PheromoneField
     from antdsl.ground.solid import Volume
     from antdsl.runtime.faults import FaultLog
     from antdsl.runtime.feet.seeking import FootGround
     from antdsl.runtime.feet.state import Feet
     from antdsl.runtime.feet.walking import LegsOfSpecies
-    from antdsl.runtime.lod import Detail
-    from antdsl.runtime.motion_measures import Motion
+    from antdsl.runtime.lod import DetailLevels
+    from antdsl.runtime.motion_measures import MotionMeasures
     from antdsl.senses.neighbours import CellGrid
 from antdsl.senses.touching import Touching
 
-DTYPES: Mapping[ir.Kind, type[np.generic]] = {
-    ir.Kind.F32: np.float32, ir.Kind.BOOL: np.bool_, ir.Kind.I32: np.int32, ir.Kind.I64: np.int64,
+DTYPE_BY_KIND: Mapping[ir.ValueKind, type[np.generic]] = {
+    ir.ValueKind.F32: np.float32, ir.ValueKind.BOOL: np.bool_, ir.ValueKind.I32: np.int32, ir.ValueKind.I64: np.int64,
 }  # fmt: skip
 AXES = ("x", "y", "z")
-PUSHED = "moved"  # mm, by contacts in one step; a register of species with a program that reads it
-MOVED = tuple(name for column in REGISTERS.values() if column.shape for name in column.registers)
+PUSHED_REGISTER = "moved"  # mm, by contacts in one step; a register of species with a program that reads it
+MOVED_REGISTERS = tuple(name for column in REGISTERS.values() if column.shape for name in column.registers)
 Scalar = TypeVar("Scalar", bound=np.generic)
 
 
@@ -117,16 +117,16 @@ class Population:
     cells: dict[str, NDArray[np.int32]] = field(default_factory=dict)  # field -> own cell
     # field -> the lookup data of its cells, independent of rows
     voxels: dict[str, KnownCells | None] = field(default_factory=dict)
-    effects: Effects = field(default_factory=Effects)
+    effects: EffectRequests = field(default_factory=EffectRequests)
     all_taken: dict[str, NDArray[np.float64]] = field(default_factory=dict)  # by site: what claims for all gave in this step
     version: int = 0  # changes whenever rows do
     reordered: tuple[NDArray[np.int64], NDArray[np.intp]] | None = None  # ids before the last `select_rows`, and the rows of it
     next_id: int = 0
     laid: tuple[NDArray[Any], ...] | None = None  # bodies of those who lean, while a step shows them as their feet stand
     rooms: dict[str, tuple[NDArray[Any], ...]] = field(default_factory=dict)  # by name: see `room`
-    copies: RowCopies = field(default_factory=RowCopies)  # of registers, once what was written becomes what all see
-    hashed: RowHash = field(default_factory=RowHash)  # of the state
-    _zeros: RowCopies = field(default_factory=RowCopies)  # to registers of one step
+    copies: RowCopier = field(default_factory=RowCopier)  # of registers, once what was written becomes what all see
+    hashed: RowHasher = field(default_factory=RowHasher)  # of the state
+    _zeros: RowCopier = field(default_factory=RowCopier)  # to registers of one step
     _rows: tuple[int, NDArray[np.int64], NDArray[np.intp]] | None = None
     _ranks: tuple[int, NDArray[np.int32]] | None = None
     _stated: tuple[ir.SpeciesPlan, tuple[str, ...]] | None = None
@@ -143,7 +143,7 @@ class Population:
         n = len(self)
         if self._temps is None or self._temps[0] is not self.plan or self._temps[1] != n:
             temps = {name: each for name, each in self.plan.registers.items() if each.role == "temp"}
-            zeros = {(each.kind, each.zero): np.full(n, each.zero, DTYPES[each.kind]) for each in temps.values()}
+            zeros = {(each.kind, each.zero): np.full(n, each.zero, DTYPE_BY_KIND[each.kind]) for each in temps.values()}
             self._temps = (self.plan, n, {name: zeros[each.kind, each.zero] for name, each in temps.items()})
         zeros_of = self._temps[2]
         self._zeros.copy(list(map(self.now.__getitem__, zeros_of)), list(zeros_of.values()), threads)
@@ -220,7 +220,7 @@ class OvercrowdedLine:
     sides: bool
 
 
-class Backend(Protocol):
+class StepBackend(Protocol):
     """What runs the blocks of a plan; see `backends`."""
 
     def begin(self, world: World) -> None:
@@ -241,7 +241,7 @@ class World:
     all positions at binding, so that float32 stays precise far from the scene's zero."""
 
     plan: ir.Plan
-    setting: Setting
+    setting: WorldSetting
     options: Options
     up: NDArray[np.float64]
     origin: NDArray[np.float64]
@@ -252,15 +252,15 @@ class World:
     fields: dict[str, PheromoneField]
     field_rates: dict[str, tuple[np.float32, float]]  # factor a step, diffusion in mm2/s
     obstacles: dict[str, Obstacle]  # by name, surfaces and solids too
-    curves: dict[str, Curve]
-    flows: dict[str, Flow]
-    maps: dict[str, Map]
+    curves: dict[str, SampledCurve]
+    flows: dict[str, SurfaceFlow]
+    maps: dict[str, PaintedMap]
     ground: Ground
     surface_index: dict[str, int]
     solids: dict[str, Volume]
-    backend: Backend
+    backend: StepBackend
     faults: FaultLog
-    motion: Motion
+    motion: MotionMeasures
     timings: dict[str, float] = field(default_factory=dict)  # seconds by phase, all steps together
     worked: dict[str, float] = field(default_factory=dict)  # the same of the processors, all threads together
     grids: dict[tuple[str, float], CellGrid] = field(default_factory=dict)  # of this step
@@ -271,7 +271,7 @@ class World:
     carved: dict[str, list[NDArray[np.float64]]] | None = None  # balls (k, 4) since the last retrieval; None: not recorded
     emitted: list[dict[str, NDArray[Any]]] | None = None  # columns of `EMIT` since the last retrieval; None: not recorded
     spec_values: dict[str, np.float32] = field(default_factory=dict)  # numbers about wholes that a spec asks for, by name
-    detail: Detail | None = None
+    detail: DetailLevels | None = None
     crowded: list[OvercrowdedLine] = field(default_factory=list)  # lines of the crowd that found no room for all
     watchers: list[Callable[[World], None]] = field(default_factory=list)  # called in each step once all have acted
     feet: dict[str, Feet] = field(default_factory=dict)  # by species; only those with computed feet
@@ -294,7 +294,7 @@ class World:
 
 def stored_registers(plan: ir.SpeciesPlan) -> frozenset[str]:
     """Registers that some block or phase may change after birth."""
-    names = {*MOVED, PUSHED}
+    names = {*MOVED_REGISTERS, PUSHED_REGISTER}
     pending: list[ir.Block] = [plan.decide, plan.act, plan.blend]
     while pending:
         for statement in pending.pop().statements:
@@ -317,7 +317,7 @@ def shares_start(plan: ir.SpeciesPlan, register: str, stored: frozenset[str]) ->
 
 def empty_population(plan: ir.SpeciesPlan, ground: Ground) -> Population:
     """A species without agents; `grow` adds rows."""
-    now = {name: np.empty(0, DTYPES[r.kind]) for name, r in plan.registers.items()}
+    now = {name: np.empty(0, DTYPE_BY_KIND[r.kind]) for name, r in plan.registers.items()}
     stored = stored_registers(plan)
     start = {name: array if shares_start(plan, name, stored) else np.empty(0, array.dtype) for name, array in now.items()}
     events, raised = ({name: np.empty(0, np.bool_) for name in plan.handles} for _ in range(2))

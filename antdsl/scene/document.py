@@ -14,7 +14,7 @@ from antdsl.scene.indentation import explain_indentation, explain_missing_colon
 from antdsl.source import Source, Span
 from antdsl.syntax.mistakes.number_slips import comma_diagnostic, find_comma_number
 
-Key = str | int
+PathKey = str | int
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -26,7 +26,7 @@ class ScalarNode:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SequenceNode:
-    items: tuple[Node, ...]
+    items: tuple[DocumentNode, ...]
     span: Span
 
 
@@ -34,15 +34,15 @@ class SequenceNode:
 class MappingNode:
     """A mapping. `entries` are in the order of the text; `keys` has the location of each key."""
 
-    entries: dict[str, Node]
+    entries: dict[str, DocumentNode]
     keys: dict[str, Span]
     span: Span
 
 
-Node = ScalarNode | SequenceNode | MappingNode
+DocumentNode = ScalarNode | SequenceNode | MappingNode
 
 
-def plain_tree(node: Node) -> Any:
+def plain_tree(node: DocumentNode) -> Any:
     """The tree as dicts, lists and str, for the schema."""
     if isinstance(node, MappingNode):
         return {key: plain_tree(value) for key, value in node.entries.items()}
@@ -51,12 +51,12 @@ def plain_tree(node: Node) -> Any:
     return node.text
 
 
-def find_span(node: Node, path: Sequence[Key], *, key: bool = False) -> tuple[Span, tuple[Key, ...]]:
+def find_span(node: DocumentNode, path: Sequence[PathKey], *, key: bool = False) -> tuple[Span, tuple[PathKey, ...]]:
     """Return the location of what a path of keys leads to (of its last key if `key`), or of its nearest existing ancestor, and
     the path up to there.
 
     Parts of the path that are not in the tree, such as a schema's own tags, are skipped."""
-    span, walked = node.span, ()  # type: tuple[Span, tuple[Key, ...]]
+    span, walked = node.span, ()  # type: tuple[Span, tuple[PathKey, ...]]
     for part in path:
         if isinstance(node, MappingNode) and isinstance(part, str) and part in node.entries:
             span = node.keys[part] if key else node.entries[part].span
@@ -70,14 +70,16 @@ def find_span(node: Node, path: Sequence[Key], *, key: bool = False) -> tuple[Sp
     return span, walked
 
 
-class _DocumentRefused(Exception):
+class _DocumentRejected(Exception):
     """Reading cannot continue; the error is already in the report."""
 
 
 # Characters that look like a blank or like nothing; YAML takes them for letters. Joiners belong to the spelling of words.
-_ODD_BLANK = re.compile("[\u00a0\u00ad\u1680\u180e\u2000-\u200b\u200e\u200f\u202f\u205f-\u2064\u3000]")
-_QUOTED = re.compile(r"""'[^'\n]*'|"(?:\\.|[^"\\\n])*"|(?:^|(?<=\s))#[^\n]*""", re.MULTILINE)
-_FORBIDDEN = re.compile("[\x00-\x08\x0b\x0c\x0e-\x1f\x7f-\x9f\u2028\u2029\u202a-\u202e\u2066-\u2069\ufeff\ud800-\udfff]")
+_ODD_BLANK_PATTERN = re.compile("[\u00a0\u00ad\u1680\u180e\u2000-\u200b\u200e\u200f\u202f\u205f-\u2064\u3000]")
+_QUOTED_TEXT_PATTERN = re.compile(r"""'[^'\n]*'|"(?:\\.|[^"\\\n])*"|(?:^|(?<=\s))#[^\n]*""", re.MULTILINE)
+_FORBIDDEN_CHARACTERS = re.compile(
+    "[\x00-\x08\x0b\x0c\x0e-\x1f\x7f-\x9f\u2028\u2029\u202a-\u202e\u2066-\u2069\ufeff\ud800-\udfff]"
+)
 
 
 def decode(data: bytes, name: str, what: str = "a scene") -> tuple[Source, Report]:
@@ -98,7 +100,7 @@ def decode(data: bytes, name: str, what: str = "a scene") -> tuple[Source, Repor
         report.error("not-utf8", f"byte {problem.start} is not UTF-8", Span(source, place, place + 1), "save the file as UTF-8")
         return source, report
     source = Source(name, text)
-    bad = _FORBIDDEN.search(text)
+    bad = _FORBIDDEN_CHARACTERS.search(text)
     if bad:
         message = f"the character U+{ord(bad[0]):04X} is not allowed in {what}: it is invisible"
         help = "start a new line there" if bad[0] in "\x85\u2028\u2029\x0b\x0c" else "delete it"
@@ -108,10 +110,10 @@ def decode(data: bytes, name: str, what: str = "a scene") -> tuple[Source, Repor
 
 def read_document(source: Source) -> tuple[MappingNode | None, Report]:
     """Return the tree of a scene's text, or None if there is no usable one."""
-    reader = _Reader(source)
+    reader = _DocumentReader(source)
     try:
         root = reader.read()
-    except _DocumentRefused:
+    except _DocumentRejected:
         return None, reader.report
     return (root if reader.report.ok else None), reader.report
 
@@ -122,10 +124,10 @@ class _OpenNode:
 
     start: int
     mapping: bool
-    items: list[Node] = field(default_factory=list)
+    items: list[DocumentNode] = field(default_factory=list)
 
 
-class _Reader:
+class _DocumentReader:
     def __init__(self, source: Source) -> None:
         self.source = source
         self.report = Report()
@@ -141,9 +143,9 @@ class _Reader:
         start, end = self.offset(event.start_mark), self.offset(event.end_mark)
         return Span(self.source, start, max(end, start))
 
-    def refuse(self, code: str, message: str, span: Span, help: str | None = None, *labels: Label) -> _DocumentRefused:
+    def refuse(self, code: str, message: str, span: Span, help: str | None = None, *labels: Label) -> _DocumentRejected:
         self.report.error(code, message, span, help, labels=labels)
-        return _DocumentRefused()
+        return _DocumentRejected()
 
     def read(self) -> MappingNode:
         import yaml
@@ -160,8 +162,8 @@ class _Reader:
             raise self.refuse("wrong-value", "a scene is a list of `key: value` lines", root.span, "begin with `antdsl: 1`")
         return root
 
-    def depth_refusal(self, span: Span) -> _DocumentRefused:
-        return self.refuse("too-large", f"values are nested more than {limits.YAML_DEPTH} levels deep", span)
+    def depth_refusal(self, span: Span) -> _DocumentRejected:
+        return self.refuse("too-large", f"values are nested more than {limits.MAX_YAML_DEPTH} levels deep", span)
 
     def report_odd_blank(self, match: re.Match[str]) -> None:
         """Report the first character that looks like a blank and is not one."""
@@ -170,14 +172,14 @@ class _Reader:
         character = match[0]
         is_blank = unicodedata.category(character) == "Zs"
         message = f"{unicodedata.name(character).lower()} (U+{ord(character):04X})"
-        count = len(_ODD_BLANK.findall(self.source.text))
+        count = len(_ODD_BLANK_PATTERN.findall(self.source.text))
         help = "type a space instead" if is_blank else "delete it"
         help += f"; the file has {count} such characters" if count > 1 else ""
         help += "; if a name contains one, put the name in quotes"
         place = Span(self.source, match.start(), match.end())
         self.report.error("odd-blank", f"{message} in place of a blank" if is_blank else f"{message} does not show", place, help)
 
-    def syntax_refusal(self, problem: Any) -> _DocumentRefused:
+    def syntax_refusal(self, problem: Any) -> _DocumentRejected:
         mark = getattr(problem, "problem_mark", None) or getattr(problem, "context_mark", None)
         start = self.offset(mark) if mark is not None else 0
         words = (getattr(problem, "problem", None) or "this is not YAML").replace("'\\t'", "a tab")
@@ -186,14 +188,14 @@ class _Reader:
         if "nesting depth" in words:  # newer readers of YAML look further ahead than the events they have given
             return self.depth_refusal(Span(self.source, start, min(start + 1, len(self.source.text))))
         if not text.isascii():
-            odd = _ODD_BLANK.search(_QUOTED.sub(lambda quoted: "." * len(quoted[0]), text))
+            odd = _ODD_BLANK_PATTERN.search(_QUOTED_TEXT_PATTERN.sub(lambda quoted: "." * len(quoted[0]), text))
             if odd is not None:
                 self.report_odd_blank(odd)
-                return _DocumentRefused()
+                return _DocumentRejected()
         better = self.explain_problem(problem, start)
         if better is not None:
             self.report.add(better)
-            return _DocumentRefused()
+            return _DocumentRejected()
         if text[start : start + 1] == "\t" or "a tab" in words:
             words, help = "a tab cannot indent a line", "indent with blanks"
         elif "%" in text[start : start + 1]:
@@ -219,14 +221,14 @@ class _Reader:
                 return diagnostic
         return explain_indentation(self.source, start) or explain_missing_colon(self.source, start)
 
-    def build_tree(self, yaml: Any, events: Any) -> Node | None:
+    def build_tree(self, yaml: Any, events: Any) -> DocumentNode | None:
         """Build the tree from the stream of events with an explicit stack, so that depth and size are checked before they become
         expensive."""
         stack: list[_OpenNode] = []
-        root: Node | None = None
+        root: DocumentNode | None = None
         count = documents = 0
         for event in events:
-            node: Node | None = None
+            node: DocumentNode | None = None
             if isinstance(event, yaml.DocumentStartEvent):
                 documents += 1
                 if event.version or event.tags:
@@ -249,17 +251,17 @@ class _Reader:
                 raise self.refuse("yaml-tag", "tags such as `!name` are not supported", self.span(event), "write the value alone")
             if isinstance(event, yaml.NodeEvent):
                 count += 1
-                if count > limits.YAML_NODES:
-                    raise self.refuse("too-large", f"the scene has more than {limits.YAML_NODES:,} values", self.span(event))
+                if count > limits.MAX_YAML_NODES:
+                    raise self.refuse("too-large", f"the scene has more than {limits.MAX_YAML_NODES:,} values", self.span(event))
             if isinstance(event, yaml.ScalarEvent):
                 node = ScalarNode(event.value, bool(event.style), self.span(event))
-                odd = None if event.style or event.value.isascii() else _ODD_BLANK.search(event.value)
+                odd = None if event.style or event.value.isascii() else _ODD_BLANK_PATTERN.search(event.value)
                 if odd is not None:
-                    self.report_odd_blank(_ODD_BLANK.search(self.source.text, node.span.start) or odd)
-                    raise _DocumentRefused
+                    self.report_odd_blank(_ODD_BLANK_PATTERN.search(self.source.text, node.span.start) or odd)
+                    raise _DocumentRejected
             elif isinstance(event, yaml.CollectionStartEvent):
                 stack.append(_OpenNode(self.offset(event.start_mark), isinstance(event, yaml.MappingStartEvent)))
-                if len(stack) > limits.YAML_DEPTH:
+                if len(stack) > limits.MAX_YAML_DEPTH:
                     raise self.depth_refusal(self.span(event))
             elif isinstance(event, yaml.CollectionEndEvent):
                 node = self.finish_node(stack.pop(), self.offset(event.end_mark))
@@ -270,14 +272,14 @@ class _Reader:
                     root = node
         return root
 
-    def finish_node(self, opened: _OpenNode, end: int) -> Node:
+    def finish_node(self, opened: _OpenNode, end: int) -> DocumentNode:
         text = self.source.text
         while end > opened.start + 1 and text[end - 1 : end].isspace():
             end -= 1
         span = Span(self.source, opened.start, end)
         if not opened.mapping:
             return SequenceNode(tuple(opened.items), span)
-        entries: dict[str, Node] = {}
+        entries: dict[str, DocumentNode] = {}
         keys: dict[str, Span] = {}
         folded: dict[str, str] = {}
         for key, value in zip(opened.items[::2], opened.items[1::2], strict=True):

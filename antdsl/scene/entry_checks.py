@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING, NamedTuple
 from antdsl import limits
 from antdsl.diagnostics import Report
 from antdsl.diagnostics.suggestion import nearest_name
-from antdsl.program.model import Dim, Kind, Program, WorldThing
+from antdsl.program.model import Dimension, Program, TypeKind, WorldThing
 from antdsl.program.tables.units import default_unit, dimension_words, with_unit
-from antdsl.scene.document import Key
+from antdsl.scene.document import PathKey
 from antdsl.scene.paths import PathRefused
 from antdsl.scene.quantities import Quantity
 from antdsl.source import Span
@@ -28,21 +28,21 @@ class Entry(NamedTuple):
     name: str
     thing: WorldThing
 
-    def span(self, *path: Key, key: bool = False) -> Span:
+    def span(self, *path: PathKey, key: bool = False) -> Span:
         """Return the location of a value of the entry, or of its key."""
         return self.scene.span("world", self.name, *path, key=key)
 
-    def check_file(self, text: str, *path: Key) -> None:
+    def check_file(self, text: str, *path: PathKey) -> None:
         """Check whether a file that the entry names exists."""
         check_file(self.scene, self.report, text, "world", self.name, *path)
 
-    def report_unknown(self, what: str, known: Iterable[str], *path: Key) -> None:
+    def report_unknown(self, what: str, known: Iterable[str], *path: PathKey) -> None:
         """Report a value of the entry that is not among the known names."""
         report_unknown(self.report, self.scene, ("world", self.name, *path), what, known, key=False)
 
 
 def report_unknown(
-    report: Report, scene: Scene, path: tuple[Key, ...], what: str, known: Iterable[str], *, key: bool = True
+    report: Report, scene: Scene, path: tuple[PathKey, ...], what: str, known: Iterable[str], *, key: bool = True
 ) -> None:
     """Report a name that is not among the known ones; with `key`, it is the last key of the path."""
     names = sorted(known)
@@ -52,7 +52,7 @@ def report_unknown(
     report.error("unknown-thing", f"{what} `{name}`", scene.span(*path, key=key), help)
 
 
-def check_file(scene: Scene, report: Report, text: str, *path: Key) -> None:
+def check_file(scene: Scene, report: Report, text: str, *path: PathKey) -> None:
     """Check whether a file, or the files of a sequence, exist."""
     try:
         files = scene.roots.sequence(text).values() if scene.roots.is_sequence(text) else (text,)
@@ -60,22 +60,22 @@ def check_file(scene: Scene, report: Report, text: str, *path: Key) -> None:
     except PathRefused as refused:
         report.error(refused.code, str(refused), scene.span(*path), refused.help)
         return
-    if size > limits.MESH_BYTES:
-        report.error("too-large", f"`{text}` has {size:,} bytes, more than {limits.MESH_BYTES:,}", scene.span(*path))
+    if size > limits.MAX_MESH_BYTES:
+        report.error("too-large", f"`{text}` has {size:,} bytes, more than {limits.MAX_MESH_BYTES:,}", scene.span(*path))
 
 
-def check_attributes(entry: Entry, quantities: Mapping[str, Quantity], known: list[str], *path: Key) -> None:
+def check_attributes(entry: Entry, quantities: Mapping[str, Quantity], known: list[str], *path: PathKey) -> None:
     """Check values of items' attributes against the program's declarations."""
     declared = {a.name: a for a in entry.thing.attributes}
     for key, quantity in quantities.items():
         place = ("world", entry.name, *path, key)
         if key not in declared:
             report_unknown(entry.report, entry.scene, place, f"`{entry.name}` has no attribute", known)
-        elif declared[key].type.kind is Kind.NUMBER:
+        elif declared[key].type.kind is TypeKind.NUMBER:
             check_dimension(entry.scene, entry.report, quantity, declared[key].type.dim, key, *place)
 
 
-def check_dimension(scene: Scene, report: Report, value: Quantity, dim: Dim, name: str, *path: Key) -> bool:
+def check_dimension(scene: Scene, report: Report, value: Quantity, dim: Dimension, name: str, *path: PathKey) -> bool:
     """Return whether a value has a dimension; report an error otherwise."""
     if value.dim == dim:
         return True

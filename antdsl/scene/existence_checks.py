@@ -15,7 +15,7 @@ from antdsl.scene.library_bodies import BODY_WORDS
 from antdsl.scene.load import Scene
 from antdsl.scene.paths import PathRefused, Roots
 
-_MEANT = re.compile(r"did you mean `([^`]+)`\?")
+_SUGGESTION_PATTERN = re.compile(r"did you mean `([^`]+)`\?")
 
 
 def bodies(scene: Scene, program: Program, report: Report) -> None:
@@ -39,8 +39,8 @@ def bodies(scene: Scene, program: Program, report: Report) -> None:
             except PathRefused as refused:
                 report.error(refused.code, str(refused), place, refused.help)
                 continue
-            if size > limits.BODY_BYTES:
-                report.error("too-large", f"`{line.body}` has {size:,} bytes, more than {limits.BODY_BYTES:,}", place)
+            if size > limits.MAX_BODY_FILE_BYTES:
+                report.error("too-large", f"`{line.body}` has {size:,} bytes, more than {limits.MAX_BODY_FILE_BYTES:,}", place)
 
 
 def check_absent_species(scene: Scene, program: Program, report: Report) -> None:
@@ -72,7 +72,7 @@ def check_spec_scenes(program: Program | None, grants: Mapping[str, Path] | None
         try:
             roots.file_size(text.text)
         except PathRefused as refused:
-            near = _MEANT.fullmatch(refused.help or "")
+            near = _SUGGESTION_PATTERN.fullmatch(refused.help or "")
             fix = Fix(text.span, f'"{near[1]}"') if near and "/" not in text.text else None
             advice = refused.help or "name a scene that lies beside this program or below its folder"
             report.error(refused.code, str(refused), text.span, advice, fix=fix)

@@ -8,32 +8,32 @@ from dataclasses import replace
 from typing import Any
 
 from antdsl.diagnostics import Report
-from antdsl.program.model import Ask, Const, Dim, Expr, Field, Kind, Program, Rate, Type
+from antdsl.program.model import ChangeRate, Constant, Dimension, EffectRequest, Expr, Field, Program, TypeKind, ValueType
 from antdsl.program.tables.effects import feeding_effects
 from antdsl.program.traverse import parts
 from antdsl.program.types.folding import constant_behind
 from antdsl.scene.load import Scene
 from antdsl.scene.quantities import Quantity
 
-FADING = ("half_life", "evaporate", "keeps")  # of the ways to fade there is one
-_DIMS = {
-    "half_life": Dim(time=1),
-    "evaporate": Dim(time=-1),
-    "keeps": Dim(time=-1),
-    "diffuse": Dim(length=2, time=-1),
-    "limit": Dim(),
+FADE_SETTINGS = ("half_life", "evaporate", "keeps")  # of the ways to fade there is one
+_SETTING_DIMENSIONS = {
+    "half_life": Dimension(time=1),
+    "evaporate": Dimension(time=-1),
+    "keeps": Dimension(time=-1),
+    "diffuse": Dimension(length=2, time=-1),
+    "limit": Dimension(),
 }
 
 
-def setting_dimension(program: Program, name: str) -> Dim | None:
+def setting_dimension(program: Program, name: str) -> Dimension | None:
     """Return the dimension of a field's setting; None if there is no setting of this name."""
     field, _, word = name.partition(".")
-    return _DIMS.get(word) if field in program.fields and name not in program.params else None
+    return _SETTING_DIMENSIONS.get(word) if field in program.fields and name not in program.params else None
 
 
 def settable_names(program: Program) -> list[str]:
     """Return the names of all field settings that can be set to another value."""
-    return [f"{field}.{word}" for field in program.fields for word in _DIMS]
+    return [f"{field}.{word}" for field in program.fields for word in _SETTING_DIMENSIONS]
 
 
 def refusal_help(name: str, value: Quantity) -> str:
@@ -56,14 +56,14 @@ def with_field_settings(program: Program, scene: Scene, values: Mapping[str, Qua
             continue
         field, _, word = name.partition(".")
         place = scene.span("set", name) if name in scene.model.set else fields[field].span
-        const = Const(Type(Kind.NUMBER, dim), Rate.CONST, place, value.number, u=value.u, step=value.step)
+        const = Constant(ValueType(TypeKind.NUMBER, dim), ChangeRate.CONST, place, value.number, u=value.u, step=value.step)
         fields[field] = with_field_setting(fields[field], word, const)
     return replace(program, fields=fields)
 
 
 def with_field_setting(field: Field, word: str, value: Expr) -> Field:
     """Return a field with another value of one setting. Setting one way to fade removes the others."""
-    values: dict[str, Any] = dict.fromkeys(FADING) if word in FADING else {}
+    values: dict[str, Any] = dict.fromkeys(FADE_SETTINGS) if word in FADE_SETTINGS else {}
     return replace(field, **{**values, word: value})
 
 
@@ -86,7 +86,7 @@ def check_spreading(scene: Scene, program: Program, report: Report) -> None:
                 f"write `diffuse` {most:g} mm^2/s or less, or a larger `cell`",
             )  # fmt: skip
     laying = feeding_effects("field")
-    laid = {part.of for part in parts(tuple(program.species.values())) if isinstance(part, Ask) and part.op in laying}
+    laid = {part.of for part in parts(tuple(program.species.values())) if isinstance(part, EffectRequest) and part.op in laying}
     for name, field in program.fields.items():
         if name not in laid and name not in scene.model.fields:
             report.warning(

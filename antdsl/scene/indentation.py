@@ -10,11 +10,11 @@ from dataclasses import dataclass
 from antdsl.diagnostics import Diagnostic, Fix
 from antdsl.source import Source, Span
 
-_CODE = "scene-syntax"
+_DIAGNOSTIC_CODE = "scene-syntax"
 # A plain key ends with a character that is no blank: a class that takes blanks, before `\s*`, takes the square of their number.
-_KEY = re.compile(r"""("[^"]*"|'[^']*'|[^\s#:\[\]{},&*!|>%@`"'-](?:[^#:\[\]{},]*[^\s#:\[\]{},])?)\s*:(?=\s|$)""")
-_GLUED = re.compile(r"(?:- +)?([A-Za-z_][\w.]*):(?=[^\s:/\\])(.+)")
-_NO_COLON = re.compile(r"(?:- +)?([A-Za-z_][\w.]*)[ \t]+([^\s:#=].*|[=] ?.*)")
+_KEY_PATTERN = re.compile(r"""("[^"]*"|'[^']*'|[^\s#:\[\]{},&*!|>%@`"'-](?:[^#:\[\]{},]*[^\s#:\[\]{},])?)\s*:(?=\s|$)""")
+_MISSING_SPACE_PATTERN = re.compile(r"(?:- +)?([A-Za-z_][\w.]*):(?=[^\s:/\\])(.+)")
+_MISSING_COLON_PATTERN = re.compile(r"(?:- +)?([A-Za-z_][\w.]*)[ \t]+([^\s:#=].*|[=] ?.*)")
 _DISPLAY_WIDTH = 40
 
 
@@ -32,7 +32,7 @@ class _Line:
 
 
 @dataclass(slots=True)
-class _Level:
+class _IndentLevel:
     """Lines at the same level: their indent, whether they are items of a list, the last line, and its remaining text."""
 
     indent: int
@@ -46,7 +46,7 @@ class _OddLine:
     """A line that fits no level, and the level nearest to it."""
 
     line: _Line
-    level: _Level
+    level: _IndentLevel
 
 
 def explain_indentation(source: Source, stop: int) -> Diagnostic | None:
@@ -63,7 +63,7 @@ def explain_indentation(source: Source, stop: int) -> Diagnostic | None:
         if _first_odd(source.text[: other[0]] + other[2] + source.text[other[1] :]) is None:
             line, level, shift, (start, end, text) = (
                 previous_line,
-                _Level(previous_line.indent - shift, previous_line.is_item, None),
+                _IndentLevel(previous_line.indent - shift, previous_line.is_item, None),
                 -shift,
                 other,
             )
@@ -72,11 +72,11 @@ def explain_indentation(source: Source, stop: int) -> Diagnostic | None:
     message = f"this line begins with {_blank_text(line.indent)}, and those it stands among with {_blank_text(level.indent)}"
     help = f"begin it {where}" + (f", below `{beside}`" if beside else "")
     span = Span(source, line.start, line.start + len(line.text))
-    return Diagnostic(_CODE, message, span, help=help, fix=Fix(Span(source, start, end), text))
+    return Diagnostic(_DIAGNOSTIC_CODE, message, span, help=help, fix=Fix(Span(source, start, end), text))
 
 
 def _first_odd(text: str, stop: int | None = None) -> _OddLine | None:
-    levels: list[_Level] = []
+    levels: list[_IndentLevel] = []
     opened = False  # the line before has a key without a value
     for line in _lines(text, len(text) if stop is None else stop):
         if "\t" in text[line.start - line.indent : line.start]:
@@ -92,7 +92,7 @@ def _first_odd(text: str, stop: int | None = None) -> _OddLine | None:
     return None
 
 
-def _enter_line(levels: list[_Level], line: _Line) -> bool:
+def _enter_line(levels: list[_IndentLevel], line: _Line) -> bool:
     """Add a line. Returns whether its last key has no value, so that a block may follow."""
     indent, text = line.indent, line.text
     while True:
@@ -100,22 +100,22 @@ def _enter_line(levels: list[_Level], line: _Line) -> bool:
         if levels and levels[-1].indent == indent and levels[-1].dash == dash:
             levels[-1].line, levels[-1].text = line, text
         else:
-            levels.append(_Level(indent, dash, line, text))
+            levels.append(_IndentLevel(indent, dash, line, text))
         if not dash:
             break
         rest = text[1:].lstrip()
         indent += len(text) - len(rest)
         text = rest
-        if not text or not (_KEY.match(text) or text.startswith("- ")):
+        if not text or not (_KEY_PATTERN.match(text) or text.startswith("- ")):
             return not text
-    key = _KEY.match(text)
+    key = _KEY_PATTERN.match(text)
     return key is not None and not text[key.end() :].strip()
 
 
-def _find_level(levels: list[_Level], line: _Line, opened: bool) -> _Level | None:
+def _find_level(levels: list[_IndentLevel], line: _Line, opened: bool) -> _IndentLevel | None:
     """Return the level to which this line should belong; None if its indent is right."""
     if not levels:
-        return _Level(0, line.is_item, None) if line.indent else None
+        return _IndentLevel(0, line.is_item, None) if line.indent else None
     last = levels[-1]
     if opened and (line.indent > last.indent or (line.is_item and line.indent == last.indent)):
         return None
@@ -204,13 +204,15 @@ def explain_missing_colon(source: Source, start: int) -> Diagnostic | None:
         text = source.line_text(number)
         bare = text.lstrip()
         begin = _find_line_start(source, number) + len(text) - len(bare)
-        for pattern, lack in ((_GLUED, "no space after `{}:`"), (_NO_COLON, "no `:` behind `{}`")):
+        for pattern, lack in ((_MISSING_SPACE_PATTERN, "no space after `{}:`"), (_MISSING_COLON_PATTERN, "no `:` behind `{}`")):
             match = pattern.fullmatch(bare)
-            if match is None or _KEY.match(bare.removeprefix("- ").lstrip()):
+            if match is None or _KEY_PATTERN.match(bare.removeprefix("- ").lstrip()):
                 continue
             better = f"{match[1]}: {match[2].lstrip('= ')}"
             span = Span(source, begin + match.start(1), begin + len(bare.rstrip()))
-            return Diagnostic(_CODE, f"there is {lack.format(match[1])}", span, help=f"write `{better}`", fix=Fix(span, better))
+            return Diagnostic(
+                _DIAGNOSTIC_CODE, f"there is {lack.format(match[1])}", span, help=f"write `{better}`", fix=Fix(span, better)
+            )
     return None
 
 

@@ -8,12 +8,12 @@ from pathlib import Path
 
 from antdsl import limits
 from antdsl.diagnostics import Report
-from antdsl.scene.document import MappingNode, Node, ScalarNode, decode, read_document
+from antdsl.scene.document import DocumentNode, MappingNode, ScalarNode, decode, read_document
 from antdsl.scene.paths import PathRefused, Roots
 from antdsl.source import Span
 
-KEY = "extends"
-_OWN = frozenset((KEY, "antdsl"))  # said by each file for itself
+EXTENDS_KEY = "extends"
+_UNINHERITED_KEYS = frozenset((EXTENDS_KEY, "antdsl"))  # said by each file for itself
 
 
 def merge_parents(
@@ -25,24 +25,24 @@ def merge_parents(
     scenes that are open in an editor."""
     scene_names = [name.replace("\\", "/").rsplit("/", 1)[-1]]
     behind = document
-    while (node := behind.entries.get(KEY)) is not None:
+    while (node := behind.entries.get(EXTENDS_KEY)) is not None:
         other = _read_parent(node, name, scene_names, roots, report, texts or {})
         if other is None:
             return None
-        document, behind = _merge(document, other, _OWN), other
+        document, behind = _merge(document, other, _UNINHERITED_KEYS), other
     return MappingNode(
-        {key: value for key, value in document.entries.items() if key != KEY},
-        {key: span for key, span in document.keys.items() if key != KEY},
+        {key: value for key, value in document.entries.items() if key != EXTENDS_KEY},
+        {key: span for key, span in document.keys.items() if key != EXTENDS_KEY},
         document.span,
     )
 
 
 def _read_parent(
-    node: Node, name: str, scene_names: list[str], roots: Roots, report: Report, texts: Mapping[Path, bytes]
+    node: DocumentNode, name: str, scene_names: list[str], roots: Roots, report: Report, texts: Mapping[Path, bytes]
 ) -> MappingNode | None:
     text = node.text.strip() if isinstance(node, ScalarNode) else ""
     if not text:
-        report.error("wrong-value", "expected the name of a scene here", node.span, f"write `{KEY}: base.yaml`")
+        report.error("wrong-value", "expected the name of a scene here", node.span, f"write `{EXTENDS_KEY}: base.yaml`")
         return None
     if "/" in text or "\\" in text:
         words = f"`{text[:80]}` is not next to this scene"
@@ -53,13 +53,15 @@ def _read_parent(
         words = f"these scenes extend each other in a circle: {circle}"
         report.error("circle", words, node.span, "remove the inheritance from one of them")
         return None
-    if len(scene_names) > limits.USE_DEPTH:
-        report.error("too-deep", f"`extends` is nested more than {limits.USE_DEPTH} scenes deep", node.span, "merge some of them")
+    if len(scene_names) > limits.MAX_USE_DEPTH:
+        report.error(
+            "too-deep", f"`extends` is nested more than {limits.MAX_USE_DEPTH} scenes deep", node.span, "merge some of them"
+        )
         return None
     scene_names.append(text)
     try:
         held = texts.get(roots.path(text))
-        data = roots.read(text, limits.SCENE_BYTES) if held is None else held
+        data = roots.read(text, limits.MAX_SCENE_BYTES) if held is None else held
     except PathRefused as refused:
         report.error(refused.code, str(refused), node.span, refused.help)
         return None
@@ -75,7 +77,7 @@ def _read_parent(
 
 def _merge(own: MappingNode, other: MappingNode, excluded_keys: frozenset[str] = frozenset()) -> MappingNode:
     """Merge mappings of both, key by key; anything else of `own` replaces the other's. Keys in `excluded_keys` are not merged."""
-    entries: dict[str, Node] = {key: value for key, value in other.entries.items() if key not in excluded_keys}
+    entries: dict[str, DocumentNode] = {key: value for key, value in other.entries.items() if key not in excluded_keys}
     keys: dict[str, Span] = {key: span for key, span in other.keys.items() if key not in excluded_keys}
     for key, value in own.entries.items():
         other_value = entries.get(key)

@@ -9,16 +9,16 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from antdsl.program.model import Dim
-from antdsl.program.tables.things import KINDS_OF_THINGS
+from antdsl.program.model import Dimension
+from antdsl.program.tables.things import KIND_BY_WORD
 from antdsl.program.tables.units import dimension_words
 from antdsl.scene import thing_models as forms
-from antdsl.scene.document import Key
+from antdsl.scene.document import PathKey
 from antdsl.scene.entry_checks import Entry, check_attributes, report_unknown
 
 if TYPE_CHECKING:
     from antdsl.scene.load import Scene
-    from antdsl.scene.staging.stage_scene import Staging
+    from antdsl.scene.staging.stage_scene import SceneStaging
 
 
 _GOALS = ("tangent", "toward", "away", "solved")  # keys that name where a flow leads
@@ -59,7 +59,7 @@ class SceneKind:
             words = f"`{entry.name}` is {entry.thing.kind} in the program, and only solids have voxels"
             entry.report.error("wrong-value", words, entry.span("voxel"), f"leave it out, or declare `solid {entry.name}`")
 
-    def stage(self, staging: Staging, name: str, value: Any) -> Any:
+    def stage(self, staging: SceneStaging, name: str, value: Any) -> Any:
         """Return the data of a thing, in mm and the scene's axes; or report an error and return None."""
         return staging.read(self.group, name, value)
 
@@ -105,9 +105,11 @@ class Items(SceneKind):
         declared = {a.name: a.type for a in entry.thing.attributes}
         check_attributes(entry, value.each.model_extra or {}, [*declared, "radius"], "each")
         axes = value.turn if isinstance(value.turn, tuple) else ()
-        expected, words = (Dim(), "is a component of a direction, without a unit") if axes else (Dim(angle=1), "is an angle")
+        expected, words = (
+            (Dimension(), "is a component of a direction, without a unit") if axes else (Dimension(angle=1), "is an angle")
+        )
         for number, attribute in enumerate(axes or ([] if value.turn is None else [str(value.turn)])):
-            path: tuple[Key, ...] = ("turn", number) if axes else ("turn",)
+            path: tuple[PathKey, ...] = ("turn", number) if axes else ("turn",)
             if attribute not in declared:
                 entry.report_unknown(f"`{entry.name}` has no attribute", declared, *path)
             elif declared[attribute].dim != expected:
@@ -165,7 +167,7 @@ def _check_solved(entry: Entry, thing: forms.SolvedFlow) -> None:
     for key in thing.maps:
         if key not in maps:
             report_unknown(entry.report, entry.scene, ("world", entry.name, "maps", key), "no map is named", maps)
-    dug = any(KINDS_OF_THINGS[t.kind].is_dug for t in entry.program.world.values())
+    dug = any(KIND_BY_WORD[t.kind].is_dug for t in entry.program.world.values())
     if thing.every is not None and not (thing.crowding or dug or _may_move(entry.scene)):
         words, help = f"no input of `{entry.name}` changes, so it is solved once", "leave `every` out, or add `crowding: 2`"
         entry.report.error("wrong-value", words, entry.span("every", key=True), help)

@@ -22,12 +22,12 @@ class Capsule:
     ahead: float = 0.0
 
 
-_ROWS = json.loads(resources.body_file("bodies.json").read_text("utf-8"))
-CAPSULES = {name: Capsule(**row["capsule"]) for name, row in _ROWS.items()}
-BODY_WORDS = tuple(CAPSULES)  # what a scene's `body:` takes beside files
-_BODY_OF = [(word, name) for name, row in _ROWS.items() for word in row["species"]]
+_BODY_ROWS = json.loads(resources.body_file("bodies.json").read_text("utf-8"))
+CAPSULE_BY_BODY = {name: Capsule(**row["capsule"]) for name, row in _BODY_ROWS.items()}
+BODY_WORDS = tuple(CAPSULE_BY_BODY)  # what a scene's `body:` takes beside files
+_BODY_BY_SPECIES_WORD = [(word, name) for name, row in _BODY_ROWS.items() for word in row["species"]]
 
 
 def body_for_species(species: str) -> str:
     """Return the name of the body that suits a species by its name; an ant if no other does."""
-    return next((name for word, name in _BODY_OF if word in species.lower()), "ant")
+    return next((name for word, name in _BODY_BY_SPECIES_WORD if word in species.lower()), "ant")

@@ -12,17 +12,17 @@ from typing import TYPE_CHECKING, Any
 from antdsl import limits
 from antdsl.diagnostics import Diagnostic, Fix, Report
 from antdsl.diagnostics.suggestion import nearest_name
-from antdsl.scene.document import Key, MappingNode, ScalarNode, decode, find_span, plain_tree, read_document
+from antdsl.scene.document import MappingNode, PathKey, ScalarNode, decode, find_span, plain_tree, read_document
 from antdsl.scene.inheritance import merge_parents
 from antdsl.scene.paths import PathRefused, Roots, read_named
 from antdsl.source import Source, Span
-from antdsl.syntax.mistakes.number_slips import WITH_COMMAS, comma_diagnostic
+from antdsl.syntax.mistakes.number_slips import COMMA_NUMBER_PATTERN, comma_diagnostic
 
 if TYPE_CHECKING:
     from antdsl.scene.model import SceneModel
 
 # What people look for in a scene and find elsewhere.
-_ELSEWHERE = {
+_MISPLACED_KEY_HELP = {
     "threads": "give `--threads N` on the command line",
     "chunk": "give `--chunk N` on the command line",
     "root": "give `--root NAME=FOLDER` on the command line",
@@ -37,7 +37,7 @@ _ELSEWHERE = {
 }
 
 
-_TAGS = ("-thing", "-camera", "-here")  # of the models that a value may be of; no key of a scene ends so
+_UNION_TAG_SUFFIXES = ("-thing", "-camera", "-here")  # of the models that a value may be of; no key of a scene ends so
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -49,7 +49,7 @@ class Scene:
     source: Source
     roots: Roots
 
-    def span(self, *path: Key, key: bool = False) -> Span:
+    def span(self, *path: PathKey, key: bool = False) -> Span:
         """Return the location of a value (or, with `key`, of its key) in the text, or of its nearest existing ancestor."""
         return find_span(self.document, path, key=key)[0]
 
@@ -71,7 +71,7 @@ class Scene:
 def load(path: Path, grants: Mapping[str, Path] | None = None) -> tuple[Scene | None, Report]:
     """Read and type a scene's file. Files that it names are not accessed; they may only be in its own folder and `grants`."""
     try:
-        data = read_named(path, limits.SCENE_BYTES)
+        data = read_named(path, limits.MAX_SCENE_BYTES)
     except PathRefused as refused:
         report = Report()
         report.error(refused.code, str(refused), None, refused.help)
@@ -108,21 +108,21 @@ def load_text(data: bytes, name: str, roots: Roots, texts: Mapping[Path, bytes] 
     return Scene(model, document, source, roots), report
 
 
-_WITH_LINES = frozenset(("world", "set", "fields", "layers", "camera", "lod", "output"))
+_KEYS_WITH_LINES = frozenset(("world", "set", "fields", "layers", "camera", "lod", "output"))
 
 
-def _find_outdented(document: MappingNode) -> dict[Key, Diagnostic]:
+def _find_outdented(document: MappingNode) -> dict[PathKey, Diagnostic]:
     """Find lines at the left edge that belong below the previous key, which has no value. Returns the error about the first of
     them, by the keys for which no other error is to be reported."""
     from antdsl.scene.model import SceneModel
 
     known = {field.alias or name for name, field in SceneModel.model_fields.items()}
-    diagnostics: dict[Key, Diagnostic] = {}
+    diagnostics: dict[PathKey, Diagnostic] = {}
     names = list(document.entries)
     for number, name in enumerate(names):
         node = document.entries[name]
         inner = list(takewhile(lambda each: each not in known and not nearest_name(each, known), names[number + 1 :]))
-        if name not in _WITH_LINES or not inner or not isinstance(node, ScalarNode) or node.text or node.quoted:
+        if name not in _KEYS_WITH_LINES or not inner or not isinstance(node, ScalarNode) or node.text or node.quoted:
             continue
         first, last = document.keys[inner[0]], document.entries[inner[-1]].span
         source = first.source
@@ -140,8 +140,8 @@ def drop_consequences(errors: list[Any]) -> list[Any]:
     """Return the errors without those that only follow from a misspelled key. Such a key is unknown, and the intended one is
     missing. Where any key is allowed, its value has the wrong kind instead."""
     missing = {tuple(error["loc"]) for error in errors if error["type"] == "missing"}
-    errors_by_path: dict[tuple[Key, ...], Any] = {}
-    meant: set[tuple[Key, ...]] = set()
+    errors_by_path: dict[tuple[PathKey, ...], Any] = {}
+    meant: set[tuple[PathKey, ...]] = set()
     for error in errors:
         path = tuple(error["loc"])
         for length in range(len(path), 0, -1):
@@ -169,12 +169,12 @@ def _report_error(report: Report, document: MappingNode, error: Any) -> None:
         owner_text = f"`{walked[-1]}`" if walked and isinstance(walked[-1], str) else "the scene" if not walked else "this line"
         if not walked:
             span = Span(span.source, span.start, min(span.start + 1, span.end))
-        value = _USUAL.get(path[-1], "…")
+        value = _EXAMPLE_VALUES.get(path[-1], "…")
         report.error("missing-key", f"{owner_text} has no `{path[-1]}`", span, f"add `{path[-1]}: {value}`")
         return
     bad_key = bool(path) and path[-1] == "[key]"
     span, _ = find_span(document, path[:-1] if bad_key else path, key=bad_key)
-    number = WITH_COMMAS.search(span.text) if kind == "too_long" else None
+    number = COMMA_NUMBER_PATTERN.search(span.text) if kind == "too_long" else None
     if number is not None:  # `[0,4, 1, 2]`
         report.add(comma_diagnostic(Span(span.source, span.start + number.start(), span.start + number.end())))
         return
@@ -186,12 +186,12 @@ def _report_error(report: Report, document: MappingNode, error: Any) -> None:
             "wrong-value",
             _error_words(kind, error),
             span,
-            _LISTS.get(str(path[-1])) if path and kind in ("tuple_type", "too_short") else None,
+            _LIST_HELP.get(str(path[-1])) if path and kind in ("tuple_type", "too_short") else None,
         )
 
 
 # Typical values for required keys.
-_USUAL = {
+_EXAMPLE_VALUES = {
     "antdsl": "1",
     "count": "100",
     "species": "NAME",
@@ -200,7 +200,7 @@ _USUAL = {
     "mesh": "FILE.ply",
     "any": "[LAYER, none]",
 }
-_SHAPES = {
+_SHAPE_MESSAGES = {
     "tuple_type": "expected a list here",
     "dict_type": "expected a mapping here",
     "model_type": "expected a mapping here",
@@ -210,31 +210,34 @@ _SHAPES = {
     "too_short": "this list has too few values",
 }
 
-_LISTS = {"wear": "write `wear: [LAYER]`", "any": "write `{any: [LAYER, LAYER, none]}`"}  # what to write for lists, by their key
+_LIST_HELP = {
+    "wear": "write `wear: [LAYER]`",
+    "any": "write `{any: [LAYER, LAYER, none]}`",
+}  # what to write for lists, by their key
 
 
 def _error_words(kind: str, error: Any) -> str:
-    return _SHAPES.get(kind) or str(error["msg"]).rstrip(".").replace("Input should be", "this should be").lower()
+    return _SHAPE_MESSAGES.get(kind) or str(error["msg"]).rstrip(".").replace("Input should be", "this should be").lower()
 
 
-def _report_unknown_key(report: Report, document: MappingNode, path: tuple[Key, ...], meant: str | None) -> None:
+def _report_unknown_key(report: Report, document: MappingNode, path: tuple[PathKey, ...], meant: str | None) -> None:
     key = str(path[-1])
     span, _ = find_span(document, path, key=True)
     allowed = sorted(_allowed_keys(path))
     near = meant or nearest_name(key, allowed)
-    if len(path) == 1 and key in _ELSEWHERE:
-        report.error("unknown-key", f"`{key}` is not a scene setting", span, _ELSEWHERE[key])
+    if len(path) == 1 and key in _MISPLACED_KEY_HELP:
+        report.error("unknown-key", f"`{key}` is not a scene setting", span, _MISPLACED_KEY_HELP[key])
         return
     help = f"did you mean `{near}`?" if near else "known here: " + ", ".join(f"`{word}`" for word in allowed)
     report.error("unknown-key", f"`{key[:60]}` is not a key of {_path_text(path)}", span, help)
 
 
-def _path_text(path: tuple[Key, ...]) -> str:
-    above = [part for part in path[:-1] if isinstance(part, str) and not part.endswith(_TAGS)]
+def _path_text(path: tuple[PathKey, ...]) -> str:
+    above = [part for part in path[:-1] if isinstance(part, str) and not part.endswith(_UNION_TAG_SUFFIXES)]
     return f"`{above[-1]}`" if above else "a scene"
 
 
-def _allowed_keys(path: tuple[Key, ...]) -> list[str]:
+def _allowed_keys(path: tuple[PathKey, ...]) -> list[str]:
     """The keys that the model at a path knows."""
     from antdsl.scene import model
     from antdsl.scene.crowd_model import AnyOf

@@ -10,13 +10,13 @@ from collections.abc import Callable
 from antdsl import limits
 from antdsl.diagnostics import Label, Report
 from antdsl.diagnostics.suggestion import nearest_name
-from antdsl.program.model import Const, Kind, Program
+from antdsl.program.model import Constant, Program, TypeKind
 from antdsl.program.tables.columns import ATTRIBUTES
-from antdsl.program.tables.things import KINDS_OF_THINGS
+from antdsl.program.tables.things import KIND_BY_WORD
 from antdsl.program.tables.units import format_number
 from antdsl.scene import field_settings
 from antdsl.scene.crowd_model import Placement, UsdPlaces
-from antdsl.scene.document import Key
+from antdsl.scene.document import PathKey
 from antdsl.scene.entry_checks import Entry, check_dimension, check_file, report_unknown
 from antdsl.scene.existence_checks import bodies, check_absent_species
 from antdsl.scene.field_settings import check_spreading
@@ -28,12 +28,12 @@ from antdsl.scene.quantities import Quantity
 def match_scene(scene: Scene, program: Program) -> Report:
     """Return everything that does not match, with its location in the scene."""
     report = Report()
-    for check in CHECKS:
+    for check in SCENE_CHECKS:
         check(scene, program, report)
     return report
 
 
-def const_in_base_units(const: Const, scene: Scene) -> float:
+def const_in_base_units(const: Constant, scene: Scene) -> float:
     """Return a constant of the program in base units, for this scene's length unit and frame rate."""
     return float(const.number * scene.model.unit_mm**const.u * float(1 / scene.model.fps) ** const.step)
 
@@ -47,7 +47,7 @@ def _check_world(scene: Scene, program: Program, report: Report) -> None:
             report_unknown(report, scene, ("world", name), "no program has a thing of the world named", program_things)
             misspelt.add(nearest_name(name, program_things))
     for name, thing in program_things.items():
-        row, kind = KINDS_OF_THINGS[thing.kind], KINDS[thing.kind]
+        row, kind = KIND_BY_WORD[thing.kind], KINDS[thing.kind]
         if name not in scene_things and name in misspelt:
             continue  # one mistake, one complaint
         if name not in scene_things:
@@ -73,9 +73,9 @@ def _check_crowd(scene: Scene, program: Program, report: Report) -> None:
         if line.walk is not None and not any(line.walk.direction):
             where = scene.span("crowd", number, "walk", "direction")
             report.error("wrong-value", "`[0, 0, 0]` leads nowhere", where, "write a direction, such as `[1, 0, 0]`")
-    if total > limits.AGENTS:
+    if total > limits.MAX_AGENTS:
         report.error(
-            "too-large", f"{total:,} agents are more than {limits.AGENTS:,}", scene.span("crowd"), "write a smaller `count`"
+            "too-large", f"{total:,} agents are more than {limits.MAX_AGENTS:,}", scene.span("crowd"), "write a smaller `count`"
         )
 
 
@@ -92,7 +92,7 @@ def item_names(scene: Scene) -> dict[str, tuple[str, str]]:
     return names
 
 
-def _check_around(scene: Scene, report: Report, around: object, radius: object, *path: Key) -> None:
+def _check_around(scene: Scene, report: Report, around: object, radius: object, *path: PathKey) -> None:
     if isinstance(around, str) and around not in item_names(scene) and not scene.model.has_usd_items:
         report_unknown(report, scene, (*path, "around"), "no item is named", item_names(scene), key=False)
     if around is not None and radius is None:
@@ -100,8 +100,8 @@ def _check_around(scene: Scene, report: Report, around: object, radius: object, 
         report.error("missing-key", "`around` has no effect without `radius`", at, "add `radius: 50 mm`")
 
 
-def _check_placement(scene: Scene, program: Program, report: Report, place: Placement, *path: Key) -> None:
-    grounds = [name for name, thing in program.world.items() if KINDS_OF_THINGS[thing.kind].is_ground]
+def _check_placement(scene: Scene, program: Program, report: Report, place: Placement, *path: PathKey) -> None:
+    grounds = [name for name, thing in program.world.items() if KIND_BY_WORD[thing.kind].is_ground]
     if place.on is not None and place.on not in grounds:
         report_unknown(report, scene, (*path, "on"), "no surface is named", grounds, key=False)
     if place.points is not None:
@@ -141,7 +141,7 @@ def _check_params(scene: Scene, program: Program, report: Report) -> None:
         check_param(scene, program, report, name, value, "set", name)
 
 
-def check_param(scene: Scene, program: Program, report: Report, name: str, value: Quantity, *path: Key) -> None:
+def check_param(scene: Scene, program: Program, report: Report, name: str, value: Quantity, *path: PathKey) -> None:
     """Check the value of a param, or of a field's setting, against its declaration: name, dimension, range."""
     dim = field_settings.setting_dimension(program, name)
     if dim is not None:
@@ -173,7 +173,7 @@ def check_param(scene: Scene, program: Program, report: Report, name: str, value
         )
 
 
-def _bound_text(bound: Const | None, name: str) -> str:
+def _bound_text(bound: Constant | None, name: str) -> str:
     if bound is None:
         return "…"
     return bound.span.text if 0 < len(bound.span.text) < 40 else format_number(bound.number)
@@ -240,14 +240,14 @@ def _check_detail(scene: Scene, program: Program, report: Report) -> None:
 def _check_output(scene: Scene, program: Program, report: Report) -> None:
     known = set(ATTRIBUTES)
     for species in program.species.values():
-        known |= {attribute.name for attribute in species.attributes if attribute.type.kind is Kind.NUMBER}
+        known |= {attribute.name for attribute in species.attributes if attribute.type.kind is TypeKind.NUMBER}
         known |= {f"{machine.name}.state" for machine in species.machines}
     for number, name in enumerate(scene.model.output.attributes):
         if name not in known:
             report_unknown(report, scene, ("output", "attributes", number), "no attribute is named", known, key=False)
 
 
-CHECKS: tuple[Callable[[Scene, Program, Report], None], ...] = (
+SCENE_CHECKS: tuple[Callable[[Scene, Program, Report], None], ...] = (
     _check_world,  # what `around` and `on` name is in here
     _check_crowd,
     bodies,

@@ -19,13 +19,13 @@ from antdsl.scene.thing_models import Axis, ItemThing, ThingModel, Unit, UsdThin
 from antdsl.scene.values import (
     AnyQuantity,
     FilePath,
-    Fps,
     FrameRange,
-    Frames,
-    Name,
+    FrameRangeValue,
+    FramesPerSecond,
     PointOrName,
     PositiveLength,
-    Word,
+    SceneName,
+    SceneWord,
     integer,
     make_error,
     number,
@@ -33,7 +33,7 @@ from antdsl.scene.values import (
 )
 from antdsl.scene.values import Part as Part
 from antdsl.scene.values import PlaceKey as PlaceKey
-from antdsl.scene.values import Point as Point
+from antdsl.scene.values import PointValue as PointValue
 
 Stick = Annotated[str, BeforeValidator(one_of("triangles", "rays"))]
 Orient = Annotated[str, BeforeValidator(one_of("normal", "turns", "probes"))]
@@ -78,7 +78,7 @@ def _items(value: Any) -> Any:
 if TYPE_CHECKING:
     WorldThing = ThingModel | dict[str, ItemThing]
 else:
-    _ITEMS = Annotated[dict[Name, ItemThing], BeforeValidator(_items), Tag("items-thing")]
+    _ITEMS = Annotated[dict[SceneName, ItemThing], BeforeValidator(_items), Tag("items-thing")]
     _FORMS = tuple(Annotated[each, Tag(thing_tag(head))] for head, each in THING_MODELS.items())
     WorldThing = Annotated[Union[(*_FORMS, _ITEMS)], Discriminator(_thing_tag)]
 
@@ -92,8 +92,8 @@ class FieldStart(Part):
 
 
 class Camera(Part):
-    at: Point
-    look_at: Point
+    at: PointValue
+    look_at: PointValue
     focal: PositiveLength | None = None
 
 
@@ -101,7 +101,7 @@ class UsdCamera(Part):
     """A camera of a USD file, with its motion."""
 
     usd: FilePath
-    prim: Word
+    prim: SceneWord
 
 
 Fit = Annotated[str, BeforeValidator(one_of("fit"))]
@@ -131,7 +131,7 @@ class StartFrom(Part):
     """A frame of another cache: its agents, items and fields are the start of this run."""
 
     cache: FilePath
-    frame: Annotated[int, BeforeValidator(integer(-limits.FRAMES, limits.FRAMES * 1000))]
+    frame: Annotated[int, BeforeValidator(integer(-limits.MAX_FRAMES, limits.MAX_FRAMES * 1000))]
 
 
 PARTS: dict[str, type[Part]] = {  # the models of mappings, by their keys
@@ -145,20 +145,20 @@ class SceneModel(Part):
     extends: FilePath | None = None  # is gone once the scenes are put together
     units: Unit = "mm"
     up: Axis = "y"
-    fps: Fps = Fraction(24)
-    frames: Frames = FrameRange(1, 240)
-    preroll: Annotated[int, BeforeValidator(integer(0, limits.FRAMES))] = 0
+    fps: FramesPerSecond = Fraction(24)
+    frames: FrameRangeValue = FrameRange(1, 240)
+    preroll: Annotated[int, BeforeValidator(integer(0, limits.MAX_FRAMES))] = 0
     substeps: Annotated[int, BeforeValidator(integer(1, 64))] = 1
     stick: Stick = "triangles"
     orient: Orient = "normal"
     contacts: Contacts = "off"
     seed: Annotated[int, BeforeValidator(integer(0, 2**64 - 1))] = 0
     start: StartFrom | None = Field(None, alias="from")
-    world: dict[Name, WorldThing] = {}
+    world: dict[SceneName, WorldThing] = {}
     crowd: tuple[CrowdLine, ...] = ()
     set: dict[str, AnyQuantity] = {}
-    fields: dict[Name, FieldStart] = {}
-    layers: dict[Name, tuple[str, ...]] = {}
+    fields: dict[SceneName, FieldStart] = {}
+    layers: dict[SceneName, tuple[str, ...]] = {}
     camera: (
         Annotated[
             Annotated[Camera, Tag("camera-here")] | Annotated[UsdCamera, Tag("usd-camera")] | Annotated[Fit, Tag("camera-word")],

@@ -16,7 +16,7 @@ from antdsl.scene.matching import check_param, const_in_base_units
 from antdsl.scene.quantities import Quantity, QuantityError, parse_quantity
 
 if TYPE_CHECKING:
-    from antdsl.scene.setting import Setting  # it brings NumPy, which a check does without
+    from antdsl.scene.setting import WorldSetting  # it brings NumPy, which a check does without
 
 
 def read_overrides(scene: Scene, program: Program, params: Mapping[str, str], report: Report) -> Mapping[str, Quantity]:
@@ -43,7 +43,7 @@ def with_changed_fields(program: Program, changes: Iterable[SpecChange]) -> Prog
     return replace(program, fields=fields)
 
 
-def with_changed_params(setting: Setting, scene: Scene, program: Program, changes: Iterable[SpecChange]) -> Setting:
+def with_changed_params(setting: WorldSetting, scene: Scene, program: Program, changes: Iterable[SpecChange]) -> WorldSetting:
     """Return the setting with the params that a spec changes."""
     known = {change.name: constant_behind(change.value) for change in changes if change.name in program.params}
     changed = {name: const_in_base_units(value, scene) for name, value in known.items() if value is not None}

@@ -15,19 +15,21 @@ from pathlib import Path
 
 from antdsl.bounded import NotRegular, TooLarge, open_regular, read_handle
 
-_DEVICES = frozenset(
+_WINDOWS_DEVICE_NAMES = frozenset(
     ["con", "prn", "aux", "nul", "conin$", "conout$", *(f"{name}{i}" for name in ("com", "lpt") for i in "0123456789¹²³")]
 )
-_VARIABLE = re.compile(r"\$(?:[A-Za-z_][A-Za-z0-9_]*|\{[^}/]*\}?|\([^)/]*\)?)|%[A-Za-z_][A-Za-z0-9_]*%")
-_COUNTER = re.compile("%0?[0-9]*d")  # of C: programs write it for the number of a frame
-_PATTERN_SIGNS = "*?[]{}`"
-_WINDOWS_SIGNS = '<>:"|'  # no name on Windows has them
-_UNSEEN = frozenset(["Cc", "Cs", "Zl", "Zp"])  # categories of characters without a shape: control characters, surrogates, lines
-GRANTED = re.compile(r"([A-Za-z][A-Za-z0-9_]{1,31}):(?!//)(.*)", re.DOTALL)
-_PATH_CHARACTERS = 500
-Sought = dict[Path, Path | None]
-_sought: ContextVar[Sought | None] = ContextVar("sought", default=None)
-_SEQUENCE = re.compile("([^#]*?)(#{1,9})([^#/]*)")
+_VARIABLE_PATTERN = re.compile(r"\$(?:[A-Za-z_][A-Za-z0-9_]*|\{[^}/]*\}?|\([^)/]*\)?)|%[A-Za-z_][A-Za-z0-9_]*%")
+_FRAME_COUNTER_PATTERN = re.compile("%0?[0-9]*d")  # of C: programs write it for the number of a frame
+_WILDCARD_CHARACTERS = "*?[]{}`"
+_WINDOWS_FORBIDDEN_CHARACTERS = '<>:"|'  # no name on Windows has them
+_INVISIBLE_CATEGORIES = frozenset(
+    ["Cc", "Cs", "Zl", "Zp"]
+)  # categories of characters without a shape: control characters, surrogates, lines
+GRANTED_PATH_PATTERN = re.compile(r"([A-Za-z][A-Za-z0-9_]{1,31}):(?!//)(.*)", re.DOTALL)
+_MAX_PATH_CHARACTERS = 500
+RequestedPaths = dict[Path, Path | None]
+_requested_paths: ContextVar[RequestedPaths | None] = ContextVar("sought", default=None)
+_SEQUENCE_PATTERN = re.compile("([^#]*?)(#{1,9})([^#/]*)")
 
 
 class PathRefused(Exception):
@@ -39,15 +41,15 @@ class PathRefused(Exception):
 
 
 @contextmanager
-def record_sought() -> Iterator[Sought]:
+def record_sought() -> Iterator[RequestedPaths]:
     """Collect all files requested through this module while the context is active, in order, whether they exist or not. Each
     comes with the root below which no link is followed, None for a file that the user named."""
-    sought_files: Sought = {}
-    token = _sought.set(sought_files)
+    sought_files: RequestedPaths = {}
+    token = _requested_paths.set(sought_files)
     try:
         yield sought_files
     finally:
-        _sought.reset(token)
+        _requested_paths.reset(token)
         for path, root in sought_files.items():
             record_request(path, root)  # who looks from further outside sees them too
 
@@ -62,7 +64,7 @@ class Roots:
     def locate(self, text: str) -> tuple[Path, tuple[str, ...]]:
         """Return the root and the parts of a path below it. Raises PathRefused if the text names anything else. The disk is not
         accessed."""
-        named = GRANTED.fullmatch(text)
+        named = GRANTED_PATH_PATTERN.fullmatch(text)
         if named and len(named[1]) > 1:
             name, rest = named[1], named[2]
             if name in ("http", "https", "file", "ftp", "data"):
@@ -111,7 +113,7 @@ class Roots:
     def sequence(self, text: str) -> dict[int, str]:
         """Return the files that a path such as `walls.####.ply` means, by frame: `#` stand for the frame's number, padded with
         zeros to as many digits. Raises PathRefused if there is none, or if the path is rejected."""
-        named = _SEQUENCE.fullmatch(text)
+        named = _SEQUENCE_PATTERN.fullmatch(text)
         if named is None:
             raise _make_refusal(text, "has `#` outside its file name, or in two places", "write `walls.####.ply`")
         root, parts = self.locate(f"{named[1]}{0:0{len(named[2])}d}{named[3]}")
@@ -154,7 +156,7 @@ def reopen(path: Path, root: Path | None) -> int:
 
 def record_request(path: Path, root: Path | None) -> None:
     """Record in an active `record_sought` that a file below a root is requested, or would be if its result were not cached."""
-    sought_files = _sought.get()
+    sought_files = _requested_paths.get()
     if sought_files is not None:
         sought_files[path] = root
 
@@ -176,7 +178,7 @@ def _make_refusal(text: str, why: str, help: str | None) -> PathRefused:
 def _split_path(text: str, rest: str) -> tuple[str, ...]:
     inside = "write a path below the scene's folder, such as `meshes/ground.ply`"
     granted = "put the file below the scene's folder, or grant its folder: `--root assets=FOLDER` and `assets:…`"
-    if not rest or len(rest) > _PATH_CHARACTERS:
+    if not rest or len(rest) > _MAX_PATH_CHARACTERS:
         raise _make_refusal(text, "is empty" if not rest else "is too long", inside)
     if "\\" in rest:
         raise _make_refusal(text, "has a backslash", "write `/` between folders")
@@ -192,7 +194,7 @@ def _split_path(text: str, rest: str) -> tuple[str, ...]:
         if part[-1] in ". " or part[0] == " ":
             where = "begins with a space" if part[0] == " " else f"ends with a {'dot' if part[-1] == '.' else 'blank'}"
             raise _make_refusal(text, f"has a name that {where}, which Windows drops", f"rename `{part}`")
-        if part.split(".")[0].rstrip(" ").lower() in _DEVICES:
+        if part.split(".")[0].rstrip(" ").lower() in _WINDOWS_DEVICE_NAMES:
             raise _make_refusal(text, "names a device", f"rename `{part}`: Windows has a device of that name")
     if not parts:
         raise _make_refusal(text, "names no file", inside)
@@ -205,21 +207,21 @@ def _check_signs(text: str, rest: str) -> None:
         raise _make_refusal(
             text, "begins with `~`, which is not expanded here", "write a path below the scene's folder, or `./~…`"
         )
-    if match := _COUNTER.search(rest):
+    if match := _FRAME_COUNTER_PATTERN.search(rest):
         raise _make_refusal(text, f"has `{match[0]}`, which is not expanded here", "write `####` for the number of a frame")
-    if match := _VARIABLE.search(rest):
+    if match := _VARIABLE_PATTERN.search(rest):
         help = "write the path below the scene's folder, or rename a file that is called so"
         raise _make_refusal(text, f"has `{match[0]}`, and variables are not expanded here", help)
     for sign in rest:
         display_sign = "a backtick" if sign == "`" else f"`{sign}`"
-        if sign in _WINDOWS_SIGNS:
+        if sign in _WINDOWS_FORBIDDEN_CHARACTERS:
             raise _make_refusal(
                 text, f"has {display_sign}, which no name on Windows can have", f"rename the file without {display_sign}"
             )
-        if sign in _PATTERN_SIGNS:
+        if sign in _WILDCARD_CHARACTERS:
             help = f"name one file; rename a file that has {display_sign} in its name"
             raise _make_refusal(text, f"has {display_sign}, and patterns are not expanded here", help)
-        if unicodedata.category(sign) in _UNSEEN:
+        if unicodedata.category(sign) in _INVISIBLE_CATEGORIES:
             raise _make_refusal(text, f"has a character that cannot be seen, U+{ord(sign):04X}", "rename the file without it")
 
 

@@ -8,12 +8,12 @@ from dataclasses import dataclass
 from math import isfinite
 
 from antdsl import limits
-from antdsl.program.model import Dim
+from antdsl.program.model import Dimension
 from antdsl.program.tables.units import measure
 from antdsl.source import Source, Span
-from antdsl.syntax.mistakes.number_slips import WITH_COMMAS, comma_diagnostic
+from antdsl.syntax.mistakes.number_slips import COMMA_NUMBER_PATTERN, comma_diagnostic
 
-_NUMBER = re.compile(r"[+-]?(?:[0-9]+(?:\.[0-9]*)?|\.[0-9]+)(?:[eE][+-]?[0-9]{1,4})?", re.ASCII)
+_NUMBER_PATTERN = re.compile(r"[+-]?(?:[0-9]+(?:\.[0-9]*)?|\.[0-9]+)(?:[eE][+-]?[0-9]{1,4})?", re.ASCII)
 _INTEGERS = re.compile(r"(-?[0-9]{1,9})(?:\s*\.\.\s*(-?[0-9]{1,9}))?", re.ASCII)
 
 
@@ -31,7 +31,7 @@ class Quantity:
     the source."""
 
     number: float
-    dim: Dim
+    dim: Dimension
     unit: str
     text: str
     u: float = 0
@@ -54,10 +54,10 @@ def parse_number(text: str) -> float:
     """A decimal number; BadQuantity says why not."""
     text = text.strip()
     _refuse_comma(text)
-    if not _NUMBER.fullmatch(text):
+    if not _NUMBER_PATTERN.fullmatch(text):
         raise QuantityError("is not a number")
-    if sum(c.isdigit() for c in text) > limits.NUMBER_DIGITS:
-        raise QuantityError(f"has more than {limits.NUMBER_DIGITS} digits")
+    if sum(c.isdigit() for c in text) > limits.MAX_NUMBER_DIGITS:
+        raise QuantityError(f"has more than {limits.MAX_NUMBER_DIGITS} digits")
     value = float(text)
     if not isfinite(value) or (value == 0 and re.search(r"[1-9]", re.split("[eE]", text)[0])):
         raise QuantityError("is not representable")
@@ -69,7 +69,7 @@ def split_quantity(text: str) -> tuple[str, str]:
     reason."""
     text = text.strip()
     _refuse_comma(text)
-    match = _NUMBER.match(text)
+    match = _NUMBER_PATTERN.match(text)
     if not match:
         raise QuantityError("is not a number with a unit")
     return match[0], text[match.end() :].strip()
@@ -97,7 +97,7 @@ def parse_quantity(text: str) -> Quantity:
     digits, unit = split_quantity(text)
     number = parse_number(digits)
     if not unit:
-        return Quantity(number, Dim(), "", text)
+        return Quantity(number, Dimension(), "", text)
     known = measure(unit)
     if known is None:
         raise QuantityError(f"has an unknown unit `{unit}`")
@@ -109,7 +109,7 @@ def parse_quantity(text: str) -> Quantity:
 
 def _refuse_comma(text: str) -> None:
     """Report `0,4mm`, the notation of many countries, with the same message as for a program."""
-    match = WITH_COMMAS.match(text.lstrip("+-"))
+    match = COMMA_NUMBER_PATTERN.match(text.lstrip("+-"))
     if match is not None:
         start = len(text) - len(text.lstrip("+-"))
         diagnostic = comma_diagnostic(Span(Source("", text), start, start + match.end()))

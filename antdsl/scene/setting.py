@@ -13,14 +13,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl.scene.geometry.import_notes import MeshImport
-from antdsl.scene.staging.moves import Moves
+from antdsl.scene.staging.moves import GeometryMoves
 from antdsl.source import Span
 
-_NEAR = 1e5  # mm: a world with its middle no farther out retains the zero point
+_MAX_ORIGIN_OFFSET_MM = 1e5  # mm: a world with its middle no farther out retains the zero point
 
 
-Point = tuple[float, float, float]
-Contacts = Literal["off", "soft", "hard"]
+PointMm = tuple[float, float, float]
+ContactMode = Literal["off", "soft", "hard"]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -40,7 +40,7 @@ class SolidData:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Painted:
+class PaintedValues:
     """Numbers (n,) or vectors (n, 3) without unit on the vertices of a surface, or on its faces."""
 
     surface: str
@@ -49,7 +49,7 @@ class Painted:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Target:
+class FlowTarget:
     """The target of a flow: positions (n, 3) in mm with their radii (n,); or, with `line`, a polyline through them.
 
     `of`: the name of their curve or items; `which`: the index of a single item. They may move."""
@@ -69,7 +69,7 @@ class SpreadFlow:
     `cell`: distance (mm) of the points where it is computed; default: a share of the radius. `on`: surfaces; empty: all."""
 
     direction: Literal["tangent", "toward", "away"]
-    target: Target
+    target: FlowTarget
     radius: float | None = None
     falloff: str = "smooth"
     strength: float = 1.0
@@ -94,7 +94,7 @@ class SolvedFlow:
     """The cheapest path to a target. A mm costs 1 + slope · sin + 8 (1 - d / room)² at d mm from an obstacle + maps · their
     values + crowding · share of ground covered by agents. Crowds and moving things are updated every `every` s."""
 
-    target: Target
+    target: FlowTarget
     slope: float = 0.0
     clearance: float = 0.0
     maps: Mapping[str, float] = field(default_factory=dict)
@@ -105,7 +105,7 @@ class SolvedFlow:
     on: tuple[str, ...] = ()
 
 
-FlowData = Painted | SpreadFlow | BorderFlow | SolvedFlow
+FlowData = PaintedValues | SpreadFlow | BorderFlow | SolvedFlow
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -113,7 +113,7 @@ class ItemData:
     """One item. `attributes` in base units; absent ones have the declared default."""
 
     name: str
-    position: Point
+    position: PointMm
     radius: float
     attributes: Mapping[str, float] = field(default_factory=dict)
 
@@ -135,8 +135,8 @@ class PlaceData:
     at each point that override its species, by name, in base units, nan for the species' value."""
 
     on: tuple[str, ...] = ()
-    around: Point | None = None
-    inside: Point | None = None
+    around: PointMm | None = None
+    inside: PointMm | None = None
     radius: float | None = None
     points: NDArray[np.float64] | None = None
     density: str | None = None
@@ -152,7 +152,7 @@ class WalkData:
     """A walk of agents: a unit vector along which they start, projected onto the ground; the speed in mm/s; and the length in
     mm."""
 
-    direction: Point
+    direction: PointMm
     speed: float
     length: float
 
@@ -224,7 +224,7 @@ class FieldStart:
     """A field's value at the first frame: everywhere, or only within `radius` mm of `around`."""
 
     value: float
-    around: Point | None = None
+    around: PointMm | None = None
     radius: float | None = None
 
 
@@ -251,7 +251,7 @@ class DetailData:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Setting:
+class WorldSetting:
     """Everything that binding a plan needs.
 
     `unit_mm`: the length of `u`; `up`: a unit vector; `params`: by qualified name (`forager.smell`), absent ones have their
@@ -271,8 +271,8 @@ class Setting:
     substeps: int = 1
     by_rays: bool = False
     orient: str = "normal"
-    contacts: Contacts = "off"
-    up: Point = (0.0, 1.0, 0.0)
+    contacts: ContactMode = "off"
+    up: PointMm = (0.0, 1.0, 0.0)
     unit_mm: float = 1.0
     seed: int = 0
     first_frame: int = 0
@@ -281,12 +281,12 @@ class Setting:
     items: Mapping[str, tuple[ItemData, ...]] = field(default_factory=dict)
     curves: Mapping[str, NDArray[np.float64]] = field(default_factory=dict)
     flows: Mapping[str, FlowData] = field(default_factory=dict)
-    maps: Mapping[str, Painted] = field(default_factory=dict)
+    maps: Mapping[str, PaintedValues] = field(default_factory=dict)
     crowds: tuple[CrowdData, ...] = ()
     params: Mapping[str, float] = field(default_factory=dict)
     field_start: Mapping[str, FieldStart] = field(default_factory=dict)
     solids: Mapping[str, SolidData] = field(default_factory=dict)
-    moves: Moves = field(default_factory=Moves)
+    moves: GeometryMoves = field(default_factory=GeometryMoves)
     camera: CameraData | None = None
     detail: DetailData | None = None
     deviations: Mapping[str, float] = field(default_factory=dict)
@@ -311,7 +311,7 @@ class Setting:
         return attributes
 
 
-def world_origin(setting: Setting) -> NDArray[np.float64]:
+def world_origin(setting: WorldSetting) -> NDArray[np.float64]:
     """The point (3), in mm, that positions are relative to: the middle of the world in whole metres, or 0 near the zero point."""
     meshes = setting.surfaces or {name: solid.mesh for name, solid in setting.solids.items()}
     meshes = meshes or setting.obstacles  # one more stone moves nothing
@@ -323,4 +323,4 @@ def world_origin(setting: Setting) -> NDArray[np.float64]:
         return np.zeros(3)
     low, high = (np.min([p.min(axis=0) for p in point_sets], axis=0), np.max([p.max(axis=0) for p in point_sets], axis=0))
     middle = (low + high) / 2
-    return np.round(middle / 1000.0) * 1000.0 if np.abs(middle).max() > _NEAR else np.zeros(3)
+    return np.round(middle / 1000.0) * 1000.0 if np.abs(middle).max() > _MAX_ORIGIN_OFFSET_MM else np.zeros(3)

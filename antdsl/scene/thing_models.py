@@ -10,14 +10,14 @@ from antdsl.scene.values import (
     Angle,
     AnyQuantity,
     FilePath,
-    Keys,
     Length,
-    Name,
     Part,
-    Point,
+    PlaceKeys,
+    PointValue,
     PositiveLength,
     PositiveTime,
-    Word,
+    SceneName,
+    SceneWord,
     integer,
     number,
     one_of,
@@ -55,11 +55,11 @@ class MeshThing(ThingModel):
     names_file = True
 
     mesh: FilePath
-    group: Word | None = None
-    keys: Keys = {}
+    group: SceneWord | None = None
+    keys: PlaceKeys = {}
     units: Unit | None = None
     up: Axis | None = None
-    at: Point | None = None
+    at: PointValue | None = None
     rotate: tuple[Angle, Angle, Angle] | None = None
     scale: Annotated[float, BeforeValidator(number(-1e6, 1e6))] = 1.0
     voxel: PositiveLength | None = None
@@ -88,11 +88,11 @@ class HeightThing(ThingModel):
     extent: tuple[PositiveLength, PositiveLength]
     scale: Length
     offset: Length | None = None
-    array: Name | None = None
+    array: SceneName | None = None
     layer: Annotated[int, BeforeValidator(integer(0, 100_000))] | None = None
-    at: Point | None = None
+    at: PointValue | None = None
     rotate: tuple[Angle, Angle, Angle] | None = None
-    keys: Keys = {}
+    keys: PlaceKeys = {}
     look: Look | None = None
 
 
@@ -113,16 +113,16 @@ class UsdThing(ThingModel):
     names_file = True
 
     usd: FilePath
-    prim: Word | None = None
-    kind: Word | None = None
-    turn: Name | tuple[Name, Name, Name] | None = None
+    prim: SceneWord | None = None
+    kind: SceneWord | None = None
+    turn: SceneName | tuple[SceneName, SceneName, SceneName] | None = None
     purpose: Purpose = "render"
-    at: Point | None = None
+    at: PointValue | None = None
     rotate: tuple[Angle, Angle, Angle] | None = None
     scale: Annotated[float, BeforeValidator(number(-1e6, 1e6))] = 1.0
     voxel: PositiveLength | None = None
     weld: PositiveLength | None = None
-    keys: Keys = {}
+    keys: PlaceKeys = {}
     look: Look | None = None
     each: UsdEach = UsdEach()
 
@@ -142,10 +142,10 @@ class CurveThing(ThingModel):
     names_file = True
 
     curve: FilePath
-    keys: Keys = {}
+    keys: PlaceKeys = {}
     units: Unit | None = None
     up: Axis | None = None
-    at: Point | None = None
+    at: PointValue | None = None
 
 
 Strength = Annotated[float, BeforeValidator(number(-1, 1))]
@@ -155,7 +155,7 @@ Falloff = Annotated[str, BeforeValidator(one_of("none", "linear", "smooth"))]
 class FlowThing(ThingModel):
     """What all flows have: the surface they are on (all if none is named), and a factor, which reverses them below 0."""
 
-    on: Name | None = None
+    on: SceneName | None = None
     strength: Strength = 1.0
 
 
@@ -179,7 +179,7 @@ def _target_tag(value: Any) -> str:
     return "point" if isinstance(value, list) else "named"
 
 
-Target = Annotated[Annotated[Point, Tag("point")] | Annotated[FilePath, Tag("named")], Discriminator(_target_tag)]
+Target = Annotated[Annotated[PointValue, Tag("point")] | Annotated[FilePath, Tag("named")], Discriminator(_target_tag)]
 
 
 class TowardFlow(SpreadFlow):
@@ -197,7 +197,7 @@ class AwayFlow(SpreadFlow):
 class BorderFlow(FlowThing):
     """Inward from the open borders of a surface, where they are nearer than `within`."""
 
-    border: Name
+    border: SceneName
     within: PositiveLength
     falloff: Falloff = "linear"
     cell: PositiveLength | None = None
@@ -211,7 +211,7 @@ class SolvedFlow(FlowThing):
     solved: Target
     slope: Annotated[float, BeforeValidator(number(0, 1e6))] = 0.0
     room: PositiveLength | None = None
-    maps: dict[Name, Annotated[float, BeforeValidator(number(-1e6, 1e6))]] = {}
+    maps: dict[SceneName, Annotated[float, BeforeValidator(number(-1e6, 1e6))]] = {}
     crowding: Annotated[float, BeforeValidator(number(0, 1e6))] = 0.0
     every: PositiveTime | None = None
     cell: PositiveLength | None = None
@@ -224,8 +224,8 @@ class PaintedThing(ThingModel):
     names_file = True
 
     painted: FilePath
-    attribute: Name | tuple[Name, ...] | None = None
-    on: Name | None = None
+    attribute: SceneName | tuple[SceneName, ...] | None = None
+    on: SceneName | None = None
     strength: Annotated[float, BeforeValidator(number(-1e6, 1e6))] = 1.0
 
 
@@ -236,10 +236,10 @@ class ItemThing(Part):
     model_config = ConfigDict(extra="allow", frozen=True, arbitrary_types_allowed=True, hide_input_in_errors=True)
     __pydantic_extra__: dict[str, AnyQuantity] = Field(init=False)
 
-    at: Point
-    on: Name | None = None
+    at: PointValue
+    on: SceneName | None = None
     radius: PositiveLength | None = None
-    keys: Keys = {}
+    keys: PlaceKeys = {}
     look: Look | None = None
 
 
@@ -249,7 +249,7 @@ def angles(thing: PlacedThing) -> tuple[float, float, float]:
     return x, y, z
 
 
-def millimetres(point: Point | None, unit_mm: float) -> tuple[float, float, float]:
+def millimetres(point: PointValue | None, unit_mm: float) -> tuple[float, float, float]:
     """A point of the scene in millimetres; the origin if there is none."""
     x, y, z = (part.length(unit_mm) for part in point) if point else (0.0, 0.0, 0.0)
     return x, y, z

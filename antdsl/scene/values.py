@@ -14,16 +14,26 @@ from pydantic import BaseModel, BeforeValidator, ConfigDict, Discriminator, Tag
 from pydantic_core import PydanticCustomError
 
 from antdsl import limits
-from antdsl.program.model import Dim
+from antdsl.program.model import Dimension
 from antdsl.program.tables.units import dimension_words, with_unit
 from antdsl.scene.quantities import Quantity, QuantityError, parse_integer_range, parse_number, parse_quantity
 
-_NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*", re.ASCII)
-_WORD_CHARACTERS = 1000
-LENGTH, ANGLE, TIME, SPEED = Dim(length=1), Dim(angle=1), Dim(time=1), Dim(length=1, time=-1)
+_NAME_PATTERN = re.compile(r"[A-Za-z][A-Za-z0-9_]*", re.ASCII)
+_MAX_WORD_CHARACTERS = 1000
+LENGTH_DIMENSION, ANGLE_DIMENSION, TIME_DIMENSION, SPEED_DIMENSION = (
+    Dimension(length=1),
+    Dimension(angle=1),
+    Dimension(time=1),
+    Dimension(length=1, time=-1),
+)
 # The largest magnitude of each, in base units; what lies beyond overflows where it is squared, or has no digits left.
-LARGEST = {LENGTH: limits.SCENE_LENGTH, ANGLE: limits.SCENE_ANGLE, TIME: limits.SCENE_TIME, SPEED: limits.SCENE_SPEED}
-BASE_UNITS = {LENGTH: "mm", ANGLE: "rad", TIME: "s", SPEED: "mm/s"}
+LARGEST_BY_DIMENSION = {
+    LENGTH_DIMENSION: limits.MAX_SCENE_LENGTH,
+    ANGLE_DIMENSION: limits.MAX_SCENE_ANGLE,
+    TIME_DIMENSION: limits.MAX_SCENE_SECONDS,
+    SPEED_DIMENSION: limits.MAX_SCENE_SPEED,
+}
+BASE_UNIT_BY_DIMENSION = {LENGTH_DIMENSION: "mm", ANGLE_DIMENSION: "rad", TIME_DIMENSION: "s", SPEED_DIMENSION: "mm/s"}
 
 
 def make_error(message: str, help: str = "", **context: Any) -> PydanticCustomError:
@@ -66,7 +76,7 @@ def _parse_quantity_value(value: Any) -> Quantity:
     except QuantityError as why:
         usual = "write a number and a unit of mm cm m u s min step rad deg turn mg g kg N uN %"
         raise make_error(f"{_describe(text)} {why}", why.help or usual) from None
-    return _limit_quantity(quantity, limits.SCENE_NUMBER)
+    return _limit_quantity(quantity, limits.MAX_SCENE_NUMBER)
 
 
 def _limit_quantity(quantity: Quantity, largest: float, unit: str = "") -> Quantity:
@@ -76,21 +86,21 @@ def _limit_quantity(quantity: Quantity, largest: float, unit: str = "") -> Quant
     return quantity
 
 
-def quantity_of(dim: Dim) -> Callable[[Any], Quantity]:
+def quantity_of(dim: Dimension) -> Callable[[Any], Quantity]:
     """Return a parser for quantities of one dimension. A bare number is in the scene's own unit (degrees for an angle)."""
 
     def read(value: Any) -> Quantity:
         quantity = _parse_quantity_value(value)
-        if quantity.is_bare and dim == ANGLE:
+        if quantity.is_bare and dim == ANGLE_DIMENSION:
             quantity = parse_quantity(f"{quantity.text} deg")
         if quantity.dim != dim and not quantity.is_bare:
             raise make_error(f"`{quantity.text}` is not {dimension_words(dim)}", f"write `{with_unit(50, dim)}`")
-        return _limit_quantity(quantity, LARGEST[dim], f" {BASE_UNITS[dim]}")
+        return _limit_quantity(quantity, LARGEST_BY_DIMENSION[dim], f" {BASE_UNIT_BY_DIMENSION[dim]}")
 
     return read
 
 
-def positive(dim: Dim) -> Callable[[Any], Quantity]:
+def positive(dim: Dimension) -> Callable[[Any], Quantity]:
     """As `quantity_of`, and above zero."""
     inner = quantity_of(dim)
 
@@ -98,8 +108,10 @@ def positive(dim: Dim) -> Callable[[Any], Quantity]:
         quantity = inner(value)
         if quantity.number <= 0:
             raise make_error(f"`{quantity.text}` is not above zero")
-        if quantity.number < limits.SCENE_LEAST:
-            raise make_error(f"`{quantity.text}` is too small", f"write at least {limits.SCENE_LEAST:g} {BASE_UNITS[dim]}")
+        if quantity.number < limits.MIN_POSITIVE_NUMBER:
+            raise make_error(
+                f"`{quantity.text}` is too small", f"write at least {limits.MIN_POSITIVE_NUMBER:g} {BASE_UNIT_BY_DIMENSION[dim]}"
+            )
         return quantity
 
     return read
@@ -123,7 +135,7 @@ def number(low: float, high: float) -> Callable[[Any], float]:
 
 def _check_name(value: Any) -> str:
     text = _require_text(value, "a name")
-    if not _NAME.fullmatch(text) or len(text) > limits.NAME_CHARACTERS:
+    if not _NAME_PATTERN.fullmatch(text) or len(text) > limits.MAX_NAME_CHARACTERS:
         raise make_error(f"{_describe(text)} is not a name", "names have letters, digits and `_`, and begin with a letter")
     return text
 
@@ -157,8 +169,8 @@ def _parse_fps(value: Any) -> Fraction:
         exact = Fraction(nominal * 1000, 1001)
         if "." in text and abs(rate - exact) < Fraction(1, 200):
             rate = exact
-    if not 1 <= rate <= limits.FPS:
-        raise make_error(f"`{text}` frames a second is not between 1 and {limits.FPS}")
+    if not 1 <= rate <= limits.MAX_FPS:
+        raise make_error(f"`{text}` frames a second is not between 1 and {limits.MAX_FPS}")
     return rate
 
 
@@ -170,7 +182,7 @@ class FrameRange(NamedTuple):
 
 
 # What else people write between two frames.
-_OTHER_RANGE = re.compile(r"\[?\s*(-?[0-9]{1,9})\s*(?:-|–|—|…|\.{3}|:|,|;|to|bis)\s*(-?[0-9]{1,9})\s*\]?", re.ASCII)
+_OTHER_RANGE_PATTERN = re.compile(r"\[?\s*(-?[0-9]{1,9})\s*(?:-|–|—|…|\.{3}|:|,|;|to|bis)\s*(-?[0-9]{1,9})\s*\]?", re.ASCII)
 
 
 def parse_frames(text: str) -> FrameRange:
@@ -178,13 +190,13 @@ def parse_frames(text: str) -> FrameRange:
     try:
         first, last = parse_integer_range(text)
     except QuantityError:
-        other = _OTHER_RANGE.fullmatch(text.strip())
+        other = _OTHER_RANGE_PATTERN.fullmatch(text.strip())
         ends = sorted((int(other[1]), int(other[2]))) if other else []
         raise QuantityError("is not a range of frames", f"write `{ends[0]}..{ends[1]}`" if ends else "") from None
     if last < first:
         raise QuantityError("ends before it begins")
-    if last - first >= limits.FRAMES:
-        raise QuantityError(f"has more than {limits.FRAMES:,} frames")
+    if last - first >= limits.MAX_FRAMES:
+        raise QuantityError(f"has more than {limits.MAX_FRAMES:,} frames")
     return FrameRange(first, last)
 
 
@@ -225,16 +237,16 @@ def word_or_file(*words: str) -> Callable[[Any], str]:
 
 def _check_word(value: Any) -> str:
     text = _require_text(value, "a word")
-    if len(text) > _WORD_CHARACTERS:
+    if len(text) > _MAX_WORD_CHARACTERS:
         raise make_error(f"{_describe(text)} is too long")
     return text
 
 
-Word = Annotated[str, BeforeValidator(_check_word)]
-Name = Annotated[str, BeforeValidator(_check_name)]
+SceneWord = Annotated[str, BeforeValidator(_check_word)]
+SceneName = Annotated[str, BeforeValidator(_check_name)]
 FilePath = Annotated[str, BeforeValidator(_check_path)]
 AnyQuantity = Annotated[Quantity, BeforeValidator(_parse_quantity_value)]
-Length = Annotated[Quantity, BeforeValidator(quantity_of(LENGTH))]
+Length = Annotated[Quantity, BeforeValidator(quantity_of(LENGTH_DIMENSION))]
 
 
 def word_or(word: str, other: Callable[[Any], Quantity]) -> Callable[[Any], Quantity | str]:
@@ -242,15 +254,15 @@ def word_or(word: str, other: Callable[[Any], Quantity]) -> Callable[[Any], Quan
     return lambda value: word if str(value) == word else other(value)
 
 
-PositiveLength = Annotated[Quantity, BeforeValidator(positive(LENGTH))]
-PositiveSpeed = Annotated[Quantity, BeforeValidator(positive(SPEED))]
-PositiveTime = Annotated[Quantity, BeforeValidator(positive(TIME))]
-Angle = Annotated[Quantity, BeforeValidator(quantity_of(ANGLE))]
-Fps = Annotated[Fraction, BeforeValidator(_parse_fps)]
-Frames = Annotated[FrameRange, BeforeValidator(_parse_frame_range)]
+PositiveLength = Annotated[Quantity, BeforeValidator(positive(LENGTH_DIMENSION))]
+PositiveSpeed = Annotated[Quantity, BeforeValidator(positive(SPEED_DIMENSION))]
+PositiveTime = Annotated[Quantity, BeforeValidator(positive(TIME_DIMENSION))]
+Angle = Annotated[Quantity, BeforeValidator(quantity_of(ANGLE_DIMENSION))]
+FramesPerSecond = Annotated[Fraction, BeforeValidator(_parse_fps)]
+FrameRangeValue = Annotated[FrameRange, BeforeValidator(_parse_frame_range)]
 
 
-Point = tuple[Length, Length, Length]
+PointValue = tuple[Length, Length, Length]
 
 
 class Part(BaseModel):
@@ -264,15 +276,15 @@ class Part(BaseModel):
 class PlaceKey(Part):
     """The position of a thing at one frame. It moves linearly between keys, and rests before the first and after the last."""
 
-    at: Point | None = None
+    at: PointValue | None = None
     rotate: tuple[Angle, Angle, Angle] | None = None
 
 
-Keys = dict[Annotated[int, BeforeValidator(integer(-limits.FRAMES, limits.FRAMES * 1000))], PlaceKey]
+PlaceKeys = dict[Annotated[int, BeforeValidator(integer(-limits.MAX_FRAMES, limits.MAX_FRAMES * 1000))], PlaceKey]
 
 
 def _place_tag(value: Any) -> str:
     return "point" if isinstance(value, list) else "named"
 
 
-PointOrName = Annotated[Annotated[Point, Tag("point")] | Annotated[Name, Tag("named")], Discriminator(_place_tag)]
+PointOrName = Annotated[Annotated[PointValue, Tag("point")] | Annotated[SceneName, Tag("named")], Discriminator(_place_tag)]

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from antdsl.machine_code.kernels import independent, inlined, kernel, load_consecutive, nearest_integer
 from antdsl.machine_code.kernels.types import BOOL, F32, F64, I32, I64, Array1, Array2
-from antdsl.machine_code.kinds import WIDTH
+from antdsl.machine_code.kinds import LANE_COUNT
 from antdsl.numerics import parallel
 from antdsl.numerics.host import cores
 from antdsl.numerics.sorting import lower_bound, stable_order
@@ -100,7 +100,7 @@ def reorder_axes(axes: tuple[int, ...], positions: tuple[Any, ...]) -> tuple[Any
 def box_around(positions: Positions) -> tuple[list[float], list[float]]:
     """Return the corners of the bounding box of all finite positions (float32[n] mm); zeros if there are none."""
     ends = np.empty((2, 3))
-    _fill_box(*positions, np.empty((6, WIDTH), np.float32), ends)
+    _fill_box(*positions, np.empty((6, LANE_COUNT), np.float32), ends)
     low, high = ends.tolist()
     return low, high
 
@@ -120,8 +120,8 @@ class CellOrder:
     def __init__(self, count: int, threads: int) -> None:
         self.count, self.threads = count, threads
         self._chunks = max(1, min(threads, cores())) if count >= _CHUNKED else 1
-        self._places, self.at = np.zeros((count + WIDTH, 4), np.float32), np.zeros(count + WIDTH, np.int32)
-        self.columns = tuple(np.zeros((3, count + WIDTH), np.float32))
+        self._places, self.at = np.zeros((count + LANE_COUNT, 4), np.float32), np.zeros(count + LANE_COUNT, np.int32)
+        self.columns = tuple(np.zeros((3, count + LANE_COUNT), np.float32))
         self._floats, self._whole = np.zeros(9), np.zeros(7, np.int64)
         self._keys, self._table = np.empty(count, np.int64), np.empty((self._chunks, 0), np.int32)
         self._counts, self.keys, self.starts = self._table, NO_ORDER, np.empty(0, np.int32)
@@ -155,7 +155,9 @@ class CellOrder:
             self.keys = keys.take(by_cell)
             self.tables = {**self.tables, "keys": self.keys}
         run_in_chunks(partial(_store_agents, positions, order, keys, counts, *self._put), self._chunks, self.threads)
-        parallel.in_parts(partial(_store_columns, self.fours, *self.columns), self.count, self.threads, parallel.LIGHT)
+        parallel.in_parts(
+            partial(_store_columns, self.fours, *self.columns), self.count, self.threads, parallel.MIN_LIGHT_ITEMS_PER_THREAD
+        )
 
     def _set_shape(self, shape: Shape) -> None:
         """Store the cell counts of a shape, and allocate a table of the cells."""

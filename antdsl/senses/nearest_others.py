@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from antdsl.limits import NEIGHBOURS
+from antdsl.limits import MAX_QUERY_NEIGHBOURS
 from antdsl.machine_code.kernels import (
     BOOL,
     F32,
@@ -120,7 +120,10 @@ def find_nearest(crowd: Crowd, requesters: Requesters, k: I64, up: Vec3, memory:
     within, requested = requesters.within[k], requesters.most[k]
     if not (within > 0.0 and requested >= 1.0 and math.isfinite(x) and math.isfinite(y) and math.isfinite(z)):
         return 0
-    reach, most = np.float32(within), np.int64(requested if requested < float(NEIGHBOURS) else float(NEIGHBOURS))
+    reach, most = (
+        np.float32(within),
+        np.int64(requested if requested < float(MAX_QUERY_NEIGHBOURS) else float(MAX_QUERY_NEIGHBOURS)),
+    )
     a, b, c = np.float64(grid.along[0][at]), np.float64(grid.along[1][at]), np.float64(grid.along[2][at])
     r = np.float64(reach) * SLACK + (1e-14 * max(max(abs(a), abs(b)), abs(c)) + 1e-18)
     a0, a1 = lower_cell(a - r, low[0], inverse[0], size[0]), upper_cell(a + r, low[0], inverse[0], size[0])

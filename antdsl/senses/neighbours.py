@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl.limits import NEIGHBOURS
+from antdsl.limits import MAX_QUERY_NEIGHBOURS
 from antdsl.machine_code.kernels import F32, F64, I32, I64, Array1, as_bits, as_float, called, inlined, kernel
 from antdsl.numerics import parallel
 from antdsl.numerics.sorting import stable_order
@@ -264,7 +264,7 @@ def _nearest_bound(
             at = near[p]
             ux, uy, uz = sx[at] - x, sy[at] - y, sz[at] - z
             nearer_count += (np.float64(np.sqrt((ux * ux + uy * uy) + uz * uz)) <= bound) & (names[at] != name)
-        if nearer_count >= NEIGHBOURS:
+        if nearer_count >= MAX_QUERY_NEIGHBOURS:
             high = middle
         else:
             low, closer = middle + 1, nearer_count
@@ -280,7 +280,7 @@ def _nearest_bound(
             ux, uy, uz = sx[at] - x, sy[at] - y, sz[at] - z
             same = np.sqrt((ux * ux + uy * uy) + uz * uz) == farthest
             nearer_count += same & (names[at] <= middle) & (names[at] != name)
-        if nearer_count >= NEIGHBOURS:
+        if nearer_count >= MAX_QUERY_NEIGHBOURS:
             last = middle
         else:
             first = middle + 1
@@ -322,7 +322,7 @@ def _fill_pairs(
                 near[candidate_count] = at
                 candidate_count += (ux * ux + uy * uy) + uz * uz <= beyond
         farthest, last = np.float32(np.inf), LARGEST
-        if candidate_count > NEIGHBOURS:
+        if candidate_count > MAX_QUERY_NEIGHBOURS:
             count = 0
             for p in range(candidate_count):
                 at = near[p]
@@ -330,7 +330,7 @@ def _fill_pairs(
                 count += (np.sqrt((ux * ux + uy * uy) + uz * uz) <= reach) & (not own or names[at] != name)
             if count > limit:
                 return Progress(k, used, spans.size, -1)
-            if count > NEIGHBOURS:
+            if count > MAX_QUERY_NEIGHBOURS:
                 farthest, last = _nearest_bound(sx, sy, sz, names, near, candidate_count, x, y, z, reach, name)
         if used + candidate_count > i.size:
             return Progress(k, used, spans.size, near.size)

@@ -13,7 +13,7 @@ from antdsl.outputs.cache.lock import FolderLocked
 from antdsl.outputs.cache.manifest import relative_path
 from antdsl.outputs.recording import NothingToResume, begin, record
 from antdsl.outputs.starting import StartError, start_hash
-from antdsl.pipeline import Choices, Shot, open_scene
+from antdsl.pipeline import RunChoices, Shot, open_scene
 from antdsl.runtime import BindError, FaultStop, LimitStop, Options
 from antdsl.scene.values import FrameRange
 from antdsl.shots.placing import Destination
@@ -25,7 +25,7 @@ _REFUSALS = (
 )
 
 
-def cache_task(shot: Shot, scene: Path, choices: Choices, options: Mapping[str, Any], to: Destination, name: str) -> Task:
+def cache_task(shot: Shot, scene: Path, choices: RunChoices, options: Mapping[str, Any], to: Destination, name: str) -> Task:
     """Return a task that writes the cache of a shot to the folder `name` of a destination. `options`: those of `Options` except
     threads, and `resume` and `force`. Raises StartError like the shot."""
     scene = real_path(scene)
@@ -46,7 +46,7 @@ def cache_task(shot: Shot, scene: Path, choices: Choices, options: Mapping[str, 
 def simulate_cache(document: Mapping[str, Any], worker: Worker) -> dict[str, Any]:
     """Simulate a scene into a cache."""
     grants = {name: worker.local_path(folder) for name, folder in document["grants"].items()}
-    choices = Choices(grants, FrameRange(*document["frames"]), document["seed"], document["set"])
+    choices = RunChoices(grants, FrameRange(*document["frames"]), document["seed"], document["set"])
     shot, report = open_scene(worker.local_path(document["scene"]), choices)
     if shot is None or not report.ok:
         raise TaskRefused("; ".join(problem.message for problem in report.errors))

@@ -10,8 +10,8 @@ from antdsl.executors import Task, TaskRefused, Worker, refuse_task
 from antdsl.outputs.cache.cache_reader import CacheError, open_cache
 from antdsl.outputs.cache.manifest import ManifestError
 from antdsl.outputs.exports import AgentSubset, export_for
-from antdsl.outputs.gallery import Gallery, NoPicture
-from antdsl.outputs.numbered_files import NoExport
+from antdsl.outputs.gallery import Gallery, PictureUnavailable
+from antdsl.outputs.numbered_files import ExportUnavailable
 from antdsl.shots.placing import Destination
 
 CHUNK = 8  # frames of a task
@@ -31,7 +31,7 @@ def export_frames(document: Mapping[str, Any], worker: Worker) -> dict[str, Any]
     export = export_for(Path(name))
     if export is None or document["form"] not in export.each:
         raise TaskRefused(f"`{name}` has no file for each frame")
-    with refuse_task(ManifestError, CacheError, NoPicture, NoExport):
+    with refuse_task(ManifestError, CacheError, PictureUnavailable, ExportUnavailable):
         cache = open_cache(worker.local_path(document["cache"]))
         if document["ids"] is not None:
             cache = AgentSubset(cache.folder, cache.manifest, frozenset(document["ids"]))

@@ -13,7 +13,7 @@ from typing import Any
 from antdsl.bounded import open_bounded, read_blocks
 from antdsl.executors import Task, TaskRefused, Worker, document_digest
 from antdsl.executors.tasks import Work
-from antdsl.limits import MADE_BYTES
+from antdsl.limits import MAX_TASK_OUTPUT_BYTES
 from antdsl.whole import new_sibling
 
 
@@ -55,9 +55,10 @@ class Destination:
             return {"worker": "", "made": key, "files": []}
         files = [path for path in sorted(place.rglob("*")) if path.is_file()]
         total = sum(path.stat().st_size for path in files)
-        if total > MADE_BYTES:
+        if total > MAX_TASK_OUTPUT_BYTES:
             raise TaskRefused(
-                f"it made {total:,} bytes, and more than {MADE_BYTES:,} are not fetched; name a folder that workers see too"
+                f"it made {total:,} bytes, and more than {MAX_TASK_OUTPUT_BYTES:,} are not fetched; name a folder that "
+                f"workers see too"
             )
         listed = [[path.relative_to(place).as_posix(), path.stat().st_size, _file_digest(path)] for path in files]
         return {"worker": worker.name, "made": key, "files": listed}
@@ -75,7 +76,7 @@ def mark_folder(folder: Path) -> Iterator[Destination]:
 
 def _file_digest(path: Path) -> str:
     hashed = hashlib.blake2b(digest_size=16)
-    with open_bounded(path, MADE_BYTES) as file:
-        for block in read_blocks(file.fileno(), MADE_BYTES):
+    with open_bounded(path, MAX_TASK_OUTPUT_BYTES) as file:
+        for block in read_blocks(file.fileno(), MAX_TASK_OUTPUT_BYTES):
             hashed.update(block)
     return hashed.hexdigest()

@@ -12,8 +12,8 @@ from pydantic import TypeAdapter
 from antdsl.executors import Task, Worker, refuse_task
 from antdsl.outputs.cache.cache_reader import CacheError, open_cache
 from antdsl.outputs.cache.manifest import ManifestError
-from antdsl.outputs.drawing import Drawer, DrawRequest, NoAgent, Stills
-from antdsl.outputs.gallery import NoPicture
+from antdsl.outputs.drawing import AgentMissing, DrawRequest, FrameDrawer, StillStore
+from antdsl.outputs.gallery import PictureUnavailable
 from antdsl.shots.placing import Destination
 
 CHUNK = 4  # frames of a task
@@ -31,15 +31,15 @@ def still_tasks(
 def draw_stills(document: Mapping[str, Any], worker: Worker) -> dict[str, Any]:
     """Draw some frames. The drawer of earlier frames is cached for the next task of the same pictures."""
     to, pictures = Destination.of(document), document["pictures"]
-    with refuse_task(ManifestError, CacheError, NoPicture, NoAgent, ValueError):
+    with refuse_task(ManifestError, CacheError, PictureUnavailable, AgentMissing, ValueError):
         if worker.cached_values.get("pictures") != pictures:
             picture_request = TypeAdapter(DrawRequest).validate_python(pictures["wanted"])
             gallery = picture_request.gallery(open_cache(worker.local_path(pictures["cache"])))
-            drawer = Drawer(gallery, picture_request, pictures["all"], worker.threads)
+            drawer = FrameDrawer(gallery, picture_request, pictures["all"], worker.threads)
             worker.cached_values |= {"pictures": pictures, "drawer": drawer}
         drawer = worker.cached_values["drawer"]
         place = to.place(worker, document["key"])
-        output = Stills.of(place, drawer.gallery.cache, drawer.wanted, pictures["all"])
+        output = StillStore.of(place, drawer.gallery.cache, drawer.wanted, pictures["all"])
         for frame in document["frames"]:
             output.put(frame, drawer.draw(frame))
             worker.report_frame(frame)

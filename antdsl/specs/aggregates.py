@@ -12,14 +12,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl.numerics.elementwise import ELEMENTWISE
+from antdsl.numerics.elementwise import FUNCTION_BY_NAME
 from antdsl.plan import ir
 from antdsl.plan.lowering.spec_blocks import AggregatePlan
 from antdsl.plan.traverse import required_nodes
 from antdsl.runtime.sensing import uniform_leaf
 from antdsl.runtime.world import Population, World
 
-_EXACT = frozenset(("add", "sub", "neg", "abs", "min", "max", "mul", "lt", "le", "gt", "ge", "eq", "ne", "where"))
+_EXACT_OPERATIONS = frozenset(("add", "sub", "neg", "abs", "min", "max", "mul", "lt", "le", "gt", "ge", "eq", "ne", "where"))
 
 
 def exact_total(values: NDArray[Any]) -> np.float64:
@@ -68,23 +68,23 @@ def _aggregate_values(how: str, values: NDArray[Any], count: int) -> Any:
     return np.float32(values.max()) if count else np.float32(-np.inf)
 
 
-def evaluate_uniform(world: World, node: ir.Node, spec_values: dict[str, Any]) -> Any:
+def evaluate_uniform(world: World, node: ir.PlanNode, spec_values: dict[str, Any]) -> Any:
     """Return the value of a node that is equal for all agents, from the elementwise table of the backends."""
-    values: dict[ir.Node, Any] = {}
+    values: dict[ir.PlanNode, Any] = {}
     with np.errstate(all="ignore"):
         for each in required_nodes((node,)):
-            f = ELEMENTWISE.get(each.op)
+            f = FUNCTION_BY_NAME.get(each.op)
             if f is None:
                 values[each] = spec_values[each.attrs[0]] if each.op == "told" else uniform_leaf(world, each)
                 continue
             args = [values[a] for a in each.args]
-            if each.op not in _EXACT or not all(map(_is_exact, each.args, args)):
+            if each.op not in _EXACT_OPERATIONS or not all(map(_is_exact, each.args, args)):
                 args = [np.float32(a) if isinstance(a, np.float64) else a for a in args]
             values[each] = f(*args)
     return values[node]
 
 
-def _is_exact(node: ir.Node, value: Any) -> bool:
+def _is_exact(node: ir.PlanNode, value: Any) -> bool:
     """Return whether a value is exact: a total, a value computed only from totals, a truth value, or a whole number as in the
     source."""
     if isinstance(value, np.float32):

@@ -8,8 +8,8 @@ from pathlib import Path
 
 from antdsl.diagnostics import Report
 from antdsl.files import find_files
-from antdsl.loading import Parsed, SharedParsedFiles
-from antdsl.pipeline import Choices, Shot, check_path, open_scene
+from antdsl.loading import ParsedFileCache, SharedParsedFiles
+from antdsl.pipeline import RunChoices, Shot, check_path, open_scene
 from antdsl.plan.lowering.spec_blocks import SpecPlan, lower_spec
 from antdsl.program.consequences import merge_repeats
 from antdsl.program.expectations import Spec, SpecChange
@@ -19,7 +19,7 @@ from antdsl.source import Span
 from antdsl.syntax.nodes import Text
 
 DEFAULT_SCENE = "scene.yaml"
-MOST_NAMED_AGENTS = 8  # ids that a failure names
+MAX_NAMED_AGENTS = 8  # ids that a failure names
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,7 +54,7 @@ class SavedFrames:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Opponent:
+class ComparisonShot:
     """The run that a spec compares with."""
 
     shot: Shot
@@ -74,7 +74,7 @@ class Case:
     failures: list[Failure] = field(default_factory=list)
     frames: int = 0
     seconds: float = 0.0
-    against: Opponent | None = None
+    against: ComparisonShot | None = None
     saved_frames: SavedFrames | None = None
 
     @property
@@ -103,7 +103,7 @@ def collect_cases(
     parsed = SharedParsedFiles()
     finder = CaseFinder(dict(grants or {}), parsed, report)
     for file in (file for file in files if file.suffix == ".ant" or file in paths):
-        program, findings = check_path(file, Choices(finder.grants), parsed=parsed, specs=False)
+        program, findings = check_path(file, RunChoices(finder.grants), parsed=parsed, specs=False)
         report.extend(findings)
         if program is None or not findings.ok:
             continue
@@ -116,7 +116,7 @@ def collect_cases(
 class CaseFinder:
     """Opens each scene once for each set of changed params."""
 
-    def __init__(self, grants: dict[str, Path], parsed: Parsed, report: Report) -> None:
+    def __init__(self, grants: dict[str, Path], parsed: ParsedFileCache, report: Report) -> None:
         self.grants, self.parsed, self.report = grants, parsed, report
         self.nowhere = Report()  # scenes that are not there
         self.shots: dict[tuple[Path, tuple[str, ...]], Shot | None] = {}
@@ -167,7 +167,7 @@ class CaseFinder:
         self.report.extend(merge_repeats(self.nowhere))
         return list(made.values())
 
-    def _find_opponent(self, scene: Path, spec: Spec) -> Opponent | None:
+    def _find_opponent(self, scene: Path, spec: Spec) -> ComparisonShot | None:
         """Return the other run of a comparing spec. The spec's own changes also apply there, unless `against` changes the same
         names."""
         assert spec.against is not None
@@ -179,12 +179,12 @@ class CaseFinder:
         mine = {change.name for change in spec.against.changes}
         shot = self._open_shot(scene, (*(c for c in spec.changes if c.name not in mine), *spec.against.changes))
         plan = None if shot is None else self._find_plan(shot, spec, scene)
-        return None if shot is None or plan is None else Opponent(shot, plan)
+        return None if shot is None or plan is None else ComparisonShot(shot, plan)
 
     def _open_shot(self, scene: Path, changes: tuple[SpecChange, ...]) -> Shot | None:
         key = (scene.resolve(), tuple(sorted(f"{c.name} = {' '.join(c.value.span.text.split())}" for c in changes)))
         if key not in self.shots:
-            shot, report = open_scene(scene, Choices(self.grants, changes=changes), parsed=self.parsed)
+            shot, report = open_scene(scene, RunChoices(self.grants, changes=changes), parsed=self.parsed)
             self.report.extend(report)
             self.shots[key] = shot
         return self.shots[key]
@@ -215,7 +215,7 @@ def _first_line(spec: Spec) -> Span:
 
 
 @dataclass(frozen=True, slots=True)
-class Verdict:
+class SpecVerdict:
     """A spec that requires a share of its seeds: how many of how many passed. `holds` is None while some are waiting."""
 
     spec: Spec
@@ -224,7 +224,7 @@ class Verdict:
     holds: bool | None
 
 
-def settle_verdicts(cases: Sequence[Case]) -> list[Verdict]:
+def settle_verdicts(cases: Sequence[Case]) -> list[SpecVerdict]:
     """Return the verdicts after all runs. Failures in a spec of which enough seeds passed become `allowed`."""
     groups: dict[tuple[str, int, str], list[Case]] = {}
     for case in cases:
@@ -233,12 +233,12 @@ def settle_verdicts(cases: Sequence[Case]) -> list[Verdict]:
     return [_settle_group(group) for group in groups.values()]
 
 
-def _settle_group(group: list[Case]) -> Verdict:
+def _settle_group(group: list[Case]) -> SpecVerdict:
     passed = sum(case.outcome == "passed" for case in group)
     if any(case.outcome == "waiting" for case in group):
-        return Verdict(group[0].spec, passed, len(group), None)
+        return SpecVerdict(group[0].spec, passed, len(group), None)
     holds = passed >= group[0].spec.share * len(group) * (1 - 1e-9)
     for case in group:
         if holds and case.outcome == "failed":
             case.outcome = "allowed"
-    return Verdict(group[0].spec, passed, len(group), holds)
+    return SpecVerdict(group[0].spec, passed, len(group), holds)

@@ -11,10 +11,10 @@ import numpy as np
 from antdsl.plan import ir
 from antdsl.plan.lowering.spec_blocks import JudgementPlan, SpecPlan
 from antdsl.runtime.world import World
-from antdsl.specs.lines import Line, duration_in_steps, observe_whole
-from antdsl.specs.queries import Questioner
+from antdsl.specs.lines import JudgementLine, duration_in_steps, observe_whole
+from antdsl.specs.queries import SpecEvaluator
 
-Place = tuple[str, int]
+JudgementKey = tuple[str, int]
 
 
 class ComparedRun:
@@ -22,12 +22,12 @@ class ComparedRun:
     so the two scenes may have different frame numbers. `dt`: seconds per frame."""
 
     def __init__(self, plan: SpecPlan, world: World) -> None:
-        self.asker = Questioner(plan, world)
+        self.asker = SpecEvaluator(plan, world)
         self.plan, self.first, self.dt = plan, world.frame, world.dt
         self.lines = {
-            _line_key(j): Line(j, None, duration_in_steps(world, j.held)) for j in plan.judgements if j.kind == "sooner"
+            _line_key(j): JudgementLine(j, None, duration_in_steps(world, j.held)) for j in plan.judgements if j.kind == "sooner"
         }
-        self.when: dict[Place, int] = {}
+        self.when: dict[JudgementKey, int] = {}
         self.seen: list[Mapping[str, Any]] = []
         self.blank = {each.name: np.float32(np.nan) for each in plan.others}
 
@@ -36,7 +36,7 @@ class ComparedRun:
         self.asker.ask(world, self.blank)
         self.seen.append({each.name: self.asker.value(world, each.value) for each in self.plan.others})
         for place, line in self.lines.items():
-            assert isinstance(line.plan.condition, ir.Node)
+            assert isinstance(line.plan.condition, ir.PlanNode)
             holds = bool(self.asker.value(world, line.plan.condition))
             if len(line.look(observe_whole(world.frame, False, self.first, holds, None))):
                 self.when.setdefault(place, world.frame - self.first)
@@ -50,6 +50,6 @@ class ComparedRun:
         return self.when.get(_line_key(line))
 
 
-def _line_key(line: JudgementPlan) -> Place:
+def _line_key(line: JudgementPlan) -> JudgementKey:
     """Return a line's location in the text, which is the same in both runs."""
     return line.span.source.path, line.span.start

@@ -11,7 +11,7 @@ from antdsl.program.model import Machine, Program
 from antdsl.runtime.world import World
 from antdsl.source import Span
 
-Key = tuple[str, int, str]  # source, place in it, name
+CoverageKey = tuple[str, int, str]  # source, place in it, name
 
 
 @dataclass(slots=True)
@@ -25,7 +25,7 @@ class CoverageEntry:
 
 
 @dataclass(frozen=True, slots=True)
-class _Machine:
+class _MachineCoverage:
     """A machine's states and changes in the order of their numbers in the plan. `taking`: changes that depend on a claim."""
 
     species: str
@@ -36,9 +36,9 @@ class _Machine:
 
 
 @dataclass(slots=True)
-class Coverage:
-    states: dict[Key, CoverageEntry] = field(default_factory=dict)
-    changes: dict[Key, CoverageEntry] = field(default_factory=dict)
+class SpecCoverage:
+    states: dict[CoverageKey, CoverageEntry] = field(default_factory=dict)
+    changes: dict[CoverageKey, CoverageEntry] = field(default_factory=dict)
 
     @property
     def share(self) -> float:
@@ -55,9 +55,9 @@ class Coverage:
                 _count_states(machine, states)
         world.watchers.append(partial(_count_all, machines=machines))
 
-    def _machine(self, species: str, machine: Machine) -> _Machine:
+    def _machine(self, species: str, machine: Machine) -> _MachineCoverage:
         pairs = [change for state in machine.states for change in state.transitions]
-        return _Machine(
+        return _MachineCoverage(
             species,
             machine.name,
             tuple(self._get_entry(self.states, f"{species}.{machine.name}.{s.name}", s.span) for s in machine.states),
@@ -66,21 +66,21 @@ class Coverage:
         )
 
     @staticmethod
-    def _get_entry(table: dict[Key, CoverageEntry], name: str, span: Span) -> CoverageEntry:
+    def _get_entry(table: dict[CoverageKey, CoverageEntry], name: str, span: Span) -> CoverageEntry:
         return table.setdefault((span.source.path, span.start, name), CoverageEntry(name, span))
 
 
-def _count_states(machine: _Machine, states: np.ndarray) -> None:
+def _count_states(machine: _MachineCoverage, states: np.ndarray) -> None:
     for state, number in zip(machine.states, np.bincount(states, minlength=len(machine.states)), strict=True):
         state.count += int(number)
 
 
-def _count_all(world: World, machines: list[_Machine]) -> None:
+def _count_all(world: World, machines: list[_MachineCoverage]) -> None:
     for machine in machines:
         _count_changes(world, machine)
 
 
-def _count_changes(world: World, machine: _Machine) -> None:
+def _count_changes(world: World, machine: _MachineCoverage) -> None:
     """Count a step. Call it after all agents have acted, before those that die in it are removed. Changes are numbered as in
     `plan.machines`."""
     population = world.populations[machine.species]

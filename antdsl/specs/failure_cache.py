@@ -16,21 +16,21 @@ from antdsl.outputs.cache.cache_writer import ForeignFolder, PathBlocked, prepar
 from antdsl.outputs.cache.frames import static_arrays
 from antdsl.outputs.recording import Recording, record
 from antdsl.outputs.starting import StartError, source_of, start_hash
-from antdsl.pipeline import Choices, Shot, open_scene
-from antdsl.program.model import Const, Expr
+from antdsl.pipeline import RunChoices, Shot, open_scene
+from antdsl.program.model import Constant, Expr
 from antdsl.program.tables.units import default_unit, measure
 from antdsl.program.types.folding import constant_behind
 from antdsl.runtime import BindingCache, CheckpointError, Options, World, bind, checkpoint, restore, state_hash
 from antdsl.runtime.checkpoints import Arrays
 from antdsl.scene.matching import const_in_base_units
 from antdsl.scene.quantities import QuantityError, parse_quantity
-from antdsl.scene.setting import Setting
+from antdsl.scene.setting import WorldSetting
 from antdsl.scene.values import FrameRange
 from antdsl.specs.cases import Case, Run, SavedFrames
 from antdsl.whole import first_link
 
-EVERY = 12  # frames between two copies of the state
-MOST = 5  # cases stored of one `antdsl test`
+COPY_INTERVAL_FRAMES = 12  # frames between two copies of the state
+MAX_STORED_CASES = 5  # cases stored of one `antdsl test`
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,13 +51,13 @@ class StateCopies:
     """Copies of a run's state, of which only the last one is stored. If anything moves by the scene's frames, only the first copy
     is stored, because the run can only continue from there."""
 
-    def __init__(self, setting: Setting) -> None:
+    def __init__(self, setting: WorldSetting) -> None:
         self.whole = bool(setting.moves) or (setting.camera is not None and len(setting.camera.at) > 1)
         self.last: Arrays | None = None
 
     def store_copy(self, world: World) -> None:
         """Store a copy if it is due. Call it for each frame after it was judged."""
-        if self.last is None or (not self.whole and world.frame >= int(self.last["frame"]) + EVERY):
+        if self.last is None or (not self.whole and world.frame >= int(self.last["frame"]) + COPY_INTERVAL_FRAMES):
             self.last = checkpoint(world)
 
     def failure_point(self, world: World) -> FailurePoint:
@@ -77,8 +77,8 @@ class FailureSaver:
     def save(self, run: Run, case: Case, failure_point: FailurePoint, built: BindingCache) -> SavedFrames:
         """Simulate up to the failure again, into a cache. Problems are reported in the `SavedFrames`."""
         self.count += 1
-        if self.count > MOST:
-            return SavedFrames(None, f"not saved: only the first {MOST} are")
+        if self.count > MAX_STORED_CASES:
+            return SavedFrames(None, f"not saved: only the first {MAX_STORED_CASES} are")
         above = self.folder if self.folder is not None else case.scene.parent / "out" / "failed"
         folder = above / f"{folder_name(case.name)}-{case.seed}"
         named = (case.scene.parent, "out", "failed") if self.folder is None else (above,)
@@ -87,7 +87,7 @@ class FailureSaver:
             return SavedFrames(None, f"not saved: `{display_path(link)}` is a link; name a folder with `--keep`")
         params = {change.name: _flag_value(run.shot, change.value) for change in case.spec.changes}
         frames = FrameRange(failure_point.first_frame, max(run.shot.frames.last, failure_point.frame + 1))
-        shot, report = open_scene(case.scene, Choices(self.grants, frames, run.seed, params))
+        shot, report = open_scene(case.scene, RunChoices(self.grants, frames, run.seed, params))
         if shot is None:
             return SavedFrames(None, f"not saved: {report.errors[0].message}")
         try:
@@ -140,7 +140,7 @@ def _flag_value(shot: Shot, value: Expr) -> str:
         parse_quantity(text)
     except QuantityError:
         known = constant_behind(value)
-        assert isinstance(known, Const)
+        assert isinstance(known, Constant)
         unit = default_unit(known.type.dim)
         one = measure(unit)
         return f"{const_in_base_units(known, shot.scene) / (1.0 if one is None else one.factor)!r}{unit}"

@@ -12,25 +12,27 @@ from numpy.typing import NDArray
 from antdsl.plan import ir
 from antdsl.plan.lowering.spec_blocks import JudgementPlan, ReadingPlan, SpecPlan
 from antdsl.runtime.world import World
-from antdsl.specs.cases import MOST_NAMED_AGENTS, Failure
+from antdsl.specs.cases import MAX_NAMED_AGENTS, Failure
 from antdsl.specs.comparison import ComparedRun
-from antdsl.specs.lines import Ids, Line, Observation, duration_in_steps, observe_whole
-from antdsl.specs.queries import Questioner, extend_table
+from antdsl.specs.lines import FrameObservation, Ids, JudgementLine, duration_in_steps, observe_whole
+from antdsl.specs.queries import SpecEvaluator, extend_table
 from antdsl.specs.value_text import agent_whereabouts, format_value
-from antdsl.syntax.words import NUMBER
+from antdsl.syntax.words import NUMBER_REGEX
 
-_NUMBER = re.compile(NUMBER)
+_NUMBER_PATTERN = re.compile(NUMBER_REGEX)
 
 
-class Judge:
+class SpecJudge:
     """Call `look` for each frame from the first on, until `over`. `failures` are in order of detection. A spec that compares runs
     also has the reference run."""
 
     def __init__(self, plan: SpecPlan, world: World, last: int, compared_run: ComparedRun | None = None) -> None:
         self.plan, self.first, self.rival = plan, world.frame, compared_run
-        self.asker = Questioner(plan, world)
+        self.asker = SpecEvaluator(plan, world)
         self.last = last_frame(plan, world, last)
-        self.lines = [Line(j, duration_in_steps(world, j.time), duration_in_steps(world, j.held)) for j in plan.judgements]
+        self.lines = [
+            JudgementLine(j, duration_in_steps(world, j.time), duration_in_steps(world, j.held)) for j in plan.judgements
+        ]
         self.failures: list[Failure] = []
         self.over = False
 
@@ -55,7 +57,7 @@ class Judge:
                 line.fine[released_ids] = True
         self.over = final or not any(line.open for line in self.lines if line.plan.kind != "until")
 
-    def _observe(self, world: World, spec_world: World, line: Line, final: bool) -> Observation:
+    def _observe(self, world: World, spec_world: World, line: JudgementLine, final: bool) -> FrameObservation:
         plan = line.plan
         if plan.species is None:
             since = None if plan.since is None else self._holds(world, plan.since)
@@ -65,16 +67,16 @@ class Judge:
         since_flags = None if plan.since is None else judged.now[str(plan.since)].astype(np.bool_)
         holds = judged.now[plan.condition].astype(np.bool_)
         first_frames = np.maximum(judged.born, self.first)
-        return Observation(
+        return FrameObservation(
             world.frame, final, judged.ids, first_frames, holds, since_flags, self._find_released(line, judged.ids)
         )
 
-    def _holds(self, world: World, node: ir.Node | str) -> bool:
+    def _holds(self, world: World, node: ir.PlanNode | str) -> bool:
         """Evaluate a condition on the whole; NaN makes it false."""
-        assert isinstance(node, ir.Node)
+        assert isinstance(node, ir.PlanNode)
         return bool(self.asker.value(world, node))
 
-    def _find_released(self, line: Line, ids: Ids) -> NDArray[np.bool_]:
+    def _find_released(self, line: JudgementLine, ids: Ids) -> NDArray[np.bool_]:
         """Return the agents for which an `until` of the same block has held before this frame."""
         free = np.zeros(len(ids), np.bool_)
         for other in self.lines:
@@ -82,7 +84,7 @@ class Judge:
                 free |= extend_table(other.fine, ids, False)[ids]
         return free
 
-    def _check_race(self, line: Line, observation: Observation) -> Ids:
+    def _check_race(self, line: JudgementLine, observation: FrameObservation) -> Ids:
         """Judge `sooner`: the condition must hold in an earlier frame here than in the other run. Frames are counted from the
         first of each run."""
         assert self.rival is not None
@@ -113,7 +115,7 @@ class Judge:
                 reading_values.append((reading, spec_world.populations[plan.species].now[reading.register][row]))  # type: ignore[index]
         return _format_readings(world, reading_values, plan.span.text)
 
-    def _record_failure(self, world: World, spec_world: World, line: Line, agents: Ids) -> None:
+    def _record_failure(self, world: World, spec_world: World, line: JudgementLine, agents: Ids) -> None:
         """Close a line and report the values of the whole, or of the failed agent with the least id."""
         line.open = False
         plan, fps = line.plan, float(world.setting.fps)
@@ -128,7 +130,7 @@ class Judge:
         message = f"{text}{f' ({line.why})' if line.why else ''}"
         failure = Failure(message, plan.span, world.frame, (world.frame - self.first) / fps, values)
         if plan.species is not None:
-            named = tuple(int(each) for each in np.sort(agents)[:MOST_NAMED_AGENTS])
+            named = tuple(int(each) for each in np.sort(agents)[:MAX_NAMED_AGENTS])
             there_still = row is not None and row >= 0
             failure = replace(
                 failure, agent=(plan.species, least), others=len(agents) - 1, agents=named, began=line.start_frame(least),
@@ -148,8 +150,8 @@ def _format_readings(world: World, reading_values: list[tuple[ReadingPlan, Any]]
     and a number of the line, would otherwise look alike."""
     texts = [" ".join(reading.span.text.split()) for reading, _ in reading_values]
     values = [format_value(world, value, reading.type, reading.unit) for reading, value in reading_values]
-    written = {float(number) for number in _NUMBER.findall(line)}
+    written = {float(number) for number in _NUMBER_PATTERN.findall(line)}
     alike = len(set(values)) < len({float(value) for _, value in reading_values})
-    if alike or any(float(number) in written for text in values for number in _NUMBER.findall(text)[:1]):
+    if alike or any(float(number) in written for text in values for number in _NUMBER_PATTERN.findall(text)[:1]):
         values = [format_value(world, value, reading.type, reading.unit, True) for reading, value in reading_values]
     return tuple(dict.fromkeys(zip(texts, values, strict=True)))

@@ -17,19 +17,19 @@ from antdsl.ground.protocol import Footing
 from antdsl.plan import ir
 from antdsl.plan.lowering.spec_blocks import AggregatePlan, OtherRunPlan, SpecPlan, StartPlan
 from antdsl.plan.traverse import operands, required_nodes, statements
-from antdsl.program.expectations import MOTION
+from antdsl.program.expectations import MOTION_MEASURES
 from antdsl.runtime.backends import BACKENDS
 from antdsl.runtime.lifecycle import find_cells
-from antdsl.runtime.requests import Effects
-from antdsl.runtime.world import AXES, DTYPES, Items, Population, World, fixed_columns
+from antdsl.runtime.requests import EffectRequests
+from antdsl.runtime.world import AXES, DTYPE_BY_KIND, Items, Population, World, fixed_columns
 from antdsl.senses.overlaps import worst_overlaps
 from antdsl.specs.aggregates import evaluate_aggregate, evaluate_uniform
 
 Floats = NDArray[np.float32]
-_UNKNOWN = 1e300  # what no float32 can be: of agents that were not there yet
+_UNKNOWN_VALUE = 1e300  # what no float32 can be: of agents that were not there yet
 
 
-class Questioner:
+class SpecEvaluator:
     """Evaluates a spec's questions. Call `ask` at each frame from the first on; then `values` has the numbers about the whole, by
     name."""
 
@@ -38,11 +38,11 @@ class Questioner:
         self.backend: Any = BACKENDS[world.options.backend](plan.plan)
         self.values: dict[str, Any] = {}
         known: list[AggregatePlan | StartPlan | OtherRunPlan] = [*plan.wholes, *plan.starts, *plan.others]
-        self.names = [each.name for each in known] + [f"motion.{name}" for name in MOTION]
+        self.names = [each.name for each in known] + [f"motion.{name}" for name in MOTION_MEASURES]
         self.starts: dict[str, NDArray[np.float64]] = {}  # by id
         self.smelling = {name for name, species in plan.plan.species.items() if _has_field_requests(species)}
 
-    def value(self, world: World, node: ir.Node) -> Any:
+    def value(self, world: World, node: ir.PlanNode) -> Any:
         """A number of the whole."""
         return evaluate_uniform(world, node, self.values)
 
@@ -86,7 +86,7 @@ class Questioner:
     def _measure(self, world: World) -> None:
         for name, number in world.motion.summary().items():
             unknown = world.motion.ways == 0 and name in ("circling", "straightness")
-            value = radians(number) if MOTION[name] == "angle" else number
+            value = radians(number) if MOTION_MEASURES[name] == "angle" else number
             self.values[f"motion.{name}"] = np.float32(np.nan if unknown else value)
 
     def _make_respondents(self, spec_world: World, name: str) -> Population:
@@ -109,7 +109,7 @@ class Questioner:
         """Return a population with the same agents and with registers for answers."""
         respondents = copy(population)
         respondents.columns = population.columns.copy()
-        respondents.plan, respondents.effects, respondents.cells = self.plan.plan.species[population.name], Effects(), {}
+        respondents.plan, respondents.effects, respondents.cells = self.plan.plan.species[population.name], EffectRequests(), {}
         count = len(population)
         registers = respondents.plan.registers
         respondents.now = _answer_arrays(registers, population.start, count)
@@ -131,8 +131,8 @@ class Questioner:
     def _record_first(self, judged: Population, name: str, register: str) -> None:
         """Copy the value of a number in each agent's first frame to the register that the conditions read."""
         ids, now = judged.ids, judged.now[register]
-        values = self.starts[name] = extend_table(self.starts.get(name, np.zeros(0)), ids, _UNKNOWN)
-        values[ids] = np.where(values[ids] == _UNKNOWN, now, values[ids])
+        values = self.starts[name] = extend_table(self.starts.get(name, np.zeros(0)), ids, _UNKNOWN_VALUE)
+        values[ids] = np.where(values[ids] == _UNKNOWN_VALUE, now, values[ids])
         judged.start[name] = values[ids].astype(np.float32)
 
 
@@ -153,7 +153,7 @@ def _make_population(
 def _answer_arrays(registers: Mapping[str, ir.Register], known: Mapping[str, Any], count: int) -> dict[str, NDArray[Any]]:
     """Return arrays for the results of the blocks; a number that is not computed stays NaN."""
     own = [register for register in registers.values() if register.name not in known]
-    return {r.name: np.full(count, np.nan if r.kind is ir.Kind.F32 else 0, DTYPES[r.kind]) for r in own}
+    return {r.name: np.full(count, np.nan if r.kind is ir.ValueKind.F32 else 0, DTYPE_BY_KIND[r.kind]) for r in own}
 
 
 def _has_field_requests(species: ir.SpeciesPlan) -> bool:
@@ -166,7 +166,7 @@ def _has_field_requests(species: ir.SpeciesPlan) -> bool:
 
 def measure_geometry(world: World, population: Population, name: str) -> Floats:
     """Return a measure of GEOMETRY for each agent, float32[n]; lengths in mm."""
-    return _MEASURES[name](world, population)
+    return _MEASURE_FUNCTIONS[name](world, population)
 
 
 def _overlap(world: World, population: Population) -> Floats:
@@ -205,7 +205,7 @@ def _off_surface(world: World, population: Population) -> Floats:
     return off
 
 
-_MEASURES: Mapping[str, Callable[[World, Population], Floats]] = {
+_MEASURE_FUNCTIONS: Mapping[str, Callable[[World, Population], Floats]] = {
     "overlap": _overlap,
     "penetration": _penetration,
     "off_surface": _off_surface,

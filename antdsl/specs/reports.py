@@ -14,12 +14,12 @@ from antdsl.diagnostics.places import escape_text, line_range
 from antdsl.loading import display_path
 from antdsl.source import Span
 from antdsl.specs.cases import Case, Failure, SavedFrames
-from antdsl.specs.coverage import Coverage, CoverageEntry
+from antdsl.specs.coverage import CoverageEntry, SpecCoverage
 from antdsl.specs.golden.recorded import GoldenResult
 from antdsl.specs.text_report import describe_failure, describe_golden
 
 
-def as_json(cases: Sequence[Case], coverage: Coverage, report: Report, goldens: Sequence[GoldenResult] = ()) -> str:
+def as_json(cases: Sequence[Case], coverage: SpecCoverage, report: Report, goldens: Sequence[GoldenResult] = ()) -> str:
     """Return one JSON document with all cases and golden runs, the coverage, and the reasons why others did not run."""
     document = {
         "passed": sum(case.outcome == "passed" for case in cases),

@@ -11,10 +11,10 @@ from antdsl.pipeline import Shot
 from antdsl.runtime import BindError, BindingCache, FaultStop, Options, World, bind, step
 from antdsl.specs.cases import Case, Failure, Run
 from antdsl.specs.comparison import ComparedRun
-from antdsl.specs.coverage import Coverage
+from antdsl.specs.coverage import SpecCoverage
 from antdsl.specs.failure_cache import FailurePoint, FailureSaver, StateCopies
-from antdsl.specs.golden.comparing import Goldens
-from antdsl.specs.judge import Judge, last_frame
+from antdsl.specs.golden.comparing import GoldenComparison
+from antdsl.specs.judge import SpecJudge, last_frame
 
 FrameCallback = Callable[[Run, int, int], None]
 
@@ -25,9 +25,9 @@ class Work:
     `messages`: deviations of a run from the request, each once, as sentences for the user; they change no verdict."""
 
     options: Options
-    coverage: Coverage = field(default_factory=Coverage)
+    coverage: SpecCoverage = field(default_factory=SpecCoverage)
     failure_saver: FailureSaver | None = None
-    goldens: Goldens | None = None
+    goldens: GoldenComparison | None = None
     report_case: Callable[[Case], None] = lambda case: None
     frame: FrameCallback = lambda run, frame, last: None
     # runs of one scene differ by seeds and params and stand on the same ground
@@ -75,7 +75,7 @@ def _judge_run(run: Run, work: Work, moments: dict[int, FailurePoint]) -> None:
         return _fail_with_fault(run, why)
     first, trail = world.frame, None if work.failure_saver is None else StateCopies(run.shot.setting)
     judges = [
-        (case, Judge(case.plan, world, run.shot.frames.last, rivals.get(id(case)))) for case in run.cases if not case.failures
+        (case, SpecJudge(case.plan, world, run.shot.frames.last, rivals.get(id(case)))) for case in run.cases if not case.failures
     ]
     last = max((judge.last for _, judge in judges), default=first)
     watch = None if work.goldens is None else work.goldens.watch(run, last - first + 1)

@@ -6,12 +6,12 @@ from collections.abc import Sequence
 
 from antdsl.diagnostics.places import escape_text
 from antdsl.loading import display_path
-from antdsl.specs.cases import Case, Failure, SavedFrames, Verdict
-from antdsl.specs.coverage import Coverage, CoverageEntry
+from antdsl.specs.cases import Case, Failure, SavedFrames, SpecVerdict
+from antdsl.specs.coverage import CoverageEntry, SpecCoverage
 from antdsl.specs.golden.recorded import GoldenResult
 
-_MOST_UNCOVERED = 20  # unreached states and transitions listed in words
-_MOST_DIFFERENCES = 6
+_MAX_LISTED_UNCOVERED = 20  # unreached states and transitions listed in words
+_MAX_LISTED_DIFFERENCES = 6
 
 
 def one_line(case: Case) -> str:
@@ -61,7 +61,7 @@ def _describe_saved(saved: SavedFrames) -> list[str]:
     return [*lines, f"  see it:         {escape_text(saved.look)}", f"  go on from it:  {escape_text(saved.again)}"]
 
 
-def describe_verdict(verdict: Verdict) -> str:
+def describe_verdict(verdict: SpecVerdict) -> str:
     """Return the verdict over seeds: `"ants come home": 4 of 5 seeds passed, enough for 80 %`."""
     ends = {True: "enough for", False: "too few for", None: "not all were run, of"}[verdict.holds]
     share = f"{verdict.spec.share * 100:.6g} %"
@@ -78,8 +78,8 @@ def describe_golden(result: GoldenResult) -> str:
     lines += [f"  {result.words}"] if result.words else []
     if result.detail_frame is not None and result.detail_frame != result.frame:
         lines.append(f"  seen at frame {result.detail_frame}, the next that is stored in detail:")
-    lines += [f"  {escape_text(str(each))}" for each in result.found[:_MOST_DIFFERENCES]]
-    remainder = len(result.found) - _MOST_DIFFERENCES
+    lines += [f"  {escape_text(str(each))}" for each in result.found[:_MAX_LISTED_DIFFERENCES]]
+    remainder = len(result.found) - _MAX_LISTED_DIFFERENCES
     lines += [f"  and {remainder} more attributes"] if remainder > 0 else []
     lines += [f"  it was made with {escape_text(result.origin)}, which is not what runs here"] if result.origin else []
     return "\n".join([*lines, "  if that is how it should be now, keep it: the same command with --update"])
@@ -98,7 +98,7 @@ def describe_counts(cases: Sequence[Case], mistakes: int, goldens: Sequence[Gold
     return ", ".join(phrases)
 
 
-def describe_coverage(coverage: Coverage) -> str:
+def describe_coverage(coverage: SpecCoverage) -> str:
     """Return every state and change with its count, in the order of the text: agents in a state per frame, agents that
     changed."""
     both = [(each, "state") for each in coverage.states.values()] + [(each, "change") for each in coverage.changes.values()]
@@ -108,7 +108,7 @@ def describe_coverage(coverage: Coverage) -> str:
     return "\n".join(lines)
 
 
-def describe_uncovered(coverage: Coverage) -> str:
+def describe_uncovered(coverage: SpecCoverage) -> str:
     """Return how many states and changes occurred, and the names of those that never occurred."""
     lines = []
     for what, verb, table in (("states", "entered", coverage.states), ("changes", "made", coverage.changes)):
@@ -116,9 +116,9 @@ def describe_uncovered(coverage: Coverage) -> str:
             covered_count = sum(each.count > 0 for each in table.values())
             lines.append(f"{what} {verb}: {covered_count} of {len(table)}")
     never = _find_uncovered(coverage)
-    lines += [f"  {each.span}: `{_short_name(each.name)}` was never {verb}" for each, verb in never[:_MOST_UNCOVERED]]
-    if len(never) > _MOST_UNCOVERED:
-        lines.append(f"  and {len(never) - _MOST_UNCOVERED} more")
+    lines += [f"  {each.span}: `{_short_name(each.name)}` was never {verb}" for each, verb in never[:_MAX_LISTED_UNCOVERED]]
+    if len(never) > _MAX_LISTED_UNCOVERED:
+        lines.append(f"  and {len(never) - _MAX_LISTED_UNCOVERED} more")
     return "\n".join(lines)
 
 
@@ -127,7 +127,7 @@ def _short_name(name: str) -> str:
     return name.replace(".main.", ".").removesuffix("#1").replace("->", " -> ")
 
 
-def _find_uncovered(coverage: Coverage) -> list[tuple[CoverageEntry, str]]:
+def _find_uncovered(coverage: SpecCoverage) -> list[tuple[CoverageEntry, str]]:
     entries = [(each, "entered") for each in coverage.states.values() if not each.count]
     entries += [(each, "made") for each in coverage.changes.values() if not each.count]
     return sorted(entries, key=lambda pair: (pair[0].span.source.path, pair[0].span.start))

@@ -8,24 +8,24 @@ from typing import Any
 
 import numpy as np
 
-from antdsl.program.model import Kind, Type
+from antdsl.program.model import TypeKind, ValueType
 from antdsl.program.tables.units import measure
 from antdsl.runtime.world import World
 
-_DECIMALS = 6  # after the point of a coordinate
+_COORDINATE_DECIMALS = 6  # after the point of a coordinate
 
 
-def format_value(world: World, value: Any, type: Type, unit: str, is_exact: bool = False) -> str:
+def format_value(world: World, value: Any, type: ValueType, unit: str, is_exact: bool = False) -> str:
     """Format a value: `41.3 mm/s`, `12 %`, `move_world`, `yes`, `apple`. `is_exact`: a number with all digits instead of six."""
     match type.kind:
-        case Kind.BOOL:
+        case TypeKind.BOOL:
             return "yes" if value else "no"
-        case Kind.STATE:
+        case TypeKind.STATE:
             return _state_name(world, int(value), type.of or "")
-        case Kind.ITEM:
+        case TypeKind.ITEM:
             names = world.items[type.of].names if type.of in world.items else ()
             return names[int(value)] if 0 <= int(value) < len(names) else "none"
-        case Kind.AGENT:
+        case TypeKind.AGENT:
             return f"{type.of} {int(value)}" if int(value) >= 0 else "none"
     return _format_number(world, value, unit, is_exact)
 
@@ -49,7 +49,7 @@ def place_text(position: Iterable[float], origin: Iterable[float], unit_mm: floa
 
 def _format_coordinate(relative: float, origin: float) -> str:
     decimals = 3 - math.floor(math.log10(abs(relative))) if relative and math.isfinite(relative) else 1
-    text = f"{origin + relative:.{min(max(decimals, 1), _DECIMALS)}f}".rstrip("0").rstrip(".")
+    text = f"{origin + relative:.{min(max(decimals, 1), _COORDINATE_DECIMALS)}f}".rstrip("0").rstrip(".")
     return "0" if text == "-0" else text
 
 

@@ -127,8 +127,8 @@ def _check_fit(design: Design, factors: Sequence[Factor], points: int | None, re
             report.error(
                 "wrong-value", "a grid has as many points as its values have combinations", None, f"leave out `--points {points}`"
             )
-        if most > limits.SWEEP_POINTS:
-            words = f"these values make {most:,} combinations, and more than {limits.SWEEP_POINTS:,} are not run"
+        if most > limits.MAX_SWEEP_POINTS:
+            words = f"these values make {most:,} combinations, and more than {limits.MAX_SWEEP_POINTS:,} are not run"
             report.error("too-large", words, None, "sample them: `--design latin --points 100`")
         return
     if not factors:
@@ -153,8 +153,8 @@ def _check_fit(design: Design, factors: Sequence[Factor], points: int | None, re
             "wrong-count", f"a Sobol sequence fills space evenly only at powers of 2, but {points} is not one", None, advice
         )
     most = points * (1 if design.points_per_unit is None else len(factors) + design.points_per_unit)
-    if most > limits.SWEEP_POINTS:
-        words = f"{said} with `--points {points}` has {most:,} points, and more than {limits.SWEEP_POINTS:,} are not run"
+    if most > limits.MAX_SWEEP_POINTS:
+        words = f"{said} with `--points {points}` has {most:,} points, and more than {limits.MAX_SWEEP_POINTS:,} are not run"
         report.error("too-large", words, None, "write a smaller `--points`")
     if design.analysis is not None and not sensitivity.is_available():
         report.error("missing-extra", f"{said} needs SALib", None, sensitivity.HOW)

@@ -13,7 +13,7 @@ from antdsl.bounded import read_bounded
 from antdsl.sweep.jobs import Job
 from antdsl.whole import is_link, make_folder, write_atomically
 
-_BYTES = limits.ANSWER_BYTES + 64 * limits.KIB  # of the stored data of one run
+_BYTES = limits.MAX_TASK_ANSWER_BYTES + 64 * limits.KIB  # of the stored data of one run
 
 
 class NoSweepFolder(Exception):

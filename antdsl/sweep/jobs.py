@@ -16,7 +16,7 @@ from antdsl.diagnostics import Report
 from antdsl.loading import SharedParsedFiles
 from antdsl.outputs.cache.manifest import MANIFEST
 from antdsl.outputs.starting import StartError, source_of, start_hash
-from antdsl.pipeline import Choices, Shot, open_scene
+from antdsl.pipeline import RunChoices, Shot, open_scene
 from antdsl.scene import Scene
 from antdsl.scene.paths import record_request
 from antdsl.scene.values import FrameRange
@@ -59,10 +59,10 @@ class Job:
         """Return the job of a document."""
         return _JOBS.validate_python(document)
 
-    def choices(self) -> Choices:
+    def choices(self) -> RunChoices:
         """What opens the scene as this run has it."""
         grants = {name: Path(folder) for name, folder in self.grants}
-        return Choices(grants, FrameRange(*self.frames), self.seed, dict(self.params))
+        return RunChoices(grants, FrameRange(*self.frames), self.seed, dict(self.params))
 
 
 _JOBS = TypeAdapter(Job)
@@ -96,7 +96,7 @@ def jobs(
     shots: list[tuple[Variation, FrameRange, Scene, Mapping[str, str]]] = []
     parsed = SharedParsedFiles()
     for variation in chosen:
-        choices = Choices(grants, frames, None, variation.params)
+        choices = RunChoices(grants, frames, None, variation.params)
         shot, findings = open_scene(variation.scene, choices, parsed=parsed, thorough=False)
         report.extend(findings)
         if shot is not None and findings.ok:

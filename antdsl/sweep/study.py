@@ -62,7 +62,7 @@ class SweepRequest(BaseModel):
 
     model_config = ConfigDict(strict=True, extra="forbid", frozen=True)
 
-    scenes: list[str] = Field(min_length=1, max_length=limits.SWEEP_POINTS)
+    scenes: list[str] = Field(min_length=1, max_length=limits.MAX_SWEEP_POINTS)
     vary: list[str] = []
     design: str = "grid"
     points: int | None = Field(default=None, ge=2, le=1_000_000)

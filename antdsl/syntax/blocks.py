@@ -8,25 +8,25 @@ from dataclasses import dataclass, field
 from antdsl.diagnostics.model import Fix
 from antdsl.source import Source, Span
 from antdsl.syntax.brackets import token_text
-from antdsl.syntax.scan import Scan, Token
+from antdsl.syntax.scan import ScannedToken, TokenScan
 
 
 @dataclass(slots=True)
-class Group:
+class BraceGroup:
     """A pair of braces and the lines between them. `chooses` is true after the word `choose`."""
 
-    open: Token
-    close: Token
-    lines: list[Line]
+    open: ScannedToken
+    close: ScannedToken
+    lines: list[SourceLine]
     chooses: bool
 
 
 @dataclass(slots=True)
-class Line:
+class SourceLine:
     """One statement: its own tokens (braces included, their content not), and its groups in text order."""
 
-    tokens: list[Token] = field(default_factory=list)
-    groups: list[Group] = field(default_factory=list)
+    tokens: list[ScannedToken] = field(default_factory=list)
+    groups: list[BraceGroup] = field(default_factory=list)
 
     @property
     def start(self) -> int:
@@ -88,7 +88,7 @@ class MappedText:
         return cut
 
 
-def map_text(scan: Scan, line: Line) -> MappedText:
+def map_text(scan: TokenScan, line: SourceLine) -> MappedText:
     """The text of a line with nothing between its braces."""
     opens = {group.open.start for group in line.groups}
     parts: list[tuple[str, int, int]] = []
@@ -111,16 +111,18 @@ def map_text(scan: Scan, line: Line) -> MappedText:
     return MappedText(scan.source, parts)
 
 
-def _move_brace_up(scan: Scan, above: int, brace: Token) -> Fix | None:
+def _move_brace_up(scan: TokenScan, above: int, brace: ScannedToken) -> Fix | None:
     """Return the fix that moves the brace to the end of the line above, or None if a comment is between them."""
     between = scan.source.text[above : brace.start]
     return None if between.strip() else Fix(Span(scan.source, above, brace.end), " {")
 
 
-def cut_lines(scan: Scan, tokens: list[Token]) -> list[Line]:
+def cut_lines(scan: TokenScan, tokens: list[ScannedToken]) -> list[SourceLine]:
     """The lines of the whole text. Braces must be paired."""
-    top: list[Line] = [Line()]
-    stack: list[tuple[list[Line], Token, bool]] = []  # what is around: its lines, the brace, whether `choose` came before
+    top: list[SourceLine] = [SourceLine()]
+    stack: list[
+        tuple[list[SourceLine], ScannedToken, bool]
+    ] = []  # what is around: its lines, the brace, whether `choose` came before
     lines = top
     for token in tokens:
         sign = token_text(scan, token) if token.kind in ("open", "close") else ""
@@ -139,15 +141,15 @@ def cut_lines(scan: Scan, tokens: list[Token]) -> list[Line]:
             chooses = bool(line.tokens) and token_text(scan, line.tokens[-1]) == "choose"
             line.tokens.append(token)
             stack.append((lines, token, chooses))
-            lines = [Line()]
+            lines = [SourceLine()]
         elif sign == "}":
             inner = [each for each in lines if each.tokens]
             lines, opening, chooses = stack.pop()
             lines[-1].tokens.append(token)
-            lines[-1].groups.append(Group(opening, token, inner, chooses))
+            lines[-1].groups.append(BraceGroup(opening, token, inner, chooses))
         elif token.kind == "end":
             if line.tokens:
-                lines.append(Line())
+                lines.append(SourceLine())
         else:
             if token.kind == "word" and line.groups and line.tokens[-1] is line.groups[-1].close:
                 word = token_text(scan, token)
@@ -158,7 +160,7 @@ def cut_lines(scan: Scan, tokens: list[Token]) -> list[Line]:
                     token.end,
                     "begin a new line, or write `;`",
                 )
-                lines.append(Line())
+                lines.append(SourceLine())
                 line = lines[-1]
             line.tokens.append(token)
     return [line for line in top if line.tokens]

@@ -7,44 +7,44 @@ from dataclasses import dataclass, replace
 
 from antdsl import limits
 from antdsl.syntax.mistakes.continued_lines import join_lines
-from antdsl.syntax.scan import Scan, Token
-from antdsl.syntax.words import BLOCK_WORDS, LINE_WORDS
+from antdsl.syntax.scan import ScannedToken, TokenScan
+from antdsl.syntax.words import BLOCK_WORDS, LINE_WORDS_BY_RULE
 
-_CLOSING = {"(": ")", "[": "]", "{": "}"}
-_LOOKED_AHEAD = 200  # tokens; a line is seldom longer
-_SEARCHED = 100  # after so many complaints, lost braces are no longer looked for: each search walks over the text
-_LINE_WORDS = frozenset(word for words in LINE_WORDS.values() for word in words)
-_JOINING = frozenset(("and", "or", "is", "in", "to", "then", "else"))  # words that go on with a value after a name
+_CLOSING_SIGN = {"(": ")", "[": "]", "{": "}"}
+_MAX_LOOK_AHEAD_TOKENS = 200  # tokens; a line is seldom longer
+_MAX_BRACE_REPAIRS = 100  # after so many complaints, lost braces are no longer looked for: each search walks over the text
+_LINE_WORDS = frozenset(word for words in LINE_WORDS_BY_RULE.values() for word in words)
+_JOINING_WORDS = frozenset(("and", "or", "is", "in", "to", "then", "else"))  # words that go on with a value after a name
 
 
-def pair_brackets(scan: Scan) -> list[Token] | None:
+def pair_brackets(scan: TokenScan) -> list[ScannedToken] | None:
     """Return the tokens with paired brackets; None if they are nested too deeply."""
     depth = 0
     for token in scan.tokens:
         depth += (token.kind == "open") - (token.kind == "close" and depth > 0)
-        if depth > limits.NESTING:
-            message = f"brackets nested more than {limits.NESTING} deep"
+        if depth > limits.MAX_BRACKET_DEPTH:
+            message = f"brackets nested more than {limits.MAX_BRACKET_DEPTH} deep"
             scan.error("nesting-too-deep", message, token.start, token.end, "give inner parts a name with `let`")
             return None
     scan.tokens = join_lines(scan)
-    return _Braces(scan, _Parentheses(scan).run()).run()
+    return _BracePairer(scan, _ParenthesisPairer(scan).run()).run()
 
 
-def token_text(scan: Scan, token: Token) -> str:
+def token_text(scan: TokenScan, token: ScannedToken) -> str:
     return token.virtual or "".join(scan.clean[token.start : token.end])
 
 
-class _Parentheses:
+class _ParenthesisPairer:
     """Pairs `( )` and `[ ]`. A brace or a `;` closes all open ones, because neither is allowed inside parentheses."""
 
-    def __init__(self, scan: Scan) -> None:
+    def __init__(self, scan: TokenScan) -> None:
         self.scan = scan
-        self.out: list[Token] = []
+        self.out: list[ScannedToken] = []
         self.origin: list[int] = []  # for each token of `out`, its number among the scan's tokens
         self.open: list[int] = []  # places in `out` of what is open
         self.indents = _line_indents(scan.tokens)
 
-    def run(self) -> list[Token]:
+    def run(self) -> list[ScannedToken]:
         tokens, index = self.scan.tokens, 0
         while index <= len(tokens):
             token = tokens[index] if index < len(tokens) else None
@@ -66,9 +66,9 @@ class _Parentheses:
         tokens = self.scan.tokens
         if tokens[index].indent < 0 or text not in _LINE_WORDS or index + 1 == len(tokens):
             return False
-        return tokens[index + 1].kind == "word" and token_text(self.scan, tokens[index + 1]) not in _JOINING
+        return tokens[index + 1].kind == "word" and token_text(self.scan, tokens[index + 1]) not in _JOINING_WORDS
 
-    def step(self, index: int, token: Token, text: str) -> None:
+    def step(self, index: int, token: ScannedToken, text: str) -> None:
         tokens = self.scan.tokens
         if text in ("(", "[") and not self.open and self.opens_block(index):
             first = token_text(self.scan, tokens[self.line_start(index)])
@@ -114,9 +114,9 @@ class _Parentheses:
             return False  # the name of an argument, whatever word it is
         return token_text(self.scan, below) in _LINE_WORDS
 
-    def close_bracket(self, index: int, token: Token, text: str) -> bool:
+    def close_bracket(self, index: int, token: ScannedToken, text: str) -> bool:
         """Pair a closing bracket with an open one of its kind. Brackets opened after that one are never closed."""
-        expected_signs = [_CLOSING[token_text(self.scan, self.out[place])] for place in self.open]
+        expected_signs = [_CLOSING_SIGN[token_text(self.scan, self.out[place])] for place in self.open]
         if text not in expected_signs:
             if self.is_closed_later(index, expected_signs[-1]):
                 self.scan.error(
@@ -135,7 +135,7 @@ class _Parentheses:
                 sign = token_text(self.scan, inner)
                 at = self.out[-1].end
                 _report_unclosed(self.scan, inner, sign, at)
-                self.out.append(Token("close", at, at, -1, _CLOSING[sign]))
+                self.out.append(ScannedToken("close", at, at, -1, _CLOSING_SIGN[sign]))
                 self.origin.append(index)
         self.open.pop()
         return True
@@ -143,13 +143,13 @@ class _Parentheses:
     def is_closed_later(self, index: int, expected_sign: str) -> bool:
         """Return whether the closing bracket of the open one follows in the same line."""
         depth = 0
-        for token in self.scan.tokens[index + 1 : index + 1 + _LOOKED_AHEAD]:
+        for token in self.scan.tokens[index + 1 : index + 1 + _MAX_LOOK_AHEAD_TOKENS]:
             text = token_text(self.scan, token) if token.kind in ("open", "close") else ""
             if token.kind == "end" or text in ("{", "}"):
                 return False
             if depth == 0 and text == expected_sign:
                 return True
-            depth += (_CLOSING.get(text) == expected_sign) - (text == expected_sign)
+            depth += (_CLOSING_SIGN.get(text) == expected_sign) - (text == expected_sign)
         return False
 
     def close_forgotten(self, index: int) -> int:
@@ -174,7 +174,10 @@ class _Parentheses:
         at = self.out[cut - 1].end
         _report_unclosed(self.scan, last, text, at)
         go_on = self.origin[cut] if cut < len(self.out) else index
-        closing = [Token("close", at, at, -1, _CLOSING[token_text(self.scan, self.out[place])]) for place in reversed(self.open)]
+        closing = [
+            ScannedToken("close", at, at, -1, _CLOSING_SIGN[token_text(self.scan, self.out[place])])
+            for place in reversed(self.open)
+        ]
         del self.out[cut:], self.origin[cut:]
         self.out.extend(closing)
         self.origin.extend([go_on] * len(closing))
@@ -186,26 +189,26 @@ class _Parentheses:
 class _OpenBrace:
     """An open brace: its token, its index in the output, and the indents of its line and its contents."""
 
-    token: Token
+    token: ScannedToken
     indent: int
     line: int
     inner: int | None = None  # of its first line; -1 when something follows the brace on its own line
 
 
-class _Braces:
+class _BracePairer:
     """Pairs `{ }`. If their numbers differ, the indents of the lines decide which one is missing."""
 
-    def __init__(self, scan: Scan, tokens: list[Token]) -> None:
+    def __init__(self, scan: TokenScan, tokens: list[ScannedToken]) -> None:
         self.scan = scan
         self.tokens = tokens
         self.indents = _line_indents(tokens)
-        self.out: list[Token] = []
+        self.out: list[ScannedToken] = []
         self.stack: list[_OpenBrace] = []
         self.line = 0
         self.set_in = any(token.indent > 0 and token.kind != "end" for token in tokens)  # whether this author sets blocks in
         self.surplus = 0  # how many more are closed than opened
 
-    def run(self) -> list[Token]:
+    def run(self) -> list[ScannedToken]:
         signs = [token_text(self.scan, token) for token in self.tokens if token.kind in ("open", "close")]
         depth = lowest = 0
         for sign in signs:
@@ -219,10 +222,10 @@ class _Braces:
         if self.stack:
             end = self.tokens[-1].end
             _report_unclosed(self.scan, self.stack[-1].token, "{", end)
-            self.out.extend(Token("close", end, end, -1, "}") for _ in self.stack)
+            self.out.extend(ScannedToken("close", end, end, -1, "}") for _ in self.stack)
         return self.out
 
-    def step(self, token: Token, indent: int) -> None:
+    def step(self, token: ScannedToken, indent: int) -> None:
         sign = token_text(self.scan, token) if token.kind in ("open", "close") else ""
         self.line += token.kind == "end" and self.scan.source.text[token.start] == "\n"
         if token.kind != "end" and sign != "}":
@@ -235,7 +238,7 @@ class _Braces:
             return
         self.out.append(token)
 
-    def dedent(self, token: Token) -> None:
+    def dedent(self, token: ScannedToken) -> None:
         """End the block at a line that is not indented more than the line with the opening brace, if the block was indented."""
         while self.stack and token.indent >= 0:
             top = self.stack[-1]
@@ -244,7 +247,7 @@ class _Braces:
                 return
             self.close_before_line()
 
-    def close_brace(self, token: Token, indent: int) -> bool:
+    def close_brace(self, token: ScannedToken, indent: int) -> bool:
         """Return whether a `}` pairs with an open brace; if not, report it and leave it out."""
         if token.indent >= 0:
             if any(entry.indent == token.indent for entry in self.stack) and not (self.stack[-1].indent < token.indent):
@@ -263,17 +266,17 @@ class _Braces:
         self.stack.pop()
         return True
 
-    def drop_brace(self, token: Token) -> bool:
+    def drop_brace(self, token: ScannedToken) -> bool:
         self.scan.error(
             "unopened-brace", "`}` without a `{`", token.start, token.end, "delete it, or write the `{` that it closes", ""
         )
         self.scan.blank_out(token.start, token.end)
         return False
 
-    def repair_opening(self, token: Token) -> bool:
+    def repair_opening(self, token: ScannedToken) -> bool:
         """Insert a missing `{`: find the line that begins a block with the same indent as the `}`. Returns whether there is
         one."""
-        nothing_left = -1 if len(self.scan.report.diagnostics) < _SEARCHED else len(self.out)
+        nothing_left = -1 if len(self.scan.report.diagnostics) < _MAX_BRACE_REPAIRS else len(self.out)
         for place in range(len(self.out) - 1, nothing_left, -1):
             candidate = self.out[place]
             if candidate.kind == "end" or candidate.indent < 0 or candidate.indent > token.indent:
@@ -287,7 +290,7 @@ class _Braces:
             word = token_text(self.scan, candidate)
             help = "write `{` at the end of this line"
             self.scan.error("missing-brace", f"`{word}` without a `{{`", candidate.start, last.end, help, " {", last.end)
-            self.out.insert(stop, Token("open", last.end, last.end, -1, "{"))
+            self.out.insert(stop, ScannedToken("open", last.end, last.end, -1, "{"))
             return True
         return self.drop_brace(token)
 
@@ -299,17 +302,17 @@ class _Braces:
             place -= 1
         at = self.out[place - 1].end
         _report_unclosed(self.scan, entry.token, "{", at)
-        self.out.insert(place, Token("close", at, at, -1, "}"))
+        self.out.insert(place, ScannedToken("close", at, at, -1, "}"))
 
 
-def _report_unclosed(scan: Scan, token: Token, sign: str, at: int) -> None:
+def _report_unclosed(scan: TokenScan, token: ScannedToken, sign: str, at: int) -> None:
     """Report a bracket that stays open and is assumed to end at `at`."""
-    code, closing = ("unclosed-brace" if sign == "{" else "unclosed-bracket"), _CLOSING[sign]
+    code, closing = ("unclosed-brace" if sign == "{" else "unclosed-bracket"), _CLOSING_SIGN[sign]
     fix = closing if sign != "{" else f" {closing}"
     scan.error(code, f"`{sign}` is never closed", token.start, token.end, f"write the missing `{closing}`", fix, at)
 
 
-def _line_indents(tokens: list[Token]) -> list[int]:
+def _line_indents(tokens: list[ScannedToken]) -> list[int]:
     """Return for each token the indent of its line."""
     indents, indent = [], 0
     for token in tokens:

@@ -10,7 +10,7 @@ from typing import Any, Protocol, overload
 
 from antdsl.source import Span
 from antdsl.syntax import nodes as n
-from antdsl.syntax.words import QUANTITY
+from antdsl.syntax.words import QUANTITY_PATTERN
 
 
 class Token(Protocol):
@@ -22,14 +22,14 @@ class Token(Protocol):
     end_pos: int
 
 
-class Place(Protocol):
+class SpanMaker(Protocol):
     """The location of the parsed text in the source."""
 
     def span(self, start: int, end: int) -> Span: ...
 
 
 @dataclass(frozen=True, slots=True)
-class Body:
+class BracedBody:
     """The lines between two braces."""
 
     lines: tuple[Any, ...]
@@ -37,13 +37,13 @@ class Body:
 
 
 @dataclass(frozen=True, slots=True)
-class Header:
+class FileHeader:
     edition: n.Number
     span: Span
 
 
 @dataclass(frozen=True, slots=True)
-class Result:
+class ResultLine:
     """The last line of a behaviour."""
 
     value: n.Expr
@@ -51,7 +51,7 @@ class Result:
 
 
 @dataclass(frozen=True, slots=True)
-class Block:
+class ActionBlock:
     """`enter { … }` or `exit { … }` in a state."""
 
     word: str
@@ -63,7 +63,7 @@ class Builder:
     """Stores the location of the line being parsed (`place`) and the bodies inside it (`bodies`, by the offset of the `{`)."""
 
     def __init__(self) -> None:
-        self.place: Place
+        self.place: SpanMaker
         self.bodies: dict[int, tuple[Any, ...]] = {}
 
     # --- places and leaves ---
@@ -92,17 +92,17 @@ class Builder:
     def text(self, token: Token | None) -> n.Text | None:
         return None if token is None else n.Text(token.value[1:-1], self.at(token))
 
-    def body(self, parts: list[Any]) -> Body:
+    def body(self, parts: list[Any]) -> BracedBody:
         lines = tuple(parts[1:-1]) or self.bodies.get(self.at(parts[0]).start, ())
-        return Body(lines, self.over(parts))
+        return BracedBody(lines, self.over(parts))
 
     def names(self, parts: list[Any]) -> tuple[n.Name, ...]:
         return tuple(n.Name(str(token.value), self.at(token)) for token in parts)
 
     # --- the top of a file ---
 
-    def header(self, parts: list[Any]) -> Header:
-        return Header(self.number([parts[1]]), self.over(parts))
+    def header(self, parts: list[Any]) -> FileHeader:
+        return FileHeader(self.number([parts[1]]), self.over(parts))
 
     def use_library(self, parts: list[Any]) -> n.Use:
         return n.Use(self.word(parts[1]), None, None, self.over(parts))
@@ -133,7 +133,7 @@ class Builder:
         _, name, _, arguments, _, _, returns, body = parts
         span = self.over(parts)
         helps = [line for line in body.lines if isinstance(line, n.Text)]
-        results = [line.value for line in body.lines if isinstance(line, Result)]
+        results = [line.value for line in body.lines if isinstance(line, ResultLine)]
         lines = tuple(line for line in body.lines if isinstance(line, (n.Keep, n.Let)))
         result = results[0] if len(results) == 1 else n.BadExpr(Span(span.source, max(span.start, span.end - 1), span.end))
         return n.Behaviour(self.word(name), arguments or (), returns, helps[0] if helps else None, lines, result, span)
@@ -212,15 +212,15 @@ class Builder:
 
     def state(self, parts: list[Any]) -> n.State:
         _, name, label, colour, at_least, body = parts
-        blocks = [line for line in body.lines if isinstance(line, Block)]
-        lines = tuple(line for line in body.lines if not isinstance(line, Block))
+        blocks = [line for line in body.lines if isinstance(line, ActionBlock)]
+        lines = tuple(line for line in body.lines if not isinstance(line, ActionBlock))
         enter = tuple(action for block in blocks if block.word == "enter" for action in block.actions)
         exit = tuple(action for block in blocks if block.word == "exit" for action in block.actions)
         least = at_least.value if at_least else None
         return n.State(self.word(name), self.text(label), self.word(colour), least, lines, enter, exit, self.over(parts))
 
-    def at_least(self, parts: list[Any]) -> Result:
-        return Result(parts[2], self.over(parts))
+    def at_least(self, parts: list[Any]) -> ResultLine:
+        return ResultLine(parts[2], self.over(parts))
 
     # --- lines of a state ---
 
@@ -230,8 +230,8 @@ class Builder:
     def face(self, parts: list[Any]) -> n.Face:
         return n.Face(parts[1], self.over(parts))
 
-    def enter(self, parts: list[Any]) -> Block:
-        return Block(str(parts[0].value), parts[1].lines, self.over(parts))
+    def enter(self, parts: list[Any]) -> ActionBlock:
+        return ActionBlock(str(parts[0].value), parts[1].lines, self.over(parts))
 
     exit = enter
 
@@ -293,8 +293,8 @@ class Builder:
         _, name, type, _, first, then = parts
         return n.Keep(self.word(name), type, first, then, self.over(parts))
 
-    def result(self, parts: list[Any]) -> Result:
-        return Result(parts[0], self.over(parts))
+    def result(self, parts: list[Any]) -> ResultLine:
+        return ResultLine(parts[0], self.over(parts))
 
     def spec_for(self, parts: list[Any]) -> n.SpecLine:
         return self._make_claim("for", parts[1], parts[2], parts)
@@ -308,7 +308,7 @@ class Builder:
         return n.SpecLine("set", parts[1], None, parts[3], (), self.over(parts))
 
     def spec_against(self, parts: list[Any]) -> n.SpecLine:
-        body = parts[-1] if isinstance(parts[-1], Body) else None
+        body = parts[-1] if isinstance(parts[-1], BracedBody) else None
         scene = None if parts[1] is body else self.text(parts[1])
         return n.SpecLine("against", scene, None, None, body.lines if body else (), self.over(parts))
 
@@ -355,7 +355,7 @@ class Builder:
 
     def quantity(self, parts: list[Any]) -> n.Quantity:
         token: Token = parts[0]
-        written = QUANTITY.match(token.value)
+        written = QUANTITY_PATTERN.match(token.value)
         assert written is not None
         digits, unit = written[1], written[2] or ""
         unit_span = self.place.span(token.end_pos - len(unit), token.end_pos)

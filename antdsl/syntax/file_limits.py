@@ -9,37 +9,37 @@ from typing import Any
 
 from antdsl import limits
 from antdsl.source import Source, Span
-from antdsl.syntax.blocks import Line
+from antdsl.syntax.blocks import SourceLine
 from antdsl.syntax.brackets import token_text
-from antdsl.syntax.scan import Scan, Token
+from antdsl.syntax.scan import ScannedToken, TokenScan
 
-Sizes = tuple[int, int, int]
-NOTHING: Sizes = (0, 0, 0)
+FileSizes = tuple[int, int, int]
+NO_SIZES: FileSizes = (0, 0, 0)
 
 
-def count_sizes(scanned: Scan, lines: list[Line]) -> Sizes:
+def count_sizes(scanned: TokenScan, lines: list[SourceLine]) -> FileSizes:
     """Return the number of words, statements and species of a text."""
     return len(scanned.tokens), sum(1 for _ in _all_lines(lines)), len(_species_words(scanned, lines))
 
 
-def add_sizes(one: Sizes, other: Sizes) -> Sizes:
+def add_sizes(one: FileSizes, other: FileSizes) -> FileSizes:
     """Return the sums of the sizes of two parts of a file."""
     return one[0] + other[0], one[1] + other[1], one[2] + other[2]
 
 
-def is_within(sizes: Sizes) -> bool:
+def is_within(sizes: FileSizes) -> bool:
     """Return whether the sizes are within the limits of one file."""
     words, statements, species = sizes
-    return words <= limits.TOKENS and statements <= limits.STATEMENTS and species <= limits.SPECIES
+    return words <= limits.MAX_FILE_TOKENS and statements <= limits.MAX_FILE_STATEMENTS and species <= limits.MAX_FILE_SPECIES
 
 
-def report_too_many(scanned: Scan, lines: list[Line]) -> bool:
+def report_too_many(scanned: TokenScan, lines: list[SourceLine]) -> bool:
     """Report a text with more words, statements or species than allowed, and return whether it has. They are counted before
     parsing and checking, which cost more."""
     species = _species_words(scanned, lines)
     statements = [line.tokens[0] for line in _all_lines(lines)]
-    counts = ((species, limits.SPECIES, "species"), (statements, limits.STATEMENTS, "statements"))
-    for entries, most, what in (*counts, (scanned.tokens, limits.TOKENS, "words, numbers and signs")):
+    counts = ((species, limits.MAX_FILE_SPECIES, "species"), (statements, limits.MAX_FILE_STATEMENTS, "statements"))
+    for entries, most, what in (*counts, (scanned.tokens, limits.MAX_FILE_TOKENS, "words, numbers and signs")):
         if len(entries) > most:
             words = f"{len(entries):,} {what} in one file, at most {most:,} are allowed"
             help = "move some of them to another file, and write `use NAME`"
@@ -48,12 +48,12 @@ def report_too_many(scanned: Scan, lines: list[Line]) -> bool:
     return False
 
 
-def _species_words(scanned: Scan, lines: list[Line]) -> list[Token]:
+def _species_words(scanned: TokenScan, lines: list[SourceLine]) -> list[ScannedToken]:
     """Return the first word of each species."""
     return [line.tokens[0] for line in lines if token_text(scanned, line.tokens[0]) == "species"]
 
 
-def _all_lines(lines: list[Line]) -> Iterator[Line]:
+def _all_lines(lines: list[SourceLine]) -> Iterator[SourceLine]:
     """Yield lines and all lines within their braces, in the order of the text."""
     for line in lines:
         yield line
@@ -69,7 +69,7 @@ def find_too_deep(node: Any) -> Iterator[Span]:
         if isinstance(part, tuple):
             stack.extend((each, depth) for each in part)
         elif is_dataclass(part) and not isinstance(part, (Span, Source, type)):
-            if depth > limits.EXPRESSION_DEPTH:
+            if depth > limits.MAX_EXPRESSION_DEPTH:
                 yield getattr(part, "span")  # noqa: B009 - every node has one
                 return
             stack.extend((getattr(part, each.name), depth + 1) for each in fields(part))

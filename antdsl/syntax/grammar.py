@@ -8,25 +8,25 @@ import re
 from typing import TYPE_CHECKING, Any
 
 from antdsl import resources
-from antdsl.syntax.tables import GRAMMAR_FILE, STARTS, TABLES_FILE, grammar_hash
-from antdsl.syntax.verbs import SHAPES, VERBS
+from antdsl.syntax.tables import GRAMMAR_FILE, START_RULES, TABLES_FILE, grammar_hash
+from antdsl.syntax.verbs import SHAPE_PATTERNS, VERB_BY_WORD
 
 if TYPE_CHECKING:
     from lark import Lark
 
-_VERBS = re.compile(r"(?<=\n)ask: .*?(?=// --- end of the verbs)", re.S)
+_VERB_RULES_PATTERN = re.compile(r"(?<=\n)ask: .*?(?=// --- end of the verbs)", re.S)
 
 
 def grammar_text() -> str:
     """Return the grammar with a form and a terminal for each verb of the table."""
-    rows = [row for row in VERBS.values() if row.shape != "own"]
-    forms = "\n    | ".join(f"{row.word.upper()} {SHAPES[row.shape]}".rstrip() for row in rows)
+    rows = [row for row in VERB_BY_WORD.values() if row.shape != "own"]
+    forms = "\n    | ".join(f"{row.word.upper()} {SHAPE_PATTERNS[row.shape]}".rstrip() for row in rows)
     terminals = "\n".join(f"{row.word.upper()}.1: /{row.word}(?![a-z_0-9])/" for row in rows)
     text = resources.grammar_file(GRAMMAR_FILE).read_text(encoding="utf-8")
-    return _VERBS.sub(lambda _: f"ask: {forms}\n{terminals}\n", text)
+    return _VERB_RULES_PATTERN.sub(lambda _: f"ask: {forms}\n{terminals}\n", text)
 
 
-def build_parser(starts: tuple[str, ...] = STARTS, transformer: object | None = None) -> Lark:
+def build_parser(starts: tuple[str, ...] = START_RULES, transformer: object | None = None) -> Lark:
     """Build a parser directly from the grammar; every conflict is an error. Takes half a second and needs `interegular`."""
     from lark import Lark
 
@@ -55,7 +55,7 @@ def number_tokens(table: dict[str, Any]) -> dict[str, Any]:
         old: sorted(((token[key], *action) for key, action in actions.items()), key=lambda each: each[0])
         for old, actions in table["states"].items()
     }
-    order = list(dict.fromkeys(table["start_states"][start] for start in STARTS))
+    order = list(dict.fromkeys(table["start_states"][start] for start in START_RULES))
     known = set(order)
     for state in order:  # it grows on the way
         for _, reduces, to in states[state]:
@@ -68,8 +68,8 @@ def number_tokens(table: dict[str, Any]) -> dict[str, Any]:
         "states": {
             number[old]: {key: [reduces, to if reduces else number[to]] for key, reduces, to in states[old]} for old in order
         },
-        "start_states": {start: number[table["start_states"][start]] for start in STARTS},
-        "end_states": {start: number[table["end_states"][start]] for start in STARTS},
+        "start_states": {start: number[table["start_states"][start]] for start in START_RULES},
+        "end_states": {start: number[table["end_states"][start]] for start in START_RULES},
     }
 
 

@@ -17,10 +17,10 @@ from antdsl.diagnostics.model import Fix, Report
 from antdsl.diagnostics.suggestion import nearest_name
 from antdsl.source import Source, Span
 from antdsl.syntax import nodes as n
-from antdsl.syntax.blocks import Group, Line, MappedText, cut_lines, map_text
+from antdsl.syntax.blocks import BraceGroup, MappedText, SourceLine, cut_lines, map_text
 from antdsl.syntax.brackets import pair_brackets, token_text
-from antdsl.syntax.builder import Builder, Header, Result
-from antdsl.syntax.file_limits import NOTHING, Sizes, count_sizes, find_too_deep, is_within, report_too_many
+from antdsl.syntax.builder import Builder, FileHeader, ResultLine
+from antdsl.syntax.file_limits import NO_SIZES, FileSizes, count_sizes, find_too_deep, is_within, report_too_many
 from antdsl.syntax.mistakes.unexpected_tokens import (
     UnexpectedToken,
     begins_line,
@@ -31,19 +31,19 @@ from antdsl.syntax.mistakes.unexpected_tokens import (
     misplaced_diagnostic,
     plain_diagnostic,
 )
-from antdsl.syntax.scan import UNREADABLE, Scan, scan
+from antdsl.syntax.scan import UNREADABLE_CHARACTER, TokenScan, scan
 from antdsl.syntax.tables import load_parser
-from antdsl.syntax.words import BELONGS, BODIES, LINE_WORDS
+from antdsl.syntax.words import BODY_RULE_BY_LINE, LINE_CONTEXT_BY_WORD, LINE_WORDS_BY_RULE
 
 if TYPE_CHECKING:
     from lark import Lark
 
-EDITIONS = (1,)
-_MENDED = 100  # after so many complaints in a file, broken lines are dropped instead of mended
-_lock = Lock()  # the builder holds the place of the line that is being parsed
+SUPPORTED_EDITIONS = (1,)
+_MAX_REPAIRED_LINES = 100  # after so many complaints in a file, broken lines are dropped instead of mended
+_builder_lock = Lock()  # the builder holds the place of the line that is being parsed
 
 # Complaints after which a line does not say for certain what was meant; after others it was put right, or plainly cut out.
-_DOUBTFUL = frozenset(
+_UNCERTAIN_CODES = frozenset(
     (
         "missing-brace",
         "missing-line-end",
@@ -58,7 +58,7 @@ _DOUBTFUL = frozenset(
 )
 
 # Words and signs that part a line into slots, one of which is left out when it cannot be read.
-_SEPARATORS = frozenset(
+_SLOT_SEPARATORS = frozenset(
     (
         "when",
         "held",
@@ -109,8 +109,8 @@ def parse(source: Source) -> tuple[n.File, Report]:
     scanned.faults.sort()
     if report_too_many(scanned, lines):
         return n.File(source, None, None, (), tuple(scanned.comments), broken=True), report
-    with _lock:
-        return _Parsing(scanned).file(lines), report
+    with _builder_lock:
+        return _FileParser(scanned).file(lines), report
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -125,7 +125,7 @@ class ParsedPart:
     recovered: tuple[Span, ...]
     edition: n.Number | None = None
     help: n.Text | None = None
-    sizes: Sizes = NOTHING
+    sizes: FileSizes = NO_SIZES
 
 
 def parse_part(source: Source, rule: str, *, begins: bool = False) -> ParsedPart:
@@ -143,8 +143,8 @@ def parse_part(source: Source, rule: str, *, begins: bool = False) -> ParsedPart
     sizes = count_sizes(scanned, lines)
     if not is_within(sizes):
         return ParsedPart(source, (), report, tuple(scanned.comments), (), sizes=sizes)
-    with _lock:
-        reading = _Parsing(scanned)
+    with _builder_lock:
+        reading = _FileParser(scanned)
         edition, help, lines = reading.parse_beginning(lines) if begins else (None, None, lines)
         nodes = reading.lines(lines, rule)
         return ParsedPart(source, nodes, report, tuple(scanned.comments), reading.recovered_spans(), edition, help, sizes)
@@ -158,10 +158,10 @@ def _other_language(text: str) -> str | None:
     return "YAML" if re.match(r"(---|%YAML|[A-Za-z_][A-Za-z_0-9]*:)([ \t\r\n]|$)", first) else None
 
 
-class _Parsing:
+class _FileParser:
     """One text that is being parsed."""
 
-    def __init__(self, scanned: Scan) -> None:
+    def __init__(self, scanned: TokenScan) -> None:
         self.scan = scanned
         self.source = scanned.source
         self.report = scanned.report
@@ -170,7 +170,7 @@ class _Parsing:
 
     # --- the file ---
 
-    def file(self, lines: list[Line]) -> n.File:
+    def file(self, lines: list[SourceLine]) -> n.File:
         edition, help, lines = self.parse_beginning(lines)
         items = self.lines(lines, "top")
         if not items and self.report.ok:
@@ -179,7 +179,7 @@ class _Parsing:
         comments, broken = tuple(self.scan.comments), not self.report.ok
         return n.File(self.source, edition, help, items, comments, self.recovered_spans(), broken)
 
-    def parse_beginning(self, lines: list[Line]) -> tuple[n.Number | None, n.Text | None, list[Line]]:
+    def parse_beginning(self, lines: list[SourceLine]) -> tuple[n.Number | None, n.Text | None, list[SourceLine]]:
         """Return the edition and the help of a file, and the lines that follow."""
         edition, lines = self.parse_header(lines)
         help: n.Text | None = None
@@ -189,9 +189,9 @@ class _Parsing:
         return edition, help, lines
 
     def recovered_spans(self) -> tuple[Span, ...]:
-        return tuple(d.span for d in self.report.diagnostics if d.code in _DOUBTFUL and d.span is not None)
+        return tuple(d.span for d in self.report.diagnostics if d.code in _UNCERTAIN_CODES and d.span is not None)
 
-    def parse_header(self, lines: list[Line]) -> tuple[n.Number | None, list[Line]]:
+    def parse_header(self, lines: list[SourceLine]) -> tuple[n.Number | None, list[SourceLine]]:
         """Return the edition and the lines that follow. Without one, use the current edition and add a warning."""
         if lines and [token.kind for token in lines[0].tokens] == ["number"]:
             span = Span(self.source, lines[0].start, lines[0].end)
@@ -207,8 +207,8 @@ class _Parsing:
             return None, lines
         nodes = self.line(lines[0], "header")
         for node in nodes:
-            if isinstance(node, Header):
-                if node.edition.value not in EDITIONS:
+            if isinstance(node, FileHeader):
+                if node.edition.value not in SUPPORTED_EDITIONS:
                     message = f"edition `{node.edition.span.text}` is not known to this antdsl"
                     self.report.error("unknown-edition", message, node.edition.span, "write `ant 1`, or install a newer antdsl")
                 return node.edition, lines[1:]
@@ -216,17 +216,17 @@ class _Parsing:
 
     # --- lines ---
 
-    def lines(self, lines: list[Line], rule: str) -> tuple[Any, ...]:
+    def lines(self, lines: list[SourceLine], rule: str) -> tuple[Any, ...]:
         return tuple(node for line in lines for node in self.line(line, rule))
 
-    def line(self, line: Line, rule: str) -> list[Any]:
+    def line(self, line: SourceLine, rule: str) -> list[Any]:
         """Return the node of a line; none if it has no valid reading, two if a line end is missing."""
         first = token_text(self.scan, line.tokens[0])
-        if line.groups and first not in LINE_WORDS[rule] and not self.at_error_limit():
-            first = nearest_name(first, LINE_WORDS[rule]) or first
+        if line.groups and first not in LINE_WORDS_BY_RULE[rule] and not self.at_error_limit():
+            first = nearest_name(first, LINE_WORDS_BY_RULE[rule]) or first
         for group in line.groups:
             self.mute_block(group)
-            body = "weight" if group.chooses else BODIES.get((rule, first)) or BODIES.get((rule, "*"))
+            body = "weight" if group.chooses else BODY_RULE_BY_LINE.get((rule, first)) or BODY_RULE_BY_LINE.get((rule, "*"))
             self.builder.bodies[group.open.start] = self.lines(group.lines, body) if body else ()
         text = map_text(self.scan, line)
         from lark.exceptions import UnexpectedInput
@@ -241,7 +241,7 @@ class _Parsing:
                 insort(self.scan.faults, unexpected.span.start)
             return [] if at_error_limit else self.recover(line, text, rule, unexpected)
 
-    def mute_block(self, group: Group) -> None:
+    def mute_block(self, group: BraceGroup) -> None:
         """Suppress faults of a block with a missing `}`: its end is unknown, and its last line may hold words from outside it."""
         if group.close.virtual and group.lines:
             one_line = "\n" not in self.source.text[group.open.start : group.close.end]
@@ -250,13 +250,13 @@ class _Parsing:
 
     def at_error_limit(self) -> bool:
         """Return whether the number of errors has reached the limit, beyond which more errors do not help."""
-        return len(self.report.diagnostics) > _MENDED
+        return len(self.report.diagnostics) > _MAX_REPAIRED_LINES
 
     def try_parse(self, text: MappedText, rule: str) -> Any:
         self.builder.place = text
         return self.parser.parse(text.text, start=rule)
 
-    def has_diagnostic(self, line: Line, text: MappedText) -> bool:
+    def has_diagnostic(self, line: SourceLine, text: MappedText) -> bool:
         """Return whether an error about this line is already reported."""
         for _, offset, length in text.parts[:-1]:
             if self.scan.has_fault(offset, offset + length - 1):
@@ -265,23 +265,25 @@ class _Parsing:
         stop = self.source.text.find("\n", offset + length)
         return self.scan.has_fault(offset, len(self.source.text) if stop < 0 else stop)
 
-    def check_node(self, node: Any, line: Line) -> list[Any]:
+    def check_node(self, node: Any, line: SourceLine) -> list[Any]:
         """Check what the grammar leaves open: depth, the one result of a behaviour, a word that is not a property."""
-        if len(line.tokens) > limits.EXPRESSION_DEPTH:
+        if len(line.tokens) > limits.MAX_EXPRESSION_DEPTH:
             for span in find_too_deep(node):
-                message = f"expression more than {limits.EXPRESSION_DEPTH} operations deep"
+                message = f"expression more than {limits.MAX_EXPRESSION_DEPTH} operations deep"
                 self.report.error("expression-too-deep", message, span, "give parts of it a name with `let`")
                 return []
         if isinstance(node, n.Behaviour):
             self.check_results(node, line)
-        if isinstance(node, n.AnimalProperty) and node.name.text in BELONGS:  # `steer heading` reads like `size 4 mm`
+        if (
+            isinstance(node, n.AnimalProperty) and node.name.text in LINE_CONTEXT_BY_WORD
+        ):  # `steer heading` reads like `size 4 mm`
             self.report.add(misplaced_diagnostic(node.name.text, node.name.span))
             return []
         return [node]
 
-    def check_results(self, node: n.Behaviour, line: Line) -> None:
+    def check_results(self, node: n.Behaviour, line: SourceLine) -> None:
         lines = self.builder.bodies.get(line.groups[-1].open.start, ()) if line.groups else ()
-        results = [each for each in lines if isinstance(each, Result)]
+        results = [each for each in lines if isinstance(each, ResultLine)]
         if any(self.scan.has_fault(group.open.start, group.close.end) for group in line.groups):
             return  # a line that could not be read may have been the result, or been taken for it
         if not results:
@@ -293,7 +295,7 @@ class _Parsing:
 
     # --- lines that cannot be read ---
 
-    def make_unexpected(self, error: Any, line: Line, text: MappedText, rule: str, at_error_limit: bool) -> UnexpectedToken:
+    def make_unexpected(self, error: Any, line: SourceLine, text: MappedText, rule: str, at_error_limit: bool) -> UnexpectedToken:
         token = getattr(error, "token", None)
         ended = token is not None and token.type == "$END"
         position = len(text.text) if ended else error.pos_in_stream
@@ -322,7 +324,7 @@ class _Parsing:
             token_text(self.scan, previous_tokens[-2]) if len(previous_tokens) > 1 else "",
         )
 
-    def recover(self, line: Line, text: MappedText, rule: str, unexpected: UnexpectedToken) -> list[Any]:
+    def recover(self, line: SourceLine, text: MappedText, rule: str, unexpected: UnexpectedToken) -> list[Any]:
         """Return what can still be understood of a line with a reported error."""
         position = text.position(unexpected.span.start)
         if unexpected.token_text and begins_line(unexpected):
@@ -341,7 +343,7 @@ class _Parsing:
         return []
 
     def repair_candidates(
-        self, line: Line, text: MappedText, rule: str, unexpected: UnexpectedToken, position: int
+        self, line: SourceLine, text: MappedText, rule: str, unexpected: UnexpectedToken, position: int
     ) -> Iterator[MappedText]:
         better = better_first_word(unexpected)
         if better is not None:
@@ -357,7 +359,7 @@ class _Parsing:
         for left in lefts:
             for right in rights:
                 if left <= right and "{" not in text.text[left:right]:
-                    yield text.splice(left, right, f" {UNREADABLE} ")
+                    yield text.splice(left, right, f" {UNREADABLE_CHARACTER} ")
         for right in rights:
             if "{" not in text.text[clause:right]:
                 yield text.splice(clause, right, " ")
@@ -365,7 +367,7 @@ class _Parsing:
             yield text.splice(position, position + len(unexpected.token_text), "")
         yield from self.bare_blocks(line, text, rule)
 
-    def find_gap(self, line: Line, text: MappedText, position: int) -> tuple[list[int], list[int], int]:
+    def find_gap(self, line: SourceLine, text: MappedText, position: int) -> tuple[list[int], list[int], int]:
         """Return where the unreadable part may begin and end: next to the separators around it, and at the line's ends. The third
         value is where the previous separator begins, for leaving out the whole clause."""
         marks: list[tuple[int, int]] = []
@@ -373,7 +375,7 @@ class _Parsing:
         for token in line.tokens:
             sign = token_text(self.scan, token)
             depth -= sign in (")", "]")
-            if depth <= 0 and (sign in _SEPARATORS or token.kind == "text"):
+            if depth <= 0 and (sign in _SLOT_SEPARATORS or token.kind == "text"):
                 start = text.position(token.start)
                 marks.append((start, start + len(sign)))
             depth += sign in ("(", "[")
@@ -384,11 +386,11 @@ class _Parsing:
         clause = previous_marks[0][0] if previous_marks else position
         return [*lefts, *reversed(word_ends), 0], [*rights, len(text.text)], clause
 
-    def bare_blocks(self, line: Line, text: MappedText, rule: str) -> Iterator[MappedText]:
+    def bare_blocks(self, line: SourceLine, text: MappedText, rule: str) -> Iterator[MappedText]:
         """Yield a block with an unreadable first line, with only its word, its name and its braces."""
         words = [token for token in line.tokens if token.kind in ("word", "text")][:2]
         first = token_text(self.scan, line.tokens[0])
-        if not line.groups or BODIES.get((rule, first)) is None or len(words) < 2:
+        if not line.groups or BODY_RULE_BY_LINE.get((rule, first)) is None or len(words) < 2:
             return
         group = line.groups[-1]
         name = (token_text(self.scan, words[1]), words[1].start, words[1].end - words[1].start)

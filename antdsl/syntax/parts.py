@@ -9,23 +9,23 @@ from dataclasses import dataclass, field, replace
 from antdsl.diagnostics.model import Diagnostic, Fix, Label, Report
 from antdsl.source import Source, Span
 from antdsl.syntax import nodes as n
-from antdsl.syntax.file_limits import NOTHING, add_sizes, is_within
+from antdsl.syntax.file_limits import NO_SIZES, add_sizes, is_within
 from antdsl.syntax.parser import ParsedPart, parse, parse_part
-from antdsl.syntax.words import BLOCK_WORDS, LINE_WORDS
+from antdsl.syntax.words import BLOCK_WORDS, LINE_WORDS_BY_RULE
 
 # Brackets and line ends, with what may hide them. What has a name here, only reading the whole text can make sense of.
-_PIECE = re.compile(
+_PIECE_PATTERN = re.compile(
     r'"[^"\n]*"|#[^\n]*|(?P<odd>\n[ \t]*\{)|[{}()\[\]\n]'
     r'|(?P<strange>["\x00-\x08\x0b-\x1f\x7f-\U0010ffff]|//|/\*|<<<<<<<|>>>>>>>|```|~~~)'
 )
-_FIRST = re.compile(r"[ \t]*([a-z]+)(?![A-Za-z_0-9])")
-_BLOCKS = BLOCK_WORDS | {"on", "from"}
-_TOP = frozenset(LINE_WORDS["top"])
-_SPECIES = re.compile(r"species\b[^{}\n]*\{[ \t]*(?:#[^\n]*)?\n")
-_EDITION = re.compile(r"(?:[ \t]*(?:#[^\n]*)?\n)*[ \t]*ant\b")
+_FIRST_WORD_PATTERN = re.compile(r"[ \t]*([a-z]+)(?![A-Za-z_0-9])")
+_BLOCK_START_WORDS = BLOCK_WORDS | {"on", "from"}
+_TOP_LEVEL_WORDS = frozenset(LINE_WORDS_BY_RULE["top"])
+_SPECIES_PATTERN = re.compile(r"species\b[^{}\n]*\{[ \t]*(?:#[^\n]*)?\n")
+_EDITION_PATTERN = re.compile(r"(?:[ \t]*(?:#[^\n]*)?\n)*[ \t]*ant\b")
 # Said once of a name, wherever it stands in a file: where two blocks say so, the whole text has to be read.
-_SINGLE_CODES = frozenset(("bad-name", "look-alike", "odd-blank", "name-too-long", "line-too-long", "markdown-fence"))
-_MOST = 50  # complaints of parsing, after which less is said of further ones
+_ONCE_PER_FILE_CODES = frozenset(("bad-name", "look-alike", "odd-blank", "name-too-long", "line-too-long", "markdown-fence"))
+_MAX_DIAGNOSTICS = 50  # complaints of parsing, after which less is said of further ones
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,7 +41,7 @@ def cut_blocks(text: str) -> list[TextBlock] | None:
     """Return the blocks of a text in order: those at the top of the file; for a species, its first line and its members. None if
     the brackets are not paired, or something else requires the whole text."""
     tops, members = _find_bounds(text)
-    if not tops or not _EDITION.match(text, 0, tops[0]):
+    if not tops or not _EDITION_PATTERN.match(text, 0, tops[0]):
         return None
     cut_list: list[TextBlock] = [TextBlock("begins", 0, tops[0])]
     for start, end in zip(tops, [*tops[1:], len(text)], strict=True):
@@ -54,17 +54,17 @@ def cut_blocks(text: str) -> list[TextBlock] | None:
 def _find_bounds(text: str) -> tuple[list[int] | None, dict[int, tuple[list[int], int]]]:
     """Return where blocks begin at the top of the file. Also return, by the offset of each opening brace there, where its own
     lines begin and where it closes."""
-    tops: list[int] = [0] if _first_word(text, 0) in _TOP else []
+    tops: list[int] = [0] if _first_word(text, 0) in _TOP_LEVEL_WORDS else []
     members: dict[int, tuple[list[int], int]] = {}
     stack: list[str] = []
     opened, lines = 0, []  # type: tuple[int, list[int]]
-    for match in _PIECE.finditer(text):
+    for match in _PIECE_PATTERN.finditer(text):
         if match.lastgroup:
             return None, {}
         sign = match.group()
         if sign == "\n":
             if not stack:
-                if _first_word(text, match.end()) in _TOP:
+                if _first_word(text, match.end()) in _TOP_LEVEL_WORDS:
                     tops.append(match.end())
             elif len(stack) == 1 and stack[0] == "{":
                 lines.append(match.end())
@@ -83,12 +83,12 @@ def _find_bounds(text: str) -> tuple[list[int] | None, dict[int, tuple[list[int]
 
 
 def _first_word(text: str, offset: int) -> str:
-    match = _FIRST.match(text, offset)
+    match = _FIRST_WORD_PATTERN.match(text, offset)
     return match.group(1) if match else ""
 
 
 def _cut_species(text: str, start: int, end: int, members: dict[int, tuple[list[int], int]]) -> Iterator[TextBlock]:
-    head = _SPECIES.match(text, start, end)
+    head = _SPECIES_PATTERN.match(text, start, end)
     opened = text.find("{", start, end)
     lines, closed = members.get(opened, ([], -1))
     rest = text[closed + 1 : end] if closed >= 0 else ""
@@ -99,11 +99,11 @@ def _cut_species(text: str, start: int, end: int, members: dict[int, tuple[list[
     begin, block = head.end(), False
     for line in lines[:-1] if lines[0] == head.end() else lines:
         word = _first_word(text, line)
-        if line > begin and word and (block or word in _BLOCKS):
+        if line > begin and word and (block or word in _BLOCK_START_WORDS):
             yield TextBlock("member", begin, line)
             begin = line
         if word:
-            block = word in _BLOCKS
+            block = word in _BLOCK_START_WORDS
     yield TextBlock("member", begin, lines[-1])
 
 
@@ -124,7 +124,7 @@ class IncrementalParser:
         head_count, tail_count = self._count_same(cut_list, texts)
         last = len(cut_list) - tail_count
         known: list[tuple[TextBlock, str, ParsedPart]] = []
-        sizes = NOTHING
+        sizes = NO_SIZES
         for number, (cut, text) in enumerate(zip(cut_list, texts, strict=True)):
             part = (
                 self._known[number][2] if number < head_count
@@ -140,7 +140,7 @@ class IncrementalParser:
         said = [d for _, part in parts for d in part.report.diagnostics]
         species_parts = [part for cut, part in parts if cut.rule == "species"]
         hard = any(part.report.diagnostics or not _is_species(part) for part in species_parts)
-        if hard or len(said) > _MOST or sum(d.code in _SINGLE_CODES for d in said) > 1:
+        if hard or len(said) > _MAX_DIAGNOSTICS or sum(d.code in _ONCE_PER_FILE_CODES for d in said) > 1:
             return parse(source)
         return _join_parts(source, parts)
 

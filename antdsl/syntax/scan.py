@@ -12,24 +12,30 @@ from dataclasses import dataclass, field
 from antdsl import limits
 from antdsl.diagnostics.model import Fix, Report
 from antdsl.source import Source, Span
-from antdsl.syntax.mistakes.number_slips import NO_SECOND, WITH_COMMAS, comma_diagnostic, number_problem, unit_help
+from antdsl.syntax.mistakes.number_slips import (
+    COMMA_NUMBER_PATTERN,
+    LEADING_ZERO_PATTERN,
+    comma_diagnostic,
+    number_problem,
+    unit_help,
+)
 from antdsl.syntax.mistakes.stray_text import (
     DOUBLE_QUOTES,
     SINGLE_QUOTES,
-    WRONG_SIGNS,
+    WRONG_SIGN_HELP,
     ascii_for,
     blank_lines,
     check_stray_text,
     replacement_word,
 )
 from antdsl.syntax.nodes import Comment
-from antdsl.syntax.words import NUMBER, UNIT, UNIT_SLIPS, UNITS
+from antdsl.syntax.words import NUMBER_REGEX, UNIT_REGEX, UNIT_SLIP_HELP, UNITS_REGEX
 
-UNREADABLE = "\ufffd"
+UNREADABLE_CHARACTER = "\ufffd"
 
 
 @dataclass(frozen=True, slots=True)
-class Token:
+class ScannedToken:
     """`kind`: word number text sign open close end. `indent`: that of its line if it is the first there, else -1. `virtual`: the
     text of a bracket that the author forgot; it has no length in the source."""
 
@@ -41,13 +47,13 @@ class Token:
 
 
 @dataclass(slots=True)
-class Scan:
+class TokenScan:
     """The result of scanning. `clean` is a list of single characters until `text()` is called."""
 
     source: Source
     report: Report
     clean: list[str]
-    tokens: list[Token] = field(default_factory=list)
+    tokens: list[ScannedToken] = field(default_factory=list)
     comments: list[Comment] = field(default_factory=list)
     faults: list[int] = field(default_factory=list)  # offsets of complaints, which silence what a parser would say there
 
@@ -79,12 +85,12 @@ class Scan:
         return index < len(self.faults) and self.faults[index] <= end
 
 
-_PIECE = re.compile(
+_TOKEN_PATTERN = re.compile(
     rf"""(?P<blank>[ \t\r]+)
     | (?P<comment>\#[^\n]*)
     | (?P<end>[\n;])
     | (?P<text>"[^"\n]*"?)
-    | (?P<number>{NUMBER})
+    | (?P<number>{NUMBER_REGEX})
     | (?P<word>[A-Za-z_][A-Za-z_0-9]*)
     | (?P<open>[(\[{{])
     | (?P<close>[)\]}}])
@@ -93,24 +99,24 @@ _PIECE = re.compile(
     | (?P<odd>.)""",
     re.VERBOSE | re.DOTALL,
 )
-_BEHIND = re.compile(rf"[ \t]*{UNITS}")
-_WORD = re.compile(r"[A-Za-z_][A-Za-z_0-9]*")
-_HYPHENED = re.compile(r"[A-Za-z][A-Za-z_0-9]*(?:-[A-Za-z][A-Za-z_0-9]*)+(?![A-Za-z_0-9])")
-_NAMING = frozenset(
+_UNIT_BEHIND_PATTERN = re.compile(rf"[ \t]*{UNITS_REGEX}")
+_WORD_PATTERN = re.compile(r"[A-Za-z_][A-Za-z_0-9]*")
+_HYPHENATED_NAME_PATTERN = re.compile(r"[A-Za-z][A-Za-z_0-9]*(?:-[A-Za-z][A-Za-z_0-9]*)+(?![A-Za-z_0-9])")
+_NAMING_WORDS = frozenset(
     ("state", "species", "param", "let", "latch", "field", "machine", "behaviour", "start", "->")
 )  # a name follows
-_ANY_WORD = re.compile(r"\w+")
-_TAIL = re.compile(r"[ \t\r]*[{};]*[ \t\r]*(#[^\n]*)?$")  # what a text that is not closed has swallowed
-_COLON = re.compile(r"[ \t]*:")
-_FRACTION = re.compile(r"\.[0-9]+")
-_SLIP = re.compile(rf"[/*]({'|'.join(UNIT_SLIPS)})(?![A-Za-z0-9_])")
-_PER = re.compile(rf"(?:[/*]{UNIT})+")
-_NO_NUMBERS = ("nan", "inf", "infinity")
+_ANY_WORD_PATTERN = re.compile(r"\w+")
+_SWALLOWED_TAIL_PATTERN = re.compile(r"[ \t\r]*[{};]*[ \t\r]*(#[^\n]*)?$")  # what a text that is not closed has swallowed
+_COLON_PATTERN = re.compile(r"[ \t]*:")
+_FRACTION_PATTERN = re.compile(r"\.[0-9]+")
+_UNIT_SLIP_PATTERN = re.compile(rf"[/*]({'|'.join(UNIT_SLIP_HELP)})(?![A-Za-z0-9_])")
+_PER_UNIT_PATTERN = re.compile(rf"(?:[/*]{UNIT_REGEX})+")
+_NON_NUMBER_WORDS = ("nan", "inf", "infinity")
 
 
-def scan(source: Source, report: Report) -> Scan:
+def scan(source: Source, report: Report) -> TokenScan:
     """Return the tokens of a text. Errors go to `report`; no text raises an exception."""
-    text_scan = Scan(source, report, list(source.text))
+    text_scan = TokenScan(source, report, list(source.text))
     check_stray_text(text_scan)
     _Scanner(text_scan).run()
     text_scan.faults.sort()
@@ -120,7 +126,7 @@ def scan(source: Source, report: Report) -> Scan:
 class _Scanner:
     """One pass over the text. Each kind of token has a method; `odd` ones are corrected or blanked."""
 
-    def __init__(self, text_scan: Scan) -> None:
+    def __init__(self, text_scan: TokenScan) -> None:
         self.found = text_scan
         self.characters = "".join(text_scan.clean)
         self.indent = 0  # of the line so far, -1 after its first token
@@ -131,12 +137,12 @@ class _Scanner:
     def run(self) -> None:
         position = 0
         while position < len(self.characters):
-            match = _PIECE.match(self.characters, position)
+            match = _TOKEN_PATTERN.match(self.characters, position)
             assert match is not None and match.lastgroup is not None
             position = getattr(self, match.lastgroup)(match.start(), match.end(), match.group())
 
     def add_token(self, kind: str, start: int, end: int) -> int:
-        self.found.tokens.append(Token(kind, start, end, self.indent))
+        self.found.tokens.append(ScannedToken(kind, start, end, self.indent))
         self.indent = 0 if kind == "end" and self.characters[start] == "\n" else -1
         self.last_end = end
         return end
@@ -157,7 +163,7 @@ class _Scanner:
 
     def sign(self, start: int, end: int, piece: str) -> int:
         if piece == "." and self.characters[end : end + 1].isdigit() and self.last_end != start:
-            digits = _FRACTION.match(self.characters, start)
+            digits = _FRACTION_PATTERN.match(self.characters, start)
             if digits is not None:
                 stop = digits.end()
                 message = f"number `{digits.group()}` begins with a dot"
@@ -180,16 +186,16 @@ class _Scanner:
     def word(self, start: int, end: int, piece: str) -> int:
         if self.characters[end : end + 1] > "\x7f" and self.characters[end].isalnum():
             return self.repair_foreign_word(start)
-        if piece in _NO_NUMBERS and not _COLON.match(self.characters, end):
+        if piece in _NON_NUMBER_WORDS and not _COLON_PATTERN.match(self.characters, end):
             help = "leave the limit out, or write a large number"
             self.found.error("bad-number", f"`{piece}` is not a number here", start, end, help)
             return self.mark_unreadable(start, end)
-        if len(piece) > limits.NAME_CHARACTERS:
-            message = f"name of {len(piece)} characters, at most {limits.NAME_CHARACTERS} are allowed"
+        if len(piece) > limits.MAX_NAME_CHARACTERS:
+            message = f"name of {len(piece)} characters, at most {limits.MAX_NAME_CHARACTERS} are allowed"
             self.found.error("name-too-long", message, start, end, "choose a shorter name")
             self.reported.add(piece)
-        hyphened = _HYPHENED.match(self.characters, start)
-        if hyphened and self.found.tokens and last_token_text(self.found) in _NAMING:
+        hyphened = _HYPHENATED_NAME_PATTERN.match(self.characters, start)
+        if hyphened and self.found.tokens and last_token_text(self.found) in _NAMING_WORDS:
             return self.repair_hyphens(start, hyphened.end(), hyphened.group())
         if not re.fullmatch(r"[a-z][a-z_0-9]*", piece):
             better = re.sub(r"[^a-z0-9_]", "_", re.sub(r"(?<=[a-z0-9])(?=[A-Z])", "_", piece).lower()).strip("_") or "name"
@@ -214,7 +220,7 @@ class _Scanner:
 
     def repair_foreign_word(self, start: int) -> int:
         """Correct a word with letters or digits that are not ASCII, letter by letter."""
-        match = _ANY_WORD.match(self.characters, start)
+        match = _ANY_WORD_PATTERN.match(self.characters, start)
         piece = match.group() if match else self.characters[start]
         end = start + len(piece)
         plain = "".join(ascii_for(character) or "x" for character in piece)
@@ -241,12 +247,12 @@ class _Scanner:
         return self.add_token("word", start, end)
 
     def quantity_end(self, end: int) -> int:
-        tail = _BEHIND.match(self.characters, end)
+        tail = _UNIT_BEHIND_PATTERN.match(self.characters, end)
         return tail.end() if tail else end
 
     def number(self, start: int, end: int, piece: str) -> int:
-        commas = WITH_COMMAS.match(self.characters, start)
-        if commas is not None and (not self.inside or NO_SECOND.search(commas.group())):
+        commas = COMMA_NUMBER_PATTERN.match(self.characters, start)
+        if commas is not None and (not self.inside or LEADING_ZERO_PATTERN.search(commas.group())):
             return self.repair_commas(start, commas.end())
         problem = number_problem(piece, self.characters, end)
         if problem is not None:
@@ -254,15 +260,15 @@ class _Scanner:
             self.found.error("bad-number", message, start, stop, help)
             self.found.replace(start, "1" + " " * (stop - start - 1))
             end = stop
-        tail = _BEHIND.match(self.characters, end)
+        tail = _UNIT_BEHIND_PATTERN.match(self.characters, end)
         if tail is not None:
             end = tail.end()
-            slip = _SLIP.match(self.characters, end)
+            slip = _UNIT_SLIP_PATTERN.match(self.characters, end)
             if slip is not None:
                 message = f"`{slip.group(1)}` is not a unit"
-                self.found.error("unknown-unit", message, slip.start(1), slip.end(), UNIT_SLIPS[slip.group(1)])
+                self.found.error("unknown-unit", message, slip.start(1), slip.end(), UNIT_SLIP_HELP[slip.group(1)])
                 return self.mark_unreadable(start, slip.end())
-        elif (glued := _WORD.match(self.characters, end)) is not None:
+        elif (glued := _WORD_PATTERN.match(self.characters, end)) is not None:
             unit = glued.group()
             self.found.error("unknown-unit", f"`{unit[:80]}` is not a unit", end, glued.end(), unit_help(unit))
             return self.mark_unreadable(start, glued.end())
@@ -282,13 +288,13 @@ class _Scanner:
     def mark_unreadable(self, start: int, end: int) -> int:
         """Add a token for a number with an unknown unit; unit checks skip it."""
         self.found.blank_out(start, end)
-        self.found.replace(start, UNREADABLE)
+        self.found.replace(start, UNREADABLE_CHARACTER)
         return self.add_token("number", start, end)
 
     # --- what does not belong ---
 
     def wrong(self, start: int, end: int, piece: str) -> int:
-        help, repair = WRONG_SIGNS[piece]
+        help, repair = WRONG_SIGN_HELP[piece]
         if repair == "comment":
             if piece == "/*" and (close := self.characters.find("*/", end)) >= 0:
                 stop = close + 2
@@ -321,11 +327,11 @@ class _Scanner:
         if piece in "\u00b0\u00ba" and tokens and tokens[-1].kind == "number" and tokens[-1].end == self.last_end:
             number = tokens.pop()
             self.found.error("unknown-sign", f"`{piece}` is not a unit", start, end, "write `deg`")
-            rest = _PER.match(self.characters, end)
+            rest = _PER_UNIT_PATTERN.match(self.characters, end)
             end = rest.end() if rest is not None else end
             self.found.blank_out(start, end)
             return max(end, self.mark_unreadable(number.start, number.end))
-        help, repair = WRONG_SIGNS.get(piece, ("delete it", None))
+        help, repair = WRONG_SIGN_HELP.get(piece, ("delete it", None))
         fix = replacement_word(help, self.characters[start - 1 : start] if start else "", self.characters[end : end + 1])
         self.found.error("unknown-sign", f"`{piece}` is not a sign of the language", start, end, help, fix)
         if repair is not None and len(repair) > 1:
@@ -375,7 +381,7 @@ class _Scanner:
             self.found.error("wrong-quotes", message, smart, smart + 1, 'write `"`', '"')
             self.found.replace(smart, '"')
             return self.add_token("text", start, smart + 1)
-        stop = start + len(_TAIL.sub("", piece))
+        stop = start + len(_SWALLOWED_TAIL_PATTERN.sub("", piece))
         message = "text without a closing quote"
         self.found.error("unclosed-text", message, start, start + 1, 'end the text with `"` on the same line', '"', stop)
         if stop - start < 2:
@@ -385,7 +391,7 @@ class _Scanner:
         return self.add_token("text", start, stop)
 
 
-def last_token_text(text_scan: Scan) -> str:
+def last_token_text(text_scan: TokenScan) -> str:
     """The text of the token that was read last."""
     last = text_scan.tokens[-1]
     return text_scan.source.text[last.start : last.end]

@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     from lark import Lark
 
 # The rules with which a line of a file can begin, by what it stands in.
-STARTS = (
+START_RULES = (
     "header",
     "top",
     "world_item",

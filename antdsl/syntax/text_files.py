@@ -14,7 +14,7 @@ from antdsl.source import Source, Span
 from antdsl.whole import atomic_file
 
 # First bytes of files that are something else.
-_OTHERS = (
+_OTHER_FILE_SIGNATURES = (
     (b"PK\x03\x04", "a zip archive"),
     (b"PXR-USDC", "a USD scene"),
     (b"#usda", "a USD scene"),
@@ -53,10 +53,10 @@ def read(path: str | os.PathLike[str], handle: int | None = None) -> tuple[Sourc
 def read_bytes(name: str, data: bytes) -> tuple[Source | None, Report]:
     """Read bytes from another source as `read` reads a file. `name`: the name in messages."""
     report = Report()
-    if len(data) > limits.ANT_FILE_BYTES:
+    if len(data) > limits.MAX_PROGRAM_BYTES:
         _report_too_large(name, report)
         return None, report
-    for magic, kind in _OTHERS:
+    for magic, kind in _OTHER_FILE_SIGNATURES:
         if data.startswith(magic):
             report.error("not-an-ant-file", f"`{name}` looks like {kind}", None, _advise(kind))
             return None, report
@@ -75,7 +75,7 @@ def _read_file(name: str, handle: int | None, report: Report) -> bytes | None:
         report.error("cannot-read", "file name contains a null character", None, "name a `.ant` file")
         return None
     try:
-        return read_handle(open_regular(name) if handle is None else handle, limits.ANT_FILE_BYTES)
+        return read_handle(open_regular(name) if handle is None else handle, limits.MAX_PROGRAM_BYTES)
     except TooLarge:
         _report_too_large(name, report)
     except NotRegular as why:
@@ -87,7 +87,7 @@ def _read_file(name: str, handle: int | None, report: Report) -> bytes | None:
 
 
 def _report_too_large(name: str, report: Report) -> None:
-    most = limits.ANT_FILE_BYTES // limits.KIB
+    most = limits.MAX_PROGRAM_BYTES // limits.KIB
     help = 'split it, and bring the parts in with `use "./part.ant" as part`'
     report.error("file-too-large", f"`{name}` is larger than {most} KiB", None, help)
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 # What follows a verb, as the grammar says it; "own": the grammar has a rule for that verb alone.
-SHAPES: dict[str, str] = {
+SHAPE_PATTERNS: dict[str, str] = {
     "alone": "",
     "name": "NAME",
     "open": "NAME [LPAR [_arguments] RPAR] [_TO expr] -> ask_open",
@@ -34,7 +34,7 @@ class Verb:
 
 
 # In the order in which messages and editors list them.
-_ROWS = (
+_VERB_ROWS = (
     Verb("deposit", "amount", "deposit trail 2 /s", "the name of a field"),
     Verb("carve", "arguments", "carve hill(radius: 2 mm)", "the name of a solid"),
     Verb("give", "own", "give all load to nest", "an amount, such as `all load`"),
@@ -46,4 +46,4 @@ _ROWS = (
     Verb("channel", "set", "channel jaw = load", "the name of a channel"),
     Verb("look", "arguments", "look head(at: meal)", "the name of a transform group"),
 )
-VERBS: dict[str, Verb] = {row.word: row for row in _ROWS}
+VERB_BY_WORD: dict[str, Verb] = {row.word: row for row in _VERB_ROWS}

@@ -4,15 +4,15 @@ from __future__ import annotations
 
 import re
 
-from antdsl.syntax.verbs import VERBS
+from antdsl.syntax.verbs import VERB_BY_WORD
 
 UNIT_NAMES = ("mm", "cm", "m", "s", "min", "deg", "rad", "turn", "mg", "g", "kg", "N", "uN", "u", "step")
 
 # How a number is written, one unit, all that may stand behind a number, and both: the digits and the unit are groups 1 and 2.
-NUMBER = r"[0-9]+(?:\.[0-9]+)?(?:[eE][+-]?[0-9]+(?![0-9A-Za-z_]))?"
-UNIT = rf"(?:{'|'.join(UNIT_NAMES)})(?:\^[0-9]+)?(?![A-Za-z_0-9])"
-UNITS = rf"(?:%|{UNIT}|/{UNIT})(?:[/*]{UNIT})*"
-QUANTITY = re.compile(rf"({NUMBER})[ \t]*({UNITS})?")
+NUMBER_REGEX = r"[0-9]+(?:\.[0-9]+)?(?:[eE][+-]?[0-9]+(?![0-9A-Za-z_]))?"
+UNIT_REGEX = rf"(?:{'|'.join(UNIT_NAMES)})(?:\^[0-9]+)?(?![A-Za-z_0-9])"
+UNITS_REGEX = rf"(?:%|{UNIT_REGEX}|/{UNIT_REGEX})(?:[/*]{UNIT_REGEX})*"
+QUANTITY_PATTERN = re.compile(rf"({NUMBER_REGEX})[ \t]*({UNITS_REGEX})?")
 
 # Units as other tools write them, or as people say them, and what to write here.
 _UNIT_SLIPS = (
@@ -36,13 +36,13 @@ _UNIT_SLIPS = (
     ("px", "write a length such as `mm`"),
     ("unit units", "write `u`"),
 )
-UNIT_SLIPS = {word: advice for words, advice in _UNIT_SLIPS for word in words.split()}
+UNIT_SLIP_HELP = {word: advice for words, advice in _UNIT_SLIPS for word in words.split()}
 
 # What a line may begin with, by the rule of the grammar that reads the line; anything else is a value or a name of the author's.
-_ACTIONS = tuple(VERBS)
-_CHANGES = ("when", "interrupt")
-_CLAIMS = ("always", "never", "eventually", "finally", "sooner", "until")
-LINE_WORDS: dict[str, tuple[str, ...]] = {
+_ACTION_WORDS = tuple(VERB_BY_WORD)
+_CHANGE_WORDS = ("when", "interrupt")
+_CLAIM_WORDS = ("always", "never", "eventually", "finally", "sooner", "until")
+LINE_WORDS_BY_RULE: dict[str, tuple[str, ...]] = {
     "header": ("ant",),
     "top": ("use", "world", "field", "species", "behaviour", "spec"),
     "world_item": (),
@@ -50,17 +50,17 @@ LINE_WORDS: dict[str, tuple[str, ...]] = {
     "setting": (),
     "member": ("param", "let", "latch", "fuzzy", "start", "on", "layers", "machine", "state", "from"),
     "machine_member": ("state", "start", "from", "let", "latch"),
-    "statement": ("steer", "face", "let", "enter", "exit", *_CHANGES, *_ACTIONS),
-    "action": _ACTIONS,
+    "statement": ("steer", "face", "let", "enter", "exit", *_CHANGE_WORDS, *_ACTION_WORDS),
+    "action": _ACTION_WORDS,
     "layer": ("face",),
     "rule": (),
     "weight": (),
     "behaviour_line": ("keep", "let"),
-    "spec_line": ("for", "seeds", "pass", "set", "against", *_CLAIMS, "within", "when", "each"),
+    "spec_line": ("for", "seeds", "pass", "set", "against", *_CLAIM_WORDS, "within", "when", "each"),
 }
 
 # First words of other languages, and the word that is meant.
-OTHER_WORDS: dict[str, str] = {
+FOREIGN_FIRST_WORDS: dict[str, str] = {
     "agent": "species",
     "class": "species",
     "const": "param",
@@ -77,26 +77,26 @@ OTHER_WORDS: dict[str, str] = {
 }
 
 # What a person may write after `items NAME …` and so on, shown when the word is missing.
-WORLD_KINDS = ("surface", "obstacle", "solid", "items", "curve", "flow", "map", "species")
-FIELD_SETTINGS = ("cell", "half_life", "evaporate", "keeps", "diffuse", "stencil", "combine", "deposits", "limit")
-FIXED_SETTINGS = ("cell", "stencil", "combine", "deposits")  # what a field is made of: another value is another field
-WORD_SETTINGS = {"combine": ("add", "max"), "deposits": ("last", "first")}  # settings that are words, the usual one first
+WORLD_KIND_WORDS = ("surface", "obstacle", "solid", "items", "curve", "flow", "map", "species")
+FIELD_SETTING_WORDS = ("cell", "half_life", "evaporate", "keeps", "diffuse", "stencil", "combine", "deposits", "limit")
+FIXED_FIELD_SETTINGS = ("cell", "stencil", "combine", "deposits")  # what a field is made of: another value is another field
+WORD_SETTING_VALUES = {"combine": ("add", "max"), "deposits": ("last", "first")}  # settings that are words, the usual one first
 
 # Where a line with such a first word belongs, for one that stands elsewhere.
-BELONGS: dict[str, str] = {
-    **{word: "at the top of the file" for word in LINE_WORDS["top"]},
-    **{word: "in a species" for word in LINE_WORDS["member"]},
-    **{word: "in a state" for word in ("steer", "enter", "exit", *_CHANGES)},
+LINE_CONTEXT_BY_WORD: dict[str, str] = {
+    **{word: "at the top of the file" for word in LINE_WORDS_BY_RULE["top"]},
+    **{word: "in a species" for word in LINE_WORDS_BY_RULE["member"]},
+    **{word: "in a state" for word in ("steer", "enter", "exit", *_CHANGE_WORDS)},
     "face": "in a state, or in `layers`",
-    **{word: "in a state, or in the braces of a transition" for word in _ACTIONS},
+    **{word: "in a state, or in the braces of a transition" for word in _ACTION_WORDS},
     **{word: "in a state" for word in ("play", "wear", "channel", "look")},
     "let": "in a species, a state or a behaviour",
     "keep": "in a behaviour",
-    **{word: "in a spec" for word in LINE_WORDS["spec_line"] if word != "when"},
+    **{word: "in a spec" for word in LINE_WORDS_BY_RULE["spec_line"] if word != "when"},
 }
 
 # What the braces after a line hold: by the rule that reads the line, and its first word (`*` for any).
-BODIES: dict[tuple[str, str], str] = {
+BODY_RULE_BY_LINE: dict[tuple[str, str], str] = {
     ("top", "world"): "world_item",
     ("top", "field"): "setting",
     ("top", "species"): "member",
@@ -118,11 +118,11 @@ BODIES: dict[tuple[str, str], str] = {
     ("spec_line", "each"): "spec_line",
     ("spec_line", "against"): "spec_line",
 }
-_BARE = {"*", "when", "interrupt", "from", "against"}
-BLOCK_WORDS = frozenset(word for _, word in BODIES) - _BARE  # their braces cannot be left out
+_OPTIONAL_BRACE_WORDS = {"*", "when", "interrupt", "from", "against"}
+BLOCK_WORDS = frozenset(word for _, word in BODY_RULE_BY_LINE) - _OPTIONAL_BRACE_WORDS  # their braces cannot be left out
 
 # One line of each kind, shown as the text to write instead.
-FORMS: dict[str, str] = {
+EXAMPLE_LINES: dict[str, str] = {
     "ant": "ant 1",
     "use": 'use steering` or `use "./mine.ant" as mine',
     "world": "world { surface ground }",
@@ -146,7 +146,7 @@ FORMS: dict[str, str] = {
     "exit": "exit { calm = 1 }",
     "when": "when meal -> approach",
     "interrupt": "interrupt when hurt -> flee",
-    **{row.word: row.form for row in VERBS.values()},
+    **{row.word: row.form for row in VERB_BY_WORD.values()},
     "keep": "keep bearing = 0 deg then bearing + 1 deg",
     "for": "for 20 s",
     "seeds": "seeds 1 .. 5",
@@ -164,7 +164,7 @@ FORMS: dict[str, str] = {
 }
 
 # The same for lines that begin with a name of the author's, by the rule that reads the line.
-RULE_FORMS: dict[str, str] = {
+EXAMPLE_LINE_BY_RULE: dict[str, str] = {
     "header": "ant 1",
     "world_item": 'surface ground "What ants walk on"',
     "declaration": "load = 0",
@@ -179,7 +179,7 @@ RULE_FORMS: dict[str, str] = {
 }
 
 # After these words or signs, what comes next, in words.
-CONTINUATIONS: dict[str, str] = {
+CONTINUATION_TEXTS: dict[str, str] = {
     "when": "a condition",
     "and": "a condition",
     "or": "a condition",
@@ -216,7 +216,7 @@ CONTINUATIONS: dict[str, str] = {
     "use": "the name of a library, or the path of a file in quotes",
     "as": "a name",
     "spec": "a name in quotes",
-    **{row.word: row.next for row in VERBS.values() if row.next},
+    **{row.word: row.next for row in VERB_BY_WORD.values() if row.next},
     "choose": "`{`",
     "each": "the name of a species",
     "of": "a name",
@@ -228,7 +228,7 @@ CONTINUATIONS: dict[str, str] = {
 }
 
 # All words that have a meaning of their own somewhere in a line.
-WORDS = frozenset(
-    {*(word for words in LINE_WORDS.values() for word in words), *(word for word in CONTINUATIONS if word.isalpha())}
+LANGUAGE_WORDS = frozenset(
+    {*(word for words in LINE_WORDS_BY_RULE.values() for word in words), *(word for word in CONTINUATION_TEXTS if word.isalpha())}
     | {"relax", "strongest", "any", "except", "none", "all"}
 )

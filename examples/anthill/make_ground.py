@@ -12,12 +12,12 @@ from pathlib import Path
 import numpy as np
 import trimesh
 
-from antdsl.bodies.shapes import Mesh, sheet, wave_noise
+from antdsl.bodies.shapes import MeshArrays, sheet, wave_noise
 
 HERE = Path(__file__).parent
 
 
-def block() -> Mesh:
+def block() -> MeshArrays:
     """A box whose faces are a little uneven; its corners are rounded off."""
     made = trimesh.creation.box((150.0, 50.0, 110.0))
     for _ in range(5):
@@ -30,13 +30,13 @@ def block() -> Mesh:
     return vertices + np.array([0.0, -25.0, 0.0]), np.asarray(made.faces, np.int32)
 
 
-def floor() -> Mesh:
+def floor() -> MeshArrays:
     vertices, faces = sheet(np.linspace(-180.0, 180.0, 37), np.linspace(-140.0, 140.0, 29))
     x, z = vertices[:, 0], vertices[:, 2]
     return np.stack([x, -47.0 + 1.5 * wave_noise(np.stack([x, z], axis=1), 72, 80.0, 2), z], axis=1), faces
 
 
-def write(name: str, mesh: Mesh) -> None:
+def write(name: str, mesh: MeshArrays) -> None:
     vertices, faces = mesh
     # Rounded, so that the last bits of one machine's sine do not change the file.
     made = trimesh.Trimesh(np.round(vertices, 3), faces, process=False)

@@ -9,7 +9,7 @@ import numpy as np
 import trimesh
 from numpy.typing import NDArray
 
-from antdsl.bodies.shapes import Mesh, join_meshes, sheet, stone, wave_noise
+from antdsl.bodies.shapes import MeshArrays, join_meshes, sheet, stone, wave_noise
 
 HERE = Path(__file__).parent
 Array = NDArray[np.float64]
@@ -33,13 +33,13 @@ def relief(x: Array, z: Array) -> Array:
     return ridge + rises + 6.0 * wave_noise(flat, 5, 150.0, 3, fade=0.45) + 0.5 * wave_noise(flat, 6, 24.0, 2)
 
 
-def field() -> Mesh:
+def field() -> MeshArrays:
     vertices, faces = sheet(np.linspace(-240.0, 240.0, 121), np.linspace(-170.0, 170.0, 86))
     x, z = vertices[:, 0], vertices[:, 2]
     return np.stack([x, relief(x, z), z], axis=1), faces
 
 
-def stones() -> Mesh:
+def stones() -> MeshArrays:
     """The obstacles, each sunk by a quarter of its height."""
     parts = []
     for x, z, radii, seed in STONES:
@@ -49,7 +49,7 @@ def stones() -> Mesh:
     return join_meshes(parts)
 
 
-def write(name: str, mesh: Mesh) -> None:
+def write(name: str, mesh: MeshArrays) -> None:
     vertices, faces = mesh
     # Rounded, so that the last bits of one machine's sine do not change the file.
     made = trimesh.Trimesh(np.round(vertices, 3), faces, process=False)

@@ -7,10 +7,10 @@ from pathlib import Path
 import numpy as np
 import trimesh
 
-from antdsl.bodies.shapes import Mesh, sheet
+from antdsl.bodies.shapes import MeshArrays, sheet
 
 
-def waves_sheet(lines: int = 81) -> Mesh:
+def waves_sheet(lines: int = 81) -> MeshArrays:
     line = np.linspace(-500.0, 500.0, lines)
     vertices, faces = sheet(line, line)
     x, z = vertices[:, 0], vertices[:, 2]

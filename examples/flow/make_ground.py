@@ -14,7 +14,7 @@ import numpy as np
 import trimesh
 from numpy.typing import NDArray
 
-from antdsl.bodies.shapes import Mesh, join_meshes, sheet, stone, wave_noise
+from antdsl.bodies.shapes import MeshArrays, join_meshes, sheet, stone, wave_noise
 
 HERE = Path(__file__).parent
 Array = NDArray[np.float64]
@@ -40,14 +40,14 @@ def damp(x: Array, z: Array) -> Array:
     return np.clip(1.15 - np.hypot(x - NEST[0], z - NEST[1]) / 65.0, 0.0, 1.0)
 
 
-def terrain(lines: int = 97) -> tuple[Mesh, Array]:
+def terrain(lines: int = 97) -> tuple[MeshArrays, Array]:
     line = np.linspace(-240.0, 240.0, lines)
     vertices, faces = sheet(line, line)
     x, z = vertices[:, 0], vertices[:, 2]
     return (np.stack([x, relief(x, z), z], axis=1), faces), damp(x, z)
 
 
-def stones() -> Mesh:
+def stones() -> MeshArrays:
     """The obstacles, each sunk by a quarter of its height."""
     parts = []
     for x, z, radii, seed in STONES:
@@ -57,7 +57,7 @@ def stones() -> Mesh:
     return join_meshes(parts)
 
 
-def write(name: str, mesh: Mesh, **attributes: Array) -> None:
+def write(name: str, mesh: MeshArrays, **attributes: Array) -> None:
     vertices, faces = mesh
     # Rounded, so that the last bits of one machine's sine do not change the file.
     rows = {key: np.round(values, 4).astype(np.float32) for key, values in attributes.items()}

@@ -15,7 +15,7 @@ import numpy as np
 import trimesh
 from numpy.typing import NDArray
 
-from antdsl.bodies.shapes import Mesh, join_meshes, sheet, stone, wave_noise
+from antdsl.bodies.shapes import MeshArrays, join_meshes, sheet, stone, wave_noise
 
 HERE = Path(__file__).parent
 Array = NDArray[np.float64]
@@ -61,7 +61,7 @@ def relief(x: Array, z: Array) -> Array:
     return y + 7.0 * wave_noise(flat, 3, 210.0, 3, fade=0.45) + 0.55 * wave_noise(flat, 4, 26.0, 2)
 
 
-def terrain(lines: int = 146) -> Mesh:
+def terrain(lines: int = 146) -> MeshArrays:
     """The ground, with the shelf: near its line the sheet rises, leans out over itself, and comes back behind the lip."""
     line = np.linspace(-400.0, 400.0, lines)
     vertices, faces = sheet(line, line)
@@ -75,13 +75,13 @@ def terrain(lines: int = 146) -> Mesh:
     return np.stack([x, y, z + lean], axis=1), faces
 
 
-def boulder() -> Mesh:
+def boulder() -> MeshArrays:
     vertices, faces = stone(31, (68.0, 52.0, 60.0), detail=4, roughness=0.13)
     vertices += 0.9 * wave_noise(vertices, 32, 22.0, 2)[:, None] * vertices / np.linalg.norm(vertices, axis=1, keepdims=True)
     return on_ground(vertices, *BOULDER, sunk=2.0), faces
 
 
-def stones() -> Mesh:
+def stones() -> MeshArrays:
     """The obstacles, each sunk by a quarter of its height."""
     parts = [(stone(seed, radii, detail=2), (x, z), radii[1]) for x, z, radii, seed in STONES]
     return join_meshes([(on_ground(vertices, x, z, sunk=-0.45 * high), faces) for (vertices, faces), (x, z), high in parts])
@@ -92,7 +92,7 @@ def on_ground(vertices: Array, x: float, z: float, sunk: float) -> Array:
     return vertices + np.array([x, height - sunk, z])
 
 
-def write(name: str, mesh: Mesh) -> None:
+def write(name: str, mesh: MeshArrays) -> None:
     vertices, faces = mesh
     # Rounded, so that the last bits of one machine's sine do not change the file.
     made = trimesh.Trimesh(np.round(vertices, 3), faces, process=False)

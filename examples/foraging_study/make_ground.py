@@ -14,7 +14,7 @@ import numpy as np
 import trimesh
 from numpy.typing import NDArray
 
-from antdsl.bodies.shapes import Mesh, join_meshes, sheet, stone
+from antdsl.bodies.shapes import MeshArrays, join_meshes, sheet, stone
 
 HERE = Path(__file__).parent
 Array = NDArray[np.float64]
@@ -51,13 +51,13 @@ def lines(start: float, end: float) -> Array:
     return np.concatenate([low[:-1], np.linspace(-84.0, 84.0, 29), high[1:]])
 
 
-def ground() -> Mesh:
+def ground() -> MeshArrays:
     vertices, faces = sheet(lines(*ACROSS), lines(*ALONG))
     vertices[:, 1] = relief(vertices[:, 0], vertices[:, 2])
     return vertices, faces
 
 
-def stones() -> Mesh:
+def stones() -> MeshArrays:
     """The obstacles, each sunk by a quarter of its height."""
     parts = []
     for x, z, radii, seed in STONES:
@@ -67,7 +67,7 @@ def stones() -> Mesh:
     return join_meshes(parts)
 
 
-def write(name: str, mesh: Mesh) -> None:
+def write(name: str, mesh: MeshArrays) -> None:
     vertices, faces = mesh
     # Rounded, so that the last bits of one machine's sine do not change the file.
     made = trimesh.Trimesh(np.round(vertices, 3), faces, process=False)

@@ -7,10 +7,10 @@ from pathlib import Path
 import numpy as np
 import trimesh
 
-from antdsl.bodies.shapes import Mesh, sheet
+from antdsl.bodies.shapes import MeshArrays, sheet
 
 
-def ground(lines: int = 33) -> Mesh:
+def ground(lines: int = 33) -> MeshArrays:
     line = np.linspace(-100.0, 100.0, lines)
     vertices, faces = sheet(line, line)
     x, z = vertices[:, 0], vertices[:, 2]

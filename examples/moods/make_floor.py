@@ -8,7 +8,7 @@ import numpy as np
 import trimesh
 from numpy.typing import NDArray
 
-from antdsl.bodies.shapes import Mesh, join_meshes, sheet, stone, wave_noise
+from antdsl.bodies.shapes import MeshArrays, join_meshes, sheet, stone, wave_noise
 
 HERE = Path(__file__).parent
 STONES = (  # x, z, half axes, seed
@@ -27,20 +27,20 @@ def on_floor(x: float, z: float) -> float:
     return float(height(np.array([x]), np.array([z]))[0])
 
 
-def floor(lines: int = 61) -> Mesh:
+def floor(lines: int = 61) -> MeshArrays:
     line = np.linspace(-600.0, 600.0, lines)
     vertices, faces = sheet(line, line)
     vertices[:, 1] = height(vertices[:, 0], vertices[:, 2])
     return vertices, faces
 
 
-def stones() -> Mesh:
+def stones() -> MeshArrays:
     """Half sunk, so that nobody gets beneath."""
     parts = [(stone(seed, axes, detail=2), (x, z)) for x, z, axes, seed in STONES]
     return join_meshes([(points + np.array([x, on_floor(x, z), z]), faces) for (points, faces), (x, z) in parts])
 
 
-def write(name: str, mesh: Mesh) -> None:
+def write(name: str, mesh: MeshArrays) -> None:
     made = trimesh.Trimesh(np.round(mesh[0], 3), mesh[1], process=False)
     (HERE / name).write_bytes(made.export(file_type="ply", vertex_normal=False))
 

@@ -17,7 +17,7 @@ import numpy as np
 import trimesh
 from numpy.typing import NDArray
 
-from antdsl.bodies.shapes import Mesh, join_meshes, sheet, stone, wave_noise
+from antdsl.bodies.shapes import MeshArrays, join_meshes, sheet, stone, wave_noise
 
 HERE = Path(__file__).parent
 Array = NDArray[np.float64]
@@ -52,45 +52,45 @@ def relief(x: Array, z: Array) -> Array:
     return bank + 2.4 * wave_noise(flat, 83, 110.0, 3) + 0.3 * wave_noise(flat, 84, 15.0, 2)
 
 
-def terrain() -> Mesh:
+def terrain() -> MeshArrays:
     vertices, faces = sheet(np.linspace(-240.0, 240.0, 121), np.linspace(-160.0, 160.0, 81))
     vertices[:, 1] = relief(vertices[:, 0], vertices[:, 2])
     return vertices, faces
 
 
-def hill() -> Mesh:
+def hill() -> MeshArrays:
     vertices, faces = stone(85, (33.0, 36.0, 72.0), detail=5, roughness=0.1)
     vertices += 0.8 * wave_noise(vertices, 86, 16.0, 2)[:, None] * vertices / np.linalg.norm(vertices, axis=1, keepdims=True)
     return vertices + np.array([0.0, -2.0, 0.0]), faces
 
 
-def revolved(profile: tuple[tuple[float, float], ...], sections: int) -> Mesh:
+def revolved(profile: tuple[tuple[float, float], ...], sections: int) -> MeshArrays:
     """What a line of (radius, height) becomes when it is turned about y."""
     made = trimesh.creation.revolve(np.array(profile), sections=sections)
     return np.asarray(made.vertices, np.float64)[:, [1, 2, 0]], np.asarray(made.faces, np.int32)
 
 
-def on_ground(mesh: Mesh, x: float, z: float, sunk: float) -> Mesh:
+def on_ground(mesh: MeshArrays, x: float, z: float, sunk: float) -> MeshArrays:
     height = float(relief(np.array([x]), np.array([z]))[0])
     return mesh[0] + np.array([x, height - sunk, z]), mesh[1]
 
 
-def can() -> Mesh:
+def can() -> MeshArrays:
     return on_ground(revolved(CAN, 32), 78.0, -62.0, sunk=0.8)
 
 
-def bottle() -> Mesh:
+def bottle() -> MeshArrays:
     vertices, faces = revolved(BOTTLE, 24)
     turn = np.array([[np.cos(TURNED), 0, np.sin(TURNED)], [0, 1, 0], [-np.sin(TURNED), 0, np.cos(TURNED)]])
     return on_ground((vertices @ LAID @ turn.T, faces), -80.0, 100.0, sunk=-10.5)
 
 
-def stones() -> Mesh:
+def stones() -> MeshArrays:
     """The obstacles, each sunk by a quarter of its height."""
     return join_meshes([on_ground(stone(seed, radii, detail=2), x, z, sunk=-0.45 * radii[1]) for x, z, radii, seed in STONES])
 
 
-def write(name: str, mesh: Mesh) -> None:
+def write(name: str, mesh: MeshArrays) -> None:
     vertices, faces = mesh
     # Rounded, so that the last bits of one machine's sine do not change the file.
     made = trimesh.Trimesh(np.round(vertices, 3), faces, process=False)

@@ -10,7 +10,7 @@ import numpy as np
 import trimesh
 from numpy.typing import NDArray
 
-from antdsl.bodies.shapes import Mesh, join_meshes, sheet, stone, wave_noise
+from antdsl.bodies.shapes import MeshArrays, join_meshes, sheet, stone, wave_noise
 
 HERE = Path(__file__).parent
 Floats = NDArray[np.float64]
@@ -33,7 +33,7 @@ BOTTLE = (
 TWISTED = (26.0, 9.0)  # radius of the Möbius strip, and half its width
 
 
-def turned(profile: Sequence[tuple[float, float]], sectors: int) -> Mesh:
+def turned(profile: Sequence[tuple[float, float]], sectors: int) -> MeshArrays:
     """What a line of (radius, height) becomes when it is turned about y. Points of radius 0 are one place."""
     angle = 2 * np.pi * np.arange(sectors) / sectors
     around = np.stack([np.cos(angle), np.zeros(sectors), np.sin(angle)], axis=1)
@@ -52,44 +52,44 @@ def turned(profile: Sequence[tuple[float, float]], sectors: int) -> Mesh:
     return np.concatenate(vertices), every[real].astype(np.int32)
 
 
-def cuboid(x: float, y: float, z: float) -> Mesh:
+def cuboid(x: float, y: float, z: float) -> MeshArrays:
     """A closed box on the floor, its faces seen from outside."""
     made = trimesh.creation.box((x, y, z))
     return np.asarray(made.vertices, np.float64) + np.array([0, y / 2, 0]), np.asarray(made.faces, np.int32)
 
 
-def cube() -> Mesh:
+def cube() -> MeshArrays:
     return cuboid(40.0, 40.0, 40.0)
 
 
-def plate() -> Mesh:
+def plate() -> MeshArrays:
     """On its edge: two faces a hair apart."""
     vertices, faces = cuboid(60.0, 45.0, THICKNESS)
     return vertices, faces
 
 
-def torus() -> Mesh:
+def torus() -> MeshArrays:
     angle = 2 * np.pi * np.arange(16) / 16
     ring = [(24.0 + 9.0 * float(np.cos(t)), 9.0 + 9.0 * float(np.sin(t))) for t in angle]
     return turned([*ring, ring[0]], 32)
 
 
-def bottle() -> Mesh:
+def bottle() -> MeshArrays:
     """Of glass 2 mm thick, open at its mouth."""
     return turned(BOTTLE, 28)
 
 
-def can() -> Mesh:
+def can() -> MeshArrays:
     """Of tin 0.3 mm thick, closed but for a hole in its lid."""
     return turned(CAN_OUTSIDE + CAN_INSIDE, 30)
 
 
-def pot() -> Mesh:
+def pot() -> MeshArrays:
     """The can once more, of a sheet without any thickness: its border is not walked round."""
     return turned(CAN_OUTSIDE, 30)
 
 
-def stones() -> Mesh:
+def stones() -> MeshArrays:
     """Four stones on top of each other, each sunk into the one below."""
     parts = []
     for x, y, z, *radii, seed in STACK:
@@ -98,7 +98,7 @@ def stones() -> Mesh:
     return join_meshes(parts)
 
 
-def moebius(along: int = 72, across: int = 6) -> Mesh:
+def moebius(along: int = 72, across: int = 6) -> MeshArrays:
     """One side, one border; the last cells meet the first upside down."""
     t = 2 * np.pi * np.arange(along) / along
     w = np.linspace(-1.0, 1.0, across + 1) * TWISTED[1]
@@ -112,7 +112,7 @@ def moebius(along: int = 72, across: int = 6) -> Mesh:
     return vertices, faces.astype(np.int32)
 
 
-def rag() -> Mesh:
+def rag() -> MeshArrays:
     """An open sheet with waves, with a border all round it and another round a hole."""
     line = np.linspace(-28.0, 28.0, 25)
     vertices, faces = sheet(line, line)
@@ -121,7 +121,7 @@ def rag() -> Mesh:
     return vertices, faces[np.hypot(middle[:, 0] - 4.0, middle[:, 2] + 3.0) > 8.0]
 
 
-def broken() -> Mesh:
+def broken() -> MeshArrays:
     """A ball with all that goes wrong in meshes: doubled faces, faces the other way round, faces without area, loose corners."""
     vertices, faces = stone(65, (22.0, 20.0, 22.0), detail=2)
     vertices = vertices + np.array([0.0, 19.0, 0.0])
@@ -134,12 +134,12 @@ def broken() -> Mesh:
     return np.concatenate([vertices, loose]), np.concatenate(every).astype(np.int32)
 
 
-def rod(length: float = 70.0, radius: float = 2.5) -> Mesh:
+def rod(length: float = 70.0, radius: float = 2.5) -> MeshArrays:
     """A twig along y, closed, thinner than two agents are wide."""
     return turned([(0.0, 0.0), (radius, 0.0), (radius, length / 2), (radius * 0.8, length), (0.0, length)], 9)
 
 
-def eight(along: int = 64, around: int = 12, radius: float = 7.0) -> Mesh:
+def eight(along: int = 64, around: int = 12, radius: float = 7.0) -> MeshArrays:
     """A closed hose along the curve of Gerono, which goes through itself in the middle: one piece, walls inside walls."""
     t = 2 * np.pi * np.arange(along) / along
     line = np.stack([34.0 * np.sin(t), np.full(along, 12.0), 34.0 * np.sin(t) * np.cos(t)], axis=1)
@@ -156,13 +156,13 @@ def eight(along: int = 64, around: int = 12, radius: float = 7.0) -> Mesh:
     return vertices, faces.astype(np.int32)
 
 
-def boulder() -> Mesh:
+def boulder() -> MeshArrays:
     """To be sunk into the ground by half."""
     vertices, faces = stone(66, (24.0, 20.0, 21.0), detail=3)
     return vertices + np.array([0.0, SUNK, 0.0]), faces
 
 
-def ground(lines: int = 61) -> Mesh:
+def ground(lines: int = 61) -> MeshArrays:
     """Flat about the shapes, with a hill at the far end."""
     line = np.linspace(-180.0, 180.0, lines)
     vertices, faces = sheet(line, line)
@@ -177,7 +177,7 @@ SHAPES = {
 }  # fmt: skip
 
 
-def write(name: str, mesh: Mesh) -> None:
+def write(name: str, mesh: MeshArrays) -> None:
     made = trimesh.Trimesh(np.round(mesh[0], 3), mesh[1], process=False)
     (HERE / f"{name}.ply").write_bytes(made.export(file_type="ply", vertex_normal=False))
 

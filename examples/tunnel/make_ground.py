@@ -13,13 +13,13 @@ import numpy as np
 import trimesh
 from numpy.typing import NDArray
 
-from antdsl.bodies.shapes import Mesh, sheet, stone, wave_noise
+from antdsl.bodies.shapes import MeshArrays, sheet, stone, wave_noise
 
 HERE = Path(__file__).parent
 Array = NDArray[np.float64]
 
 
-def terrain() -> Mesh:
+def terrain() -> MeshArrays:
     """A valley floor with soft waves between two banks."""
     vertices, faces = sheet(np.linspace(-160.0, 160.0, 97), np.linspace(-100.0, 100.0, 61))
     x, z = vertices[:, 0], vertices[:, 2]
@@ -29,13 +29,13 @@ def terrain() -> Mesh:
     return np.stack([x, y, z], axis=1), faces
 
 
-def hill() -> Mesh:
+def hill() -> MeshArrays:
     vertices, faces = stone(63, (33.0, 36.0, 80.0), detail=5, roughness=0.1)
     vertices += 0.8 * wave_noise(vertices, 64, 16.0, 2)[:, None] * vertices / np.linalg.norm(vertices, axis=1, keepdims=True)
     return vertices + np.array([0.0, -2.0, 0.0]), faces
 
 
-def write(name: str, mesh: Mesh) -> None:
+def write(name: str, mesh: MeshArrays) -> None:
     vertices, faces = mesh
     # Rounded, so that the last bits of one machine's sine do not change the file.
     made = trimesh.Trimesh(np.round(vertices, 3), faces, process=False)

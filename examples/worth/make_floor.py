@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import trimesh
 
-from antdsl.bodies.shapes import Mesh, join_meshes, sheet, stone, wave_noise
+from antdsl.bodies.shapes import MeshArrays, join_meshes, sheet, stone, wave_noise
 
 HERE = Path(__file__).parent
 STONES = (  # x, z, half axes, seed
@@ -17,14 +17,14 @@ STONES = (  # x, z, half axes, seed
 )
 
 
-def floor(lines: int = 41) -> Mesh:
+def floor(lines: int = 41) -> MeshArrays:
     line = np.linspace(-200.0, 200.0, lines)
     vertices, faces = sheet(line, line)
     vertices[:, 1] = 3.0 * wave_noise(vertices[:, [0, 2]], 7, 120.0, 2)
     return vertices, faces
 
 
-def write(name: str, mesh: Mesh) -> None:
+def write(name: str, mesh: MeshArrays) -> None:
     made = trimesh.Trimesh(np.round(mesh[0], 3), mesh[1], process=False)
     (HERE / name).write_bytes(made.export(file_type="ply", vertex_normal=False))
 

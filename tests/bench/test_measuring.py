@@ -36,7 +36,7 @@ from antdsl.bench.tables import (
 )
 from antdsl.cli.printing.bench_tables import show
 from antdsl.machine_code import machine as native_machine
-from antdsl.machine_code.object_cache import VARIABLE
+from antdsl.machine_code.object_cache import CACHE_VARIABLE
 from antdsl.runtime.backends import NumpyBackend
 from antdsl.runtime.backends.native import ready
 from antdsl.runtime.world import Population, World
@@ -131,12 +131,12 @@ def test_machine_code_is_ready_before_steps_are_measured_and_its_making_and_load
     monkeypatch.setattr(NumpyBackend, "run", run)
     monkeypatch.setattr(native_machine, "object_code", object_code)
     monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
-    previous_folder = os.environ.get(VARIABLE)
+    previous_folder = os.environ.get(CACHE_VARIABLE)
     measurement = measure(Job("node", 60, ("native",), turns=2, steps=1, full_run=True))
     assert len(compiled_texts) == len(set(compiled_texts)) > 0, "none again for what is loaded, nor for the run with a cache"
     assert [block for block in by_numpy if block in ("act", "blend")] == ["act", "blend"], "the first step, and no other"
     assert measurement.set_up.code and measurement.set_up.kept and measurement.set_up.second
-    assert os.environ.get(VARIABLE) == previous_folder and list(tmp_path.iterdir()) == []
+    assert os.environ.get(CACHE_VARIABLE) == previous_folder and list(tmp_path.iterdir()) == []
     (row,) = step_rows(Result((measurement,)))
     assert "" not in row[-3:] and row[COLUMNS.index("code, CPU s")] != ""
     other = measure(Job("node", 60, ("numpy",), turns=1, steps=1))

@@ -36,8 +36,8 @@ from antdsl.bench.cases import case_of
 from antdsl.machine_code import machine
 from antdsl.runtime import Options, World, bind, step
 from antdsl.runtime.backends import BACKENDS, NumpyBackend
-from antdsl.runtime.backends.compile import Instruction, Run, Slots
-from antdsl.scene.setting import Setting
+from antdsl.runtime.backends.compile import BlockInstruction, SlotFunction, SlotValues
+from antdsl.scene.setting import WorldSetting
 
 RECORDED = Path(__file__).with_suffix(".json")
 COUNTED = (
@@ -114,7 +114,7 @@ def main() -> None:
         raise SystemExit("\n".join([*lines, "where that is meant: python tests/benchmarks/counts.py --record"]))
 
 
-def counts_of(plan: Any, setting: Setting, backend: str = "numpy") -> StepCounts:
+def counts_of(plan: Any, setting: WorldSetting, backend: str = "numpy") -> StepCounts:
     """Return the counts of one step, on one thread, after SETTLED earlier steps. Raises KeyError for a backend that does not
     exist."""
     if backend not in BACKENDS:
@@ -160,11 +160,11 @@ def _count_instructions(world: World, counts: StepCounts) -> Iterator[None]:
         NumpyBackend.measure(backend, False)
 
 
-def _counting_call(call: Run, instruction: Instruction, counts: StepCounts) -> Run:
+def _counting_call(call: SlotFunction, instruction: BlockInstruction, counts: StepCounts) -> SlotFunction:
     slots = (*instruction.inputs, *([instruction.out] if instruction.out >= 0 else []))
     size = instruction.scope.size
 
-    def run(v: Slots) -> None:
+    def run(v: SlotValues) -> None:
         call(v)
         counts["instructions"] += 1
         counts["elements"] += v[size]

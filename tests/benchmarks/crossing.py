@@ -15,7 +15,7 @@ from scipy.spatial import cKDTree
 
 from antdsl import passes, plan
 from antdsl.program import check
-from antdsl.runtime import CrowdData, MeshData, Options, PlaceData, Setting, World, bind, step
+from antdsl.runtime import CrowdData, MeshData, Options, PlaceData, World, WorldSetting, bind, step
 from antdsl.source import Source
 from antdsl.syntax import parse
 
@@ -62,7 +62,7 @@ def world_of(text: str, positions: Floats, surface: tuple[Floats, NDArray[np.int
     assert report.ok and check_report.ok, [each.message for each in (*report.sorted(), *check_report.sorted())]
     crowd = CrowdData("person", len(positions), PlaceData(points=positions))
     surfaces = {} if surface is None else {"floor": MeshData(*surface)}
-    setting = Setting(crowds=(crowd,), surfaces=surfaces, fps=FPS)  # type: ignore[arg-type]
+    setting = WorldSetting(crowds=(crowd,), surfaces=surfaces, fps=FPS)  # type: ignore[arg-type]
     return bind(passes.optimise(plan.lower(program)[0]), setting, Options(threads=1))
 
 

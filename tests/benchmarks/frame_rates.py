@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-from antdsl.pipeline import Choices, open_scene
+from antdsl.pipeline import RunChoices, open_scene
 from antdsl.runtime import Options, bind, step
 
 SCENE = Path(__file__).resolve().parents[2] / "examples" / "foraging" / "scene.yaml"
@@ -24,7 +24,7 @@ _LONGEST = 120.0  # s of the shot
 
 def seconds_until_empty(fps: int, substeps: int, seed: int, left: float = 0.0) -> float:
     """Seconds of the shot until the first item of food holds no more than `left`; infinite when it takes two minutes."""
-    shot, report = open_scene(SCENE, Choices(seed=seed))
+    shot, report = open_scene(SCENE, RunChoices(seed=seed))
     assert shot is not None, report.sorted()
     world = bind(shot.plan, dataclasses.replace(shot.setting, fps=Fraction(fps), substeps=substeps), Options())
     load = world.items["food"].amounts["load"]

@@ -21,7 +21,7 @@ from antdsl.bench.cases import case_of
 from antdsl.bench.measuring import wait_for_code
 from antdsl.machine_code import machine
 from antdsl.machine_code.kernels import calling
-from antdsl.machine_code.kernels.direct.argument_text import REAL
+from antdsl.machine_code.kernels.direct.argument_text import REAL_KIND
 from antdsl.machine_code.kernels.kernel import Kernel
 from antdsl.runtime import Options, bind, step
 
@@ -116,10 +116,10 @@ def laid_out(
 ) -> tuple[np.ndarray, list[tuple[int, int, int]]]:
     """The table of words that a call reads, but for addresses, and of these: the word, the piece of memory, and how far in it."""
     parameters = [each for each in calling._argument_specs(kernel._types(), ()) if each.count is None]
-    words, slots = np.zeros(calling.RESULTS + sum(calling._word_count(each) for each in parameters), np.uint64), []
+    words, slots = np.zeros(calling.RESULT_WORDS + sum(calling._word_count(each) for each in parameters), np.uint64), []
     for each, value in zip(parameters, leaves(arguments), strict=True):
         if each.dtype is None:
-            words[each.place] = word_of(float(value) if each.kind == REAL else int(value))
+            words[each.place] = word_of(float(value) if each.kind == REAL_KIND else int(value))
             continue
         address, *rest = calling._describe_array(name, each, value)
         words[each.place + 1 : each.place + 1 + len(rest)] = rest

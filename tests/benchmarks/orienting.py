@@ -21,7 +21,7 @@ from plan_text import plan_of
 
 from antdsl.passes import optimise
 from antdsl.plan import ir
-from antdsl.runtime import CrowdData, MeshData, Options, PlaceData, Setting, bind, step
+from antdsl.runtime import CrowdData, MeshData, Options, PlaceData, WorldSetting, bind, step
 
 Floats = np.ndarray
 WANDERING = """use steering
@@ -94,7 +94,7 @@ class Tilts:
 def walking(plan: ir.Plan, shape: Shape, how: str, agents: int, steps: int, warm: int = 24) -> Tilts:
     """A crowd that wanders over a shape."""
     crowd = CrowdData("a", agents, PlaceData(on=("s",)))
-    setting = Setting(surfaces={"s": MeshData(*shape.mesh)}, crowds=(crowd,), orient=how, seed=5)
+    setting = WorldSetting(surfaces={"s": MeshData(*shape.mesh)}, crowds=(crowd,), orient=how, seed=5)
     world = bind(plan, setting, Options(backend="native", wait_for_code=True))
     population, off, turned, seconds = world.populations["a"], [], [], []
     for number in range(warm + steps):

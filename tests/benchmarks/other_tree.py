@@ -76,7 +76,7 @@ def rays_timed() -> list[float]:
 
         return run
 
-    senses: Any = sensing.SENSES
+    senses: Any = sensing.SENSE_FUNCTIONS
     senses["ray"] = timed(senses["ray"])
     with suppress(ImportError):  # an older tree has NumPy only
         from antdsl.runtime.backends.native import tables

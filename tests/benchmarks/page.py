@@ -39,8 +39,8 @@ RESULTS_FILE = Path(__file__).with_suffix(".json")
 SLOWEST = "reference"  # measured where few agents make few steps
 BESIDE_SLOWEST = {("foraging", 125), ("node", 500)}
 COMPARED_CASES = ("node", "valley", "valley_of_meshes")
-BOUND_CASES = ("foraging",)  # whose work the hand-written frame does
-MOST_COUNTED = 15_000  # agents of a crowd whose operations are counted
+BOUND_CASES = ("foraging",)  # the hand-written frame does the work of these
+MOST_COUNTED = 15_000  # agents of a crowd up to which operations are counted
 PHASED = ("foraging", "boids", "tunnel", "anthill")
 Measurements = dict[str, dict[str, Any]]
 

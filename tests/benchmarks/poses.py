@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from antdsl.bench.ratios import LEAST_PAIRS, bootstrap_interval, measure_in_turn
 from antdsl.bodies.agents.blending import ClipTree, Playing, posed
 from antdsl.bodies.agents.definition import Binding, Capture, Clip, Definition, Rig, Shape
-from antdsl.bodies.agents.deformers import DEFORMERS, bound
+from antdsl.bodies.agents.deformers import DEFORMER_BY_NAME, bound
 from antdsl.bodies.agents.poses import ClipTable, clip_table
 
 Floats = NDArray[np.float32]
@@ -249,7 +249,7 @@ def shapes(agents: int) -> None:
     definition = replace(definition, shapes={"skin": skin})
     poses = posed(clip_table(definition), {}, crowd(agents))
     print(f"200 points and normals, two joints each, for {agents} agents: ms")
-    for name in ("", *(each for each in DEFORMERS if each != "blendshape")):
+    for name in ("", *(each for each in DEFORMER_BY_NAME if each != "blendshape")):
         clock, processor = milliseconds(lambda name=name: bound(definition, Binding("j1", "skin", deformer=name), poses), 3)  # type: ignore[misc]
         print(f"  {name or 'static':22} {clock:8.1f} by the clock {processor:8.1f} of processors")
 

@@ -18,9 +18,9 @@ from previewed import ROOT, joined, read, until
 
 from antdsl.preview.live import Live
 from antdsl.preview.serving.addresses import listen
-from antdsl.preview.serving.guard import Guard
+from antdsl.preview.serving.guard import RequestGuard
 from antdsl.preview.serving.pages import load_pages
-from antdsl.preview.serving.server import Server
+from antdsl.preview.serving.server import PreviewServer
 from antdsl.runtime import Options
 
 FORAGING = ROOT / "examples" / "foraging"
@@ -99,9 +99,9 @@ async def turn(live: Live, seconds: float) -> Turn:
 async def measured(scene: Path, threads: int, turns: int, seconds: float) -> tuple[list[Turn], list[Turn], list[int]]:
     live = Live.open(scene, options=Options(threads=threads))
     listening = listen(None, 0)
-    guard = Guard(listening.names)
+    guard = RequestGuard(listening.names)
     alone, watched, frame_counts = [], [], []
-    async with Server(live, guard, load_pages(), listening).running():
+    async with PreviewServer(live, guard, load_pages(), listening).running():
         live.session.playing, live.speed = True, 0.0
         live.start()
         reader = Reader(f"{listening.addresses[0]}#{guard.token}")

@@ -12,7 +12,7 @@ from time import process_time
 
 from antdsl.pipeline import open_scene
 from antdsl.runtime import Options, bind, state_hash, step
-from antdsl.runtime.profiling import Meter
+from antdsl.runtime.profiling import StepMeter
 
 FORAGING = Path(__file__).resolve().parents[2] / "examples" / "foraging"
 BLOCKS = ("decide", "act", "blend", "births")
@@ -31,13 +31,13 @@ def main() -> None:
     for threads in (1, 2):
         options = Options(threads=threads, wait_for_code=True)
         plain, watched = (bind(shot.plan, shot.setting, options) for _ in range(2))
-        meter, alone, measured = Meter(None), [], []
+        meter, alone, measured = StepMeter(None), [], []
         for number in range(arguments.steps + 8):
             began = process_time()
             step(plain)
             turn = process_time()
             if number == 8:  # kernels are loaded, and code is made
-                meter = Meter(None)
+                meter = StepMeter(None)
             meter.begin(watched)
             step(watched)
             meter.end(watched)

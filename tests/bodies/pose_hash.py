@@ -7,8 +7,8 @@ import hashlib
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl.bodies.agents.blending import ADDITIVE, INTERPOLATE, ClipTree, Playing, posed
-from antdsl.bodies.agents.definition import Binding, Blend, Capture, Channel, Clip, Definition, Rig, Shape, TransformGroup
+from antdsl.bodies.agents.blending import ADDITIVE_MODE, INTERPOLATE_MODE, ClipTree, Playing, posed
+from antdsl.bodies.agents.definition import Binding, BlendTargets, Capture, Channel, Clip, Definition, Rig, Shape, TransformGroup
 from antdsl.bodies.agents.deformers import bound
 from antdsl.bodies.agents.poses import clip_table
 
@@ -34,11 +34,11 @@ def main() -> None:
     capture = Capture(names, follows, np.concatenate([share, 1 - share], axis=1), np.tile(np.eye(4), (JOINTS, 1, 1)))
     points, others, normals = numbers(3, POINTS, 3).astype(np.float32)
     skin = Shape("skin", points, np.zeros((0, 3), np.int32), normals, attributes={"dq": numbers(POINTS).astype(np.float32)},
-                 capture=capture, blend=Blend(("other",), ("jaw",)), dual_quaternion_blend="dq")  # fmt: skip
+                 capture=capture, blend=BlendTargets(("other",), ("jaw",)), dual_quaternion_blend="dq")  # fmt: skip
     shapes = {"skin": skin, "other": Shape("other", others, skin.faces, normals[::-1])}
     rig = Rig(names, np.array([-1, *(random.integers(0, k) for k in range(1, JOINTS))], np.int32), rest, (Channel("jaw"),))
     definition = Definition("made", rig, shapes, clips=clips, groups={"some": TransformGroup("some", (("j2", 0.5), ("j3", 1.0)))})
-    tree = ClipTree((1, 1, 2), ("", "some", ""), (ADDITIVE, INTERPOLATE, INTERPOLATE), (-1, 0, 0))
+    tree = ClipTree((1, 1, 2), ("", "some", ""), (ADDITIVE_MODE, INTERPOLATE_MODE, INTERPOLATE_MODE), (-1, 0, 0))
     times = random.integers(-500, 500, (AGENTS, 3)) / 256
     playing = Playing.alike(
         tree, random.integers(-1, 2, (AGENTS, 3)).astype(np.int32), times, np.abs(numbers(AGENTS, 3)).astype(np.float32)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from antdsl.bodies.agents.boxes import agent_boxes, layer_boxes
-from antdsl.bodies.agents.definition import Binding, Blend, Capture, Definition, Layer, Rig, Shape
+from antdsl.bodies.agents.definition import Binding, BlendTargets, Capture, Definition, Layer, Rig, Shape
 
 RIG = Rig(("root", "arm", "hand"), np.array([-1, 0, 1], np.int32), np.tile(np.eye(4), (3, 1, 1)))
 BLOCK = np.array([[x, y, z] for x in (1.0, 3.0) for y in (0.0, 1.0) for z in (0.0, 2.0)], np.float32)
@@ -20,7 +20,7 @@ FOLLOWING = Capture(
 SHAPES = {
     "block": Shape("block", BLOCK, FACES),
     "skin": Shape("skin", BLOCK * 100, FACES, capture=FOLLOWING),
-    "head": Shape("head", BLOCK, FACES, blend=Blend(("grin",), ("smile",))),
+    "head": Shape("head", BLOCK, FACES, blend=BlendTargets(("grin",), ("smile",))),
     "grin": Shape("grin", BLOCK + np.float32(5), FACES),
 }
 LAYERS = {

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from rigs import definition, matrix, still, turn
 
-from antdsl.bodies.agents.blending import ADDITIVE, INTERPOLATE, ClipTree, Playing, posed
+from antdsl.bodies.agents.blending import ADDITIVE_MODE, INTERPOLATE_MODE, ClipTree, Playing, posed
 from antdsl.bodies.agents.clip_lists import playing_of
 from antdsl.bodies.agents.definition import Channel, Clip, TransformGroup
 from antdsl.bodies.agents.poses import Poses, clip_table
@@ -90,7 +90,7 @@ def test_weights_below_zero_or_no_number_count_as_none_and_huge_ones_as_large() 
 
 def test_a_layer_is_an_input_where_its_groups_are_and_the_topmost_weight_is_unused() -> None:
     """Walking with the whole body, and a layer of two clips for the arm alone that weighs three times as much."""
-    tree = ClipTree((0, 1, 1), ("", "arm", "arm"), (INTERPOLATE, INTERPOLATE), (-1, 0))
+    tree = ClipTree((0, 1, 1), ("", "arm", "arm"), (INTERPOLATE_MODE, INTERPOLATE_MODE), (-1, 0))
     poses = one(tree, [LOW, HIGH, LOW], [1, 3, 1], [1, 3])
     assert place(poses, 0) == [0, 0, 0]  # the layer says nothing of the body
     assert place(poses, 1) == [0.75 * 6, 0, 0]
@@ -108,7 +108,7 @@ def test_a_layer_with_one_input_is_as_that_input() -> None:
 
 
 def test_a_layer_of_several_inputs_is_there_as_much_as_their_groups_are_on_average() -> None:
-    tree = ClipTree((0, 1, 1), ("", "half", "half"), (INTERPOLATE, INTERPOLATE), (-1, 0))
+    tree = ClipTree((0, 1, 1), ("", "half", "half"), (INTERPOLATE_MODE, INTERPOLATE_MODE), (-1, 0))
     poses = one(tree, [LOW, HIGH, HIGH], [1, 2, 5], [1, 1])
     assert place(poses, 1) == [round(8 * 0.5 / 1.5, 5), 0, 0]
     mixed = one(ClipTree((0, 1, 1), ("", "half", ""), (0, 0), (-1, 0)), [LOW, HIGH, HIGH], [1, 3, 1], [1, 1])
@@ -118,14 +118,14 @@ def test_a_layer_of_several_inputs_is_there_as_much_as_their_groups_are_on_avera
 
 
 def test_an_additive_layer_is_there_where_its_first_input_is_and_as_much_as_others_add() -> None:
-    tree = ClipTree((0, 1, 1), ("", "arm", "body"), (INTERPOLATE, ADDITIVE), (-1, 0))
+    tree = ClipTree((0, 1, 1), ("", "arm", "body"), (INTERPOLATE_MODE, ADDITIVE_MODE), (-1, 0))
     poses = one(tree, [LOW, HIGH, HIGH], [1, 1, 0.5], [1, 1])
     assert place(poses, 1) == [4, 0, 0]  # half of the first input
     assert place(poses, 0) == [round(4 * 0.5 / 1.5, 5), 0, 0]  # the rest pose's 0 and half of 8, there by a half
 
 
 def test_additive_layers_take_the_first_whole_and_a_share_of_what_others_differ_from_rest() -> None:
-    tree = ClipTree((0, 0), ("", ""), (ADDITIVE,), (-1,))
+    tree = ClipTree((0, 0), ("", ""), (ADDITIVE_MODE,), (-1,))
     poses = one(tree, [HIGH, NOD], [0.2, 0.5])
     assert place(poses, 0) == [8, 0, 0]  # `nod` does not have the body, which adds nothing
     assert place(poses, 1) == [8, 1, 0]  # half of 7 less the rest's 5
@@ -135,7 +135,7 @@ def test_additive_layers_take_the_first_whole_and_a_share_of_what_others_differ_
 
 
 def test_additive_layers_keep_the_scale_of_the_first_and_do_not_normalise() -> None:
-    tree = ClipTree((0, 0, 0), ("", "half", ""), (ADDITIVE,), (-1,))
+    tree = ClipTree((0, 0, 0), ("", "half", ""), (ADDITIVE_MODE,), (-1,))
     poses = one(tree, [LOW, NOD, NOD], [1, 1, 1])
     assert place(poses, 1) == [0, 0.5 * 2 + 2, 0]
     assert np.allclose(linear_part(poses, 1), 2 * matrix(rotation=turn("x", 90))[:3, :3], atol=1e-6)
@@ -144,7 +144,7 @@ def test_additive_layers_keep_the_scale_of_the_first_and_do_not_normalise() -> N
 
 def test_the_first_input_of_an_additive_layer_may_be_a_layer() -> None:
     """A blend of two clips, and a layer of one clip that is added to it."""
-    tree = ClipTree((1, 1, 2), ("", "", "arm"), (ADDITIVE, INTERPOLATE, INTERPOLATE), (-1, 0, 0))
+    tree = ClipTree((1, 1, 2), ("", "", "arm"), (ADDITIVE_MODE, INTERPOLATE_MODE, INTERPOLATE_MODE), (-1, 0, 0))
     poses = one(tree, [LOW, HIGH, NOD], [1, 1, 1], [1, 1, 0.5])
     assert place(poses, 0) == [4, 0, 0]
     assert place(poses, 1) == [4, 1, 0]
@@ -156,7 +156,7 @@ def test_an_added_rotation_is_measured_from_the_rest_pose() -> None:
     clips = still("base", {"a": {"r": turn("y", 20)}}), still("look", {"a": {"r": turn("z", 75)}})
     body = definition({"a": ""}, *clips, rest={"a": matrix(rotation=turn("x", 30))})
     playing = Playing.alike(
-        ClipTree((0, 0), ("", ""), (ADDITIVE,), (-1,)),
+        ClipTree((0, 0), ("", ""), (ADDITIVE_MODE,), (-1,)),
         np.array([[0, 1]], np.int32),
         np.zeros((1, 2)),
         np.ones((1, 2), np.float32),
@@ -172,7 +172,7 @@ def test_a_share_of_an_added_rotation_goes_the_shorter_way() -> None:
     rotation = np.array([[turn("z", 0)], [turn("z", 170)], [turn("z", 340)]], np.float32)
     round_it = Clip("round", 1.0, ("a",), np.zeros((3, 1, 3), np.float32), rotation, np.ones((3, 1, 3), np.float32), loop=False)
     body = definition({"a": ""}, still("base", {"a": {}}), round_it)
-    tree = ClipTree((0, 0), ("", ""), (ADDITIVE,), (-1,))
+    tree = ClipTree((0, 0), ("", ""), (ADDITIVE_MODE,), (-1,))
     playing = Playing.alike(tree, np.array([[0, 1]], np.int32), np.array([[0.0, 2.0]]), np.array([[1, 0.5]], np.float32))
     poses = posed(clip_table(body), {}, playing)
     assert np.allclose(poses.world[0, 0, :, :3], matrix(rotation=turn("z", -10))[:3, :3], atol=1e-6)
@@ -214,7 +214,7 @@ def test_nothing_jumps_while_clips_go_round_and_fade_into_each_other() -> None:
 
 
 def test_agents_of_different_trees_are_each_as_alone() -> None:
-    trees = (ClipTree.flat(2), ClipTree((0, 0), ("", "arm"), (ADDITIVE,), (-1,)), ClipTree((1,), ("",), (0, 0), (-1, 0)))
+    trees = (ClipTree.flat(2), ClipTree((0, 0), ("", "arm"), (ADDITIVE_MODE,), (-1,)), ClipTree((1,), ("",), (0, 0), (-1, 0)))
     rows = [
         (0, [LOW, HIGH], [1, 3], [1, 9]),
         (1, [HIGH, NOD], [1, 0.5], [1, 9]),

@@ -9,9 +9,9 @@ import trimesh
 
 from antdsl.bodies.body import orientation, turned
 from antdsl.bodies.library import library_body
-from antdsl.bodies.shapes import PLACED, item_shape, placed
-from antdsl.program.tables.colours import COLOURS, default_rgb, rgb
-from antdsl.scene.library_bodies import BODY_WORDS, CAPSULES, body_for_species
+from antdsl.bodies.shapes import ITEM_SHAPES, item_shape, placed
+from antdsl.program.tables.colours import COLOUR_BY_NAME, default_rgb, rgb
+from antdsl.scene.library_bodies import BODY_WORDS, CAPSULE_BY_BODY, body_for_species
 
 TRUNK = ("root", "thorax", "head", "petiole", "gaster", "gaster_tip")
 EXAMPLES = Path(__file__).parents[2] / "examples"
@@ -37,7 +37,7 @@ def test_bodies_face_outwards_and_stand_on_the_ground(name):
         assert shape.name == "crumb" or abs(shape.points[:, 1].min()) < 0.07
 
 
-@pytest.mark.parametrize("shape", sorted(PLACED))
+@pytest.mark.parametrize("shape", sorted(ITEM_SHAPES))
 def test_placed_shapes_face_outwards_with_colours(shape):
     vertices, faces, colour = placed(shape)
     assert volume(vertices, faces) > (0.2 if shape == "mound" else 0.5)  # a nest lies flat, lower than an ant
@@ -71,7 +71,7 @@ def test_orientation_of_nothing_is_still_a_turn():
 
 def test_colours_have_names():
     assert rgb("amber") and rgb("teal") and rgb("amberish") is None
-    assert all(0 <= value <= 255 for colour in COLOURS.values() for value in colour)
+    assert all(0 <= value <= 255 for colour in COLOUR_BY_NAME.values() for value in colour)
     assert len({default_rgb(k) for k in range(10)}) == 10
 
 
@@ -105,7 +105,7 @@ def test_the_foraging_ground_has_relief_and_a_shelf_that_overhangs():
 @pytest.mark.parametrize("name", ["ant", "arrow", "ball"])
 def test_the_room_that_a_body_takes_is_that_of_its_mesh(name: str) -> None:
     """The capsule is as long and wide as what is drawn of the trunk."""
-    capsule, drawn = CAPSULES[name], library_body(name).shapes[name]
+    capsule, drawn = CAPSULE_BY_BODY[name], library_body(name).shapes[name]
     points = drawn.points
     if name == "ant":  # without legs, feelers and the rings that coxae share with the thorax
         assert drawn.capture is not None

@@ -187,12 +187,12 @@ def test_additions_of_others_to_a_documented_form_are_reported_and_read() -> Non
 
 def test_bytes_that_are_no_text_and_too_many_joints_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     assert read_part(b"\xff\xfe{}", READERS["rig"])[1].errors[0].code == "not-utf8"
-    monkeypatch.setattr(limits, "JOINTS", 2)
+    monkeypatch.setattr(limits, "MAX_RIG_JOINTS", 2)
     assert read_part(RIG.encode(), READERS["rig"])[1].errors[0].code == "too-large"
 
 
 def test_a_deep_rig_is_read_without_recursion() -> None:
-    names = [f"j{number}" for number in range(limits.JOINTS)]
+    names = [f"j{number}" for number in range(limits.MAX_RIG_JOINTS)]
     children = [f'"{a}": ["{b}"]' for a, b in pairwise(names)]
     deep_rig = rig_of(rig("{" + ", ".join([*children, f'"{names[-1]}": []']) + "}"))
-    assert deep_rig.parents.tolist() == list(range(-1, limits.JOINTS - 1))
+    assert deep_rig.parents.tolist() == list(range(-1, limits.MAX_RIG_JOINTS - 1))

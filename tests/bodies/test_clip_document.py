@@ -98,6 +98,6 @@ def test_joints_and_channels_missing_from_the_rig_are_reported_and_left_out() ->
 
 
 def test_samples_are_counted_before_they_take_memory(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(limits, "CLIP_BYTES", 1000)
+    monkeypatch.setattr(limits, "MAX_CLIP_BYTES", 1000)
     clip, report = clip_of("{" + ", ".join(f'"j{n}:tx": [0, 1, 2, 3]' for n in range(10)) + "}")
     assert clip is None and report.errors[0].code == "too-large"

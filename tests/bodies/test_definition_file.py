@@ -11,7 +11,7 @@ import gltf_bodies
 import pytest
 
 from antdsl import limits
-from antdsl.bodies.agents.definition import Blend, Definition, InBetweens
+from antdsl.bodies.agents.definition import BlendTargets, Definition, InBetweens
 from antdsl.bodies.files.clip_document import write_clip
 from antdsl.bodies.files.documents import TypedValue
 from antdsl.bodies.files.named_files import BodyFiles
@@ -180,7 +180,7 @@ def test_blend_shapes_by_their_documented_attributes(folder: Path) -> None:
     ]  # fmt: skip
     layer = {"version": 2, "name": "a", "deforming": [{"transform": "hand", "shape": "head", "deformer": "blendshape"}]}
     body = fine(folder, rig=RIG, shapes=shapes, layers=[layer])
-    assert body.shapes["head"].blend == Blend(("smile",), ("fist",), ("P",), "number", "id")
+    assert body.shapes["head"].blend == BlendTargets(("smile",), ("fist",), ("P",), "number", "id")
     assert body.shapes["head"].dual_quaternion_blend == "soft"
     assert body.shapes["smile"].between == InBetweens(("half",), (0.5,))
     shapes[1]["blendshape_inbetweenweights"] = [1]
@@ -352,7 +352,7 @@ def test_any_change_of_a_definition_is_read_or_reported(folder: Path) -> None:
 
 
 def test_all_clips_together_have_a_limit(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(limits, "BODY_PARTS", 1)
+    monkeypatch.setattr(limits, "MAX_BODY_PARTS", 1)
     clips = [{**CLIP, "name": name} for name in "ab"]
     assert error_of(folder, rig=RIG, clips=clips)[0] == "too-large"
 

@@ -13,8 +13,8 @@ from rigs import definition, matrix, still, turn, wild
 
 from antdsl.bodies.agents import deformers
 from antdsl.bodies.agents.blending import ClipTree, Playing, posed
-from antdsl.bodies.agents.definition import Binding, Blend, Capture, Channel, Definition, InBetweens, Shape
-from antdsl.bodies.agents.deformers import DEFORMERS, bound, deformer_steps, register
+from antdsl.bodies.agents.definition import Binding, BlendTargets, Capture, Channel, Definition, InBetweens, Shape
+from antdsl.bodies.agents.deformers import DEFORMER_BY_NAME, bound, deformer_steps, register
 from antdsl.bodies.agents.poses import Poses, clip_table
 from antdsl.bodies.agents.skinning import Deformed
 
@@ -131,7 +131,7 @@ def test_a_point_of_one_joint_goes_the_same_way_by_both_methods_whatever_the_joi
 FACE = Shape(
     "face", np.array([[0, 0, 0], [1, 0, 0], [2, 0, 0]], np.float32), FACES, np.array([[0, 1, 0]] * 3, np.float32),
     attributes={"id": np.array([10, 20, 30]), "red": np.array([0, 0, 1], np.float32)},
-    blend=Blend(("smile", "open"), ("smile", "jaw")),
+    blend=BlendTargets(("smile", "open"), ("smile", "jaw")),
 )  # fmt: skip
 
 
@@ -192,7 +192,7 @@ def test_in_betweens_are_those_of_an_independent_implementation() -> None:
     binding.CreateBlendShapeTargetsRel().AddTarget("/mesh/shape")
     query = skel.BlendShapeQuery(binding)
     library = {
-        "face": Shape("face", base, FACES, blend=Blend(("one",), ("jaw",))),
+        "face": Shape("face", base, FACES, blend=BlendTargets(("one",), ("jaw",))),
         "one": Shape("one", primary, FACES, between=InBetweens(("high", "low"), (0.8, 0.3))),
         "low": Shape("low", low, FACES), "high": Shape("high", high, FACES),
     }  # fmt: skip
@@ -213,7 +213,7 @@ def test_normals_are_blended_and_unit_again_and_so_is_what_else_is_named() -> No
     tilted = replace(
         SMILE, name="tilted", normals=np.array([[1, 0, 0]] * 3, np.float32), attributes={"red": np.array([1, 1, 1], np.float32)}
     )
-    named = Blend(("tilted",), ("smile",), ("P", "N", "red"))
+    named = BlendTargets(("tilted",), ("smile",), ("P", "N", "red"))
     result = face(replace(FACE, blend=named), [0.5], [0], tilted)
     assert result.normals is not None and np.allclose(result.normals[0], [[np.sqrt(0.5), np.sqrt(0.5), 0]] * 3)
     assert result.attributes["red"].tolist() == [[0.5, 0.5, 1]]
@@ -224,7 +224,7 @@ def test_normals_are_blended_and_unit_again_and_so_is_what_else_is_named() -> No
 def test_an_in_between_without_normals_is_passed_by_them_alone() -> None:
     """Normals go straight to the primary shape's while the last point is at its in-between."""
     wide = replace(OPEN, name="wide", normals=np.array([[1, 0, 0]] * 2, np.float32))
-    result = face(replace(FACE, blend=Blend(("wide",), ("jaw",))), [0], [0.25], wide)
+    result = face(replace(FACE, blend=BlendTargets(("wide",), ("jaw",))), [0], [0.25], wide)
     assert result.points[0, 2].tolist() == [2, 0, 4]
     assert result.normals is not None and np.allclose(result.normals[0, 2], np.array([1, 3, 0]) / np.sqrt(10))
 
@@ -233,14 +233,14 @@ def test_what_a_blend_shape_cannot_be_is_refused() -> None:
     for weight in (0.0, 1.0):
         odd = replace(SMILE, name="odd", between=InBetweens(("ajar",), (weight,)))
         with pytest.raises(ValueError, match=f"has weight {weight:g}"):
-            face(replace(FACE, blend=Blend(("odd",), ("smile",))), [0], [0], odd)
-    for blend, why in ((Blend(("gone",), ("smile",)), "gone"), (Blend(("smile",), ("tail",)), "tail")):
+            face(replace(FACE, blend=BlendTargets(("odd",), ("smile",))), [0], [0], odd)
+    for blend, why in ((BlendTargets(("gone",), ("smile",)), "gone"), (BlendTargets(("smile",), ("tail",)), "tail")):
         with pytest.raises(KeyError, match=why):
             face(replace(FACE, blend=blend), [0], [0])
     with pytest.raises(ValueError, match="names no blend shapes"):
         face(replace(FACE, blend=None), [0], [0])
     with pytest.raises(ValueError, match="2 blend shapes and 1 channels"):
-        face(replace(FACE, blend=Blend(("smile", "open"), ("jaw",))), [0], [0])
+        face(replace(FACE, blend=BlendTargets(("smile", "open"), ("jaw",))), [0], [0])
 
 
 def test_blend_shapes_come_before_skinning() -> None:
@@ -248,7 +248,8 @@ def test_blend_shapes_come_before_skinning() -> None:
     capture = Capture(("head",), np.zeros((1, 1), np.int32), np.ones((1, 1), np.float32), np.eye(4)[None])
     shapes = {
         "skin": Shape("skin", np.array([[3, 0, 0]], np.float32), FACES, np.array([[0, 1, 0]], np.float32), capture=capture,
-                      attributes={"dq": np.ones(1, np.float32)}, blend=Blend(("up",), ("open",)), dual_quaternion_blend="dq"),
+                      attributes={"dq": np.ones(1, np.float32)}, blend=BlendTargets(("up",), ("open",)),
+                      dual_quaternion_blend="dq"),
         "up": Shape("up", np.array([[3, 1, 0]], np.float32), FACES),
     }  # fmt: skip
     built = replace(
@@ -278,7 +279,7 @@ def test_a_static_shape_goes_as_its_joint_goes() -> None:
 
 
 def test_a_deformer_of_ones_own_is_used_by_its_name_alone_and_after_others(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(deformers, "DEFORMERS", dict(DEFORMERS))
+    monkeypatch.setattr(deformers, "DEFORMER_BY_NAME", dict(DEFORMER_BY_NAME))
 
     def swell(deformed: Deformed, shape: Shape, definition: Definition, poses: Poses) -> Deformed:
         return Deformed(deformed.points * (1 + poses.channels[:, :1, None]), deformed.normals, deformed.attributes)
@@ -300,7 +301,7 @@ def test_a_deformer_of_ones_own_is_used_by_its_name_alone_and_after_others(monke
 
 def test_the_page_has_all_deformers() -> None:
     page = (Path(__file__).resolve().parents[2] / "docs" / "poses.md").read_text(encoding="utf-8")
-    assert [name for name in DEFORMERS if f"\n| `{name}` | " not in page] == []
+    assert [name for name in DEFORMER_BY_NAME if f"\n| `{name}` | " not in page] == []
 
 
 def test_shapes_without_what_a_deformer_needs_are_refused() -> None:
@@ -323,7 +324,7 @@ def test_an_agent_is_deformed_alike_whatever_other_agents_there_are(name: str, m
     binding = Binding("" if name else "j3", "body", deformer=name)
     total = bound(built, binding, poses)
     order = np.array([4, 2, 6, 0, 1, 3, 5])
-    monkeypatch.setattr(deformers, "_PART", 1)
+    monkeypatch.setattr(deformers, "_POINTS_PER_CHUNK", 1)
     for rows in (order, order[:1]):
         subset = bound(built, binding, Poses(np.ascontiguousarray(poses.world[rows]), None, poses.channels[rows]))
         assert subset.points.tobytes() == total.points[rows].tobytes()

@@ -239,11 +239,11 @@ def test_what_does_not_fit_together_is_reported(change: Any, words: str) -> None
 
 
 def test_keys_that_go_on_for_too_long_are_refused_before_they_are_sampled(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(limits, "CLIP_BYTES", 3000)
+    monkeypatch.setattr(limits, "MAX_CLIP_BYTES", 3000)
     assert "clips of more than" in changed(lambda tree: None)
-    monkeypatch.setattr(limits, "CLIP_SAMPLES", 10)
+    monkeypatch.setattr(limits, "MAX_CLIP_SAMPLES", 10)
     assert "longer than is read" in changed(lambda tree: None)
-    monkeypatch.setattr(limits, "BODY_POINTS", 9)
+    monkeypatch.setattr(limits, "MAX_BODY_POINTS", 9)
     assert "more than 9 points" in changed(lambda tree: None)
 
 

@@ -94,7 +94,7 @@ def test_mistakes_are_reported_at_their_place(text: str, code: str, marked: str,
 
 
 def test_values_are_counted_as_they_come(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(limits, "BODY_VALUES", 100)
+    monkeypatch.setattr(limits, "MAX_BODY_JSON_VALUES", 100)
     for text in ("[" + "{}," * 200 + "]", "[[" + "1," * 3200 + "], {}]"):
         node, report = read_json(Source("x.json", text), "a rig")
         assert node is None and report.diagnostics[0].code == "too-large", text[:20]

@@ -13,7 +13,7 @@ from rigs import still
 from antdsl.bodies.agents.blending import posed
 from antdsl.bodies.agents.definition import Definition
 from antdsl.bodies.agents.leg_chains import legs_data
-from antdsl.bodies.agents.leg_ik import FeetOfBodies, Legs, PlacedFeet
+from antdsl.bodies.agents.leg_ik import BodySpaceFeet, LegSolver, PlacedFeet
 from antdsl.bodies.agents.machine_clips import MachineClips, playing_of_machines
 from antdsl.bodies.agents.poses import Poses, clip_table
 from antdsl.bodies.body import rotation_matrices
@@ -35,7 +35,7 @@ def rest(body: Definition, count: int = N) -> Poses:
     return posed(table, body.groups, playing_of_machines(table, (), (), count))
 
 
-def feet_near(body: Definition, spread: float, seed: int = 1, **other: np.ndarray) -> FeetOfBodies:
+def feet_near(body: Definition, spread: float, seed: int = 1, **other: np.ndarray) -> BodySpaceFeet:
     """Feet about where they rest, some higher and some lower, on level trunks that are a little lower than they rest."""
     legs = legs_data(body)
     rng = np.random.default_rng(seed)
@@ -43,7 +43,7 @@ def feet_near(body: Definition, spread: float, seed: int = 1, **other: np.ndarra
     place[..., 1] -= legs.foot[:, 1]
     level = np.tile(np.array([0, 0, 0, 1], np.float32), (N, 1))
     values = {"rise": np.full(N, -0.08 * legs.length.max(), np.float32), "tilt": level} | other
-    return FeetOfBodies(place.astype(np.float32), np.ones(place.shape[:2], np.bool_), **values)
+    return BodySpaceFeet(place.astype(np.float32), np.ones(place.shape[:2], np.bool_), **values)
 
 
 def joints(body: Definition, poses: Poses) -> np.ndarray:
@@ -56,7 +56,7 @@ def test_feet_that_stand_are_where_they_are_to_be(body: Definition) -> None:
     lean = np.concatenate([rng.uniform(-0.12, 0.12, (N, 3)), np.ones((N, 1))], 1).astype(np.float32)
     tilt = lean / np.linalg.norm(lean, axis=1, keepdims=True)
     for feet in (feet_near(body, 0.12), feet_near(body, 0.1, tilt=tilt, rise=np.full(N, -0.1, np.float32))):
-        legs, own = Legs(body), legs_data(body)
+        legs, own = LegSolver(body), legs_data(body)
         bent_joints = joints(body, legs.bend_legs(rest(body), feet, np.ones(N, np.float32)))
         for k, leg in enumerate(body.legs):
             goal = feet.place[:, k] + np.array([0, own.foot[k, 1], 0])
@@ -67,7 +67,7 @@ def test_feet_that_stand_are_where_they_are_to_be(body: Definition) -> None:
 def test_bones_keep_their_lengths_knees_their_side_and_soles_their_turn(body: Definition) -> None:
     feet = feet_near(body, 0.25)
     rest_poses = rest(body)
-    bent_poses = Legs(body).bend_legs(rest_poses, feet, np.ones(N, np.float32))
+    bent_poses = LegSolver(body).bend_legs(rest_poses, feet, np.ones(N, np.float32))
     was, now = joints(body, rest_poses), joints(body, bent_poses)
     for leg in body.legs:
         hip, knee, foot = (body.rig.joint(name) for name in (leg.upper, leg.lower, leg.foot))
@@ -88,7 +88,7 @@ def test_a_goal_out_of_reach_is_gone_towards_and_a_straight_leg_bends_to_the_fro
     assert definition is not None
     far = feet_near(definition, 0.0, rise=np.zeros(N, np.float32))
     far = replace(far, place=far.place + np.array([2, -1, 0], np.float32), down=np.zeros_like(far.down))
-    poses = Legs(definition).bend_legs(rest(definition), far, np.ones(N, np.float32))
+    poses = LegSolver(definition).bend_legs(rest(definition), far, np.ones(N, np.float32))
     now = joints(definition, poses)
     hip, knee, foot = (now[0, definition.rig.joint(f"{part}_left_0")] for part in ("thigh", "shank", "foot"))
     bones = np.linalg.norm(knee - hip) + np.linalg.norm(foot - knee)
@@ -100,7 +100,7 @@ def test_a_goal_out_of_reach_is_gone_towards_and_a_straight_leg_bends_to_the_fro
     straight[definition.rig.joint("foot_left_0"), :3, 3] = (0, -0.25, 0)
     stiff = replace(definition, rig=replace(definition.rig, rest=straight))
     low = feet_near(stiff, 0.0, rise=np.full(N, -0.1, np.float32))
-    now = joints(stiff, Legs(stiff).bend_legs(rest(stiff), low, np.ones(N, np.float32)))
+    now = joints(stiff, LegSolver(stiff).bend_legs(rest(stiff), low, np.ones(N, np.float32)))
     knee = now[0, stiff.rig.joint("shank_left_0")]
     assert knee[0] > now[0, stiff.rig.joint("thigh_left_0"), 0] + 0.05
 
@@ -108,7 +108,7 @@ def test_a_goal_out_of_reach_is_gone_towards_and_a_straight_leg_bends_to_the_fro
 def test_a_clip_that_leaves_feet_free_has_its_own_legs_as_much_as_it_weighs(body: Definition) -> None:
     standing = still("stand", {"root": {}})
     body = replace(body, clips={"stand": standing, "groom": replace(standing, name="groom", feet=False)})
-    legs, played = Legs(body), (("stand", ""), ("groom", ""))
+    legs, played = LegSolver(body), (("stand", ""), ("groom", ""))
 
     def machine(clip: int, previous_clip: int, fade: float, weight: float = 1.0) -> MachineClips:
         ones, numbers = np.ones(N, np.float32), np.ones(N, np.int16)

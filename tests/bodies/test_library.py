@@ -9,7 +9,7 @@ import pytest
 
 from antdsl import resources
 from antdsl.bodies.agents.definition import Definition, Shape
-from antdsl.bodies.agents.deformers import DEFORMERS
+from antdsl.bodies.agents.deformers import DEFORMER_BY_NAME
 from antdsl.bodies.agents.machine_clips import MachineClips
 from antdsl.bodies.files.definition_checks import Parts, check_definition
 from antdsl.bodies.library import library_body
@@ -59,7 +59,7 @@ def test_ants_have_few_triangles_in_crowds_and_many_from_near(word: str) -> None
     body = library_body(word)
     counts = {layer.name: sum(len(body.shapes[b.shape].faces) for b in layer.deforming) for layer in body.layers.values()}
     assert counts["body"] < 500 and 15_000 < counts["close"] < 25_000 and counts["load"] < 200
-    assert {b.deformer for layer in body.layers.values() for b in layer.deforming} <= set(DEFORMERS)
+    assert {b.deformer for layer in body.layers.values() for b in layer.deforming} <= set(DEFORMER_BY_NAME)
 
 
 def test_castes_have_the_same_joints_and_clips_and_other_proportions() -> None:

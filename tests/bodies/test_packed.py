@@ -16,7 +16,7 @@ from antdsl.bodies.agents.blending import posed
 from antdsl.bodies.agents.definition import BodyError, Definition, Gait, Leg
 from antdsl.bodies.agents.deformers import bound
 from antdsl.bodies.agents.machine_clips import MachineClips, playing_of_machines
-from antdsl.bodies.agents.packed import PARTS, Arrays, digest, pack_definition
+from antdsl.bodies.agents.packed import ARRAY_NAMES, Arrays, digest, pack_definition
 from antdsl.bodies.agents.poses import clip_table
 from antdsl.bodies.files.reading import read_definition
 from antdsl.bodies.posed_body import PosedBody
@@ -70,7 +70,7 @@ def test_legs_gaits_and_the_idle_clip_come_back(bodies: list[Definition]) -> Non
 def test_a_definition_comes_back_as_it_was(bodies: list[Definition]) -> None:
     for body in bodies:
         arrays = pack_definition(body)
-        assert tuple(arrays) == PARTS
+        assert tuple(arrays) == ARRAY_NAMES
         back = unpack_checked(arrays)
         assert same(body, back) and digest(back) == digest(body)
         assert clip_table(back).samples.tobytes() == clip_table(body).samples.tobytes()
@@ -79,7 +79,7 @@ def test_a_definition_comes_back_as_it_was(bodies: list[Definition]) -> None:
 
 def test_what_is_damaged_is_no_body(bodies: list[Definition]) -> None:
     arrays = pack_definition(bodies[0])
-    for part in PARTS:
+    for part in ARRAY_NAMES:
         with pytest.raises(BodyError):
             unpack_checked({name: array for name, array in arrays.items() if name != part})
         if part != "text" and arrays[part].size:

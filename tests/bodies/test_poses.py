@@ -169,8 +169,8 @@ def test_order_of_agents_chunks_and_threads_change_no_bit(monkeypatch: pytest.Mo
     plain = posed(table, {}, playing, local=True)
     order = random.permutation(n)
     shuffled = Playing(trees, *(getattr(playing, name)[order] for name in ("tree", "clips", "times", "weights", "layer_weights")))
-    monkeypatch.setattr(blending, "_PART", 9 * 64)
-    monkeypatch.setattr("antdsl.numerics.parallel.PART", 100)
+    monkeypatch.setattr(blending, "_JOINTS_PER_CHUNK", 9 * 64)
+    monkeypatch.setattr("antdsl.numerics.parallel.MIN_AGENTS_PER_THREAD", 100)
     for other, at in (
         (posed(table, {}, playing, local=True, threads=3), slice(None)),
         (posed(table, {}, shuffled, local=True), order),

@@ -7,7 +7,7 @@ import pytest
 from scipy.spatial.transform import Rotation, Slerp
 
 from antdsl.bodies.agents.transforms import (
-    ORDERS,
+    ROTATION_ORDERS,
     align_signs,
     angles_of_rotation,
     matrix_of,
@@ -35,7 +35,7 @@ def test_scale_shear_rotation_and_translation_apply_in_this_order() -> None:
     assert np.abs(matrix @ (0, 1, 0, 1) - (-2, 1, 5, 1)).max() < 1e-12
 
 
-@pytest.mark.parametrize("order", ORDERS)
+@pytest.mark.parametrize("order", ROTATION_ORDERS)
 def test_angles_turn_about_the_axes_in_their_order(order: str) -> None:
     angles = np.random.default_rng(1).uniform(-4, 4, (200, 3))
     expected = Rotation.from_euler(order, angles[:, ["xyz".index(letter) for letter in order]]).as_matrix()

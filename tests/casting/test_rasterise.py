@@ -82,7 +82,7 @@ def test_a_needle_is_cut_into_no_more_parts_than_it_touches_cells(direction: tup
     long, side = 50_000.0 * np.array(direction, float), np.array([0, 0.5, 0.0])
     cells = sum(len(cells) for cells, _ in triangle_cells(np.array([[[0.3, 0.2, 0.1], long, long + side]])))
     assert cells > 50_000
-    assert max(parts) <= rasterise._PIECE
+    assert max(parts) <= rasterise._TRIANGLES_PER_CHUNK
     assert sum(parts) <= 2 * cells
 
 

@@ -9,10 +9,10 @@ import open_shapes
 import pytest
 
 from antdsl.casting.faces import Faces, nearest_on_triangle
-from antdsl.casting.grid_rays import Grid
+from antdsl.casting.grid_rays import GridTables
 from antdsl.casting.ray_walks import BALL, LINK, ROW, Rings, walked_hit
 from antdsl.casting.rays import RayScene
-from antdsl.casting.tolerances import NOTHING, UNSURE
+from antdsl.casting.tolerances import NEAREST_UNKNOWN, NO_FACE
 from antdsl.machine_code.kernels import F64, I64, Array1, Strided2, independent, kernel
 from antdsl.numerics.vector_rows import dot
 from tests.meshes import Mesh, ball, box, grid, terrain
@@ -75,7 +75,7 @@ SHAPES: dict[str, tuple[Callable[[], Mesh], float]] = {
 
 @kernel
 def walk_all(
-    grid: Grid,
+    grid: GridTables,
     rings: Rings,
     starts: Array1[I64],
     origin: Strided2[F64],
@@ -105,7 +105,7 @@ def first_of_all(faces: Faces, origin: np.ndarray, direction: np.ndarray) -> tup
         hair = faces.hair / np.sqrt((direction[0] * direction[0] + direction[1] * direction[1]) + direction[2] * direction[2])
     parts = np.where(inside & (t > hair) & (t <= 1.0), t, np.inf)
     first = int(np.argmin(parts))
-    return float(parts[first]), first if parts[first] < np.inf else NOTHING
+    return float(parts[first]), first if parts[first] < np.inf else NO_FACE
 
 
 def rays(corners: np.ndarray, edge: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -137,12 +137,12 @@ def test_walks_hit_what_a_loop_over_all_faces_hits(name: str) -> None:
     faces = scene._faces
     starts, origin, direction = rays(faces.corners, scene.tables()[0][3])  # type: ignore[index]
     t, face = walked(scene, starts, origin, direction)
-    for k in np.flatnonzero(face != UNSURE):
+    for k in np.flatnonzero(face != NEAREST_UNKNOWN):
         assert (t[k], face[k]) == first_of_all(faces, origin[k], direction[k])
-    assert (face != UNSURE).mean() >= share
+    assert (face != NEAREST_UNKNOWN).mean() >= share
     # A walk from elsewhere answers the same or not at all.
     other_t, other = walked(scene, np.random.default_rng(2).integers(0, len(faces.corners), RAYS), origin, direction)
-    both = (face != UNSURE) & (other != UNSURE)
+    both = (face != NEAREST_UNKNOWN) & (other != NEAREST_UNKNOWN)
     assert (t[both] == other_t[both]).all() and (face[both] == other[both]).all()
 
 

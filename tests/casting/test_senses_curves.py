@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from antdsl.casting.curves import Curve, resample
+from antdsl.casting.curves import SampledCurve, resample
 
 
 def spiral(n: int = 60) -> np.ndarray:
@@ -24,7 +24,7 @@ def test_samples_are_even_and_keep_the_ends():
 
 @pytest.mark.parametrize("reach", [5.0, 200.0, 5000.0])
 def test_nearest_point_and_tangent_against_all_segments(reach):
-    curve = Curve(spiral(), 4.0)
+    curve = SampledCurve(spiral(), 4.0)
     points = np.random.default_rng(1).uniform(-reach, reach, (400, 3))
     closest = curve.closest(*points.T)
     start, step = curve.samples[:-1], np.diff(curve.samples, axis=0)
@@ -44,7 +44,7 @@ def test_nearest_point_and_tangent_against_all_segments(reach):
 
 
 def test_the_tangent_turns_steadily():
-    curve = Curve(np.array([[0, 0, 0], [10, 0, 0], [10, 0, 10]], np.float64), 1.0)
+    curve = SampledCurve(np.array([[0, 0, 0], [10, 0, 0], [10, 0, 10]], np.float64), 1.0)
     s = np.linspace(8.0, 12.0, 400)
     closest = curve.closest(np.minimum(s, 10), np.zeros(400), np.maximum(s - 10, 0))
     angle = np.degrees(np.arctan2(closest.tz, closest.tx))
@@ -54,12 +54,12 @@ def test_the_tangent_turns_steadily():
 def test_it_points_as_drawn_and_reverse_turns_it_round():
     line = np.array([[0, 0, 0], [10, 0, 0]], np.float64)
     one = np.array([5.2], np.float32), np.array([1.0], np.float32), np.array([0.0], np.float32)
-    assert Curve(line, 1.0).closest(*one).tx[0] == 1 and Curve(line, 1.0, reverse=True).closest(*one).tx[0] == -1
+    assert SampledCurve(line, 1.0).closest(*one).tx[0] == 1 and SampledCurve(line, 1.0, reverse=True).closest(*one).tx[0] == -1
 
 
 def test_a_tie_falls_to_the_first_along_the_curve_whatever_the_batch():
     hairpin = np.array([[0, 0, -1], [10, 0, -1], [10, 0, 1], [0, 0, 1]], np.float64)
-    curve = Curve(hairpin, 0.5)
+    curve = SampledCurve(hairpin, 0.5)
     x = np.linspace(0.1, 8.9, 50)
     zero = np.zeros(50)
     closest = curve.closest(x, zero, zero)
@@ -69,11 +69,11 @@ def test_a_tie_falls_to_the_first_along_the_curve_whatever_the_batch():
 
 
 def test_one_point_no_number_and_no_curve():
-    dot = Curve(np.array([[1.0, 2, 3]]), 1.0)
+    dot = SampledCurve(np.array([[1.0, 2, 3]]), 1.0)
     closest = dot.closest(np.array([1.0, np.nan]), np.array([2.0, 0]), np.array([7.0, 0]))
     assert closest.distance.tolist() == [4.0, np.inf] and closest.tx.tolist() == [0, 0]
     for bad in (np.empty((0, 3)), np.array([[0, np.nan, 0]])):
         with pytest.raises(ValueError, match="at least one point"):
-            Curve(bad, 1.0)
+            SampledCurve(bad, 1.0)
     with pytest.raises(ValueError, match="more than 0"):
-        Curve(spiral(), 0.0)
+        SampledCurve(spiral(), 0.0)

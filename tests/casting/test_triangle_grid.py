@@ -20,7 +20,7 @@ import pytest
 from antdsl.casting import triangle_grid
 from antdsl.casting.faces import Faces, nearest_on_triangle
 from antdsl.casting.rays import RayScene
-from antdsl.casting.tolerances import FURTHER, LONGEST, NOTHING
+from antdsl.casting.tolerances import FACE_BEYOND_GRID, MAX_RAY_CUBES, NO_FACE
 from antdsl.casting.triangle_grid import TriangleGrid
 from antdsl.numerics.vector_rows import dot
 from tests.meshes import Mesh, ball, box, terrain
@@ -85,7 +85,7 @@ def sample_points(scene: RayScene, grid: TriangleGrid, count: int) -> np.ndarray
 
 
 def by_open3d(scene: RayScene, origin: np.ndarray, displacement: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    t, face = np.full(len(origin), np.inf), np.full(len(origin), NOTHING)
+    t, face = np.full(len(origin), np.inf), np.full(len(origin), NO_FACE)
     rows, part, named, _ = scene._first_hits(origin, displacement, 1.0, 2)
     t[rows], face[rows] = part, named
     return t, face
@@ -104,14 +104,14 @@ def of_all(faces: Faces, origin: np.ndarray, displacement: np.ndarray) -> np.nda
 def same_rays(scene: RayScene, grid: TriangleGrid, origin: np.ndarray, displacement: np.ndarray) -> int:
     """How many rays meet another face or place by Open3D; a reason is known for each."""
     t, face = grid.first(origin, displacement)
-    near = face != FURTHER
+    near = face != FACE_BEYOND_GRID
     assert near.mean() > 0.95 and (face >= 0).sum() > len(face) // 20
     other_t, other = by_open3d(scene, origin, displacement)
     differing = np.flatnonzero(near & ((face != other) | (t != other_t)))
     for k in differing[:200]:
         parts = of_all(scene._faces, origin[k], displacement[k])
         first = int(np.argmin(parts))
-        assert t[k] == parts[first] and face[k] == (first if np.isfinite(parts[first]) else NOTHING)
+        assert t[k] == parts[first] and face[k] == (first if np.isfinite(parts[first]) else NO_FACE)
         # Open3D names nothing or a later face, or one beside it that is as near but for rounding.
         assert other_t[k] > t[k] or (other_t[k] == t[k] and other[k] > face[k])
     return len(differing)
@@ -119,7 +119,7 @@ def same_rays(scene: RayScene, grid: TriangleGrid, origin: np.ndarray, displacem
 
 def same_places(scene: RayScene, grid: TriangleGrid, points: np.ndarray) -> int:
     place, square, face = grid.nearest(points)
-    near = np.flatnonzero(face != FURTHER)
+    near = np.flatnonzero(face != FACE_BEYOND_GRID)
     assert len(near) > len(points) // 2
     closest, distance, other = scene._closest(points[near], 2, np.full(len(near), np.inf))
     differing = np.flatnonzero((other != face[near]) | (distance != np.sqrt(square[near])) | (closest != place[near]).any(axis=1))
@@ -163,19 +163,21 @@ def test_a_short_ray_meets_what_it_meets_of_all_faces(name: str):
     points = sample_points(scene, grid, 100)
     points[3], points[4] = np.nan, 1e30
     (t, face), (place, square, nearest) = grid.first(origin, displacement), grid.nearest(points)
-    assert (face[[5, 6, 7, 8]] == NOTHING).all() and np.isinf(t[[5, 6, 7, 8]]).all() and (nearest[[3, 4]] == FURTHER).all()
+    assert (
+        (face[[5, 6, 7, 8]] == NO_FACE).all() and np.isinf(t[[5, 6, 7, 8]]).all() and (nearest[[3, 4]] == FACE_BEYOND_GRID).all()
+    )
     corners, (_, _, _, width, *_) = scene._faces.corners, grid.tables[0]
     for k in np.setdiff1d(np.arange(150), [5, 6, 7, 8]):
         parts, first = of_all(scene._faces, origin[k], displacement[k]), int(face[k])
-        assert t[k] == (np.inf if first < 0 else parts[first]) and (np.abs(displacement[k]).sum() > LONGEST * width) == (
-            first == FURTHER
+        assert t[k] == (np.inf if first < 0 else parts[first]) and (np.abs(displacement[k]).sum() > MAX_RAY_CUBES * width) == (
+            first == FACE_BEYOND_GRID
         )
-        assert first == FURTHER or parts.min() == t[k] or np.isnan(parts).all()
+        assert first == FACE_BEYOND_GRID or parts.min() == t[k] or np.isnan(parts).all()
         assert first < 0 or not (parts[:first] <= t[k]).any()
     for k in np.setdiff1d(np.arange(100), [3, 4]):
         nearest_points = nearest_on_triangle(np.tile(points[k], (len(corners), 1)), corners)
         squares = dot(nearest_points - points[k], nearest_points - points[k])
-        if nearest[k] == FURTHER:
+        if nearest[k] == FACE_BEYOND_GRID:
             assert squares.min() > width * width
         else:
             assert nearest[k] == np.argmin(squares) and square[k] == squares.min()
@@ -192,7 +194,7 @@ def test_normals_of_first_faces_are_those_named(name: str, threads: int):
     origin, displacement = rays(scene, grid, 2000)
     origin, named = origin + scene.origin, np.random.default_rng(4).permutation(len(scene._faces.corners))
     normals = np.random.default_rng(5).normal(size=(3, len(named)))
-    short = np.flatnonzero(grid.first(origin - scene.origin, displacement)[1] != FURTHER)
+    short = np.flatnonzero(grid.first(origin - scene.origin, displacement)[1] != FACE_BEYOND_GRID)
     assert 0 < len(short) < len(origin)
     for subset in (slice(None), short, slice(0, 0)):  # of some rays, and of none, the grid cannot tell
         which, part, normal = scene.trace_normals(origin[subset], displacement[subset], normals, named, threads)
@@ -247,5 +249,5 @@ def test_a_grid_is_made_only_where_it_is_small_and_of_use(monkeypatch: pytest.Mo
     assert dense._triangle_grid() is None  # thousands of faces in one cube
     listed = []
     monkeypatch.setattr(triangle_grid, "triangle_cells", lambda *a, **k: listed.append(a) or iter(()))
-    monkeypatch.setattr(triangle_grid, "_LISTED", 4000)
+    monkeypatch.setattr(triangle_grid, "_MAX_LISTED_FACES", 4000)
     assert RayScene(vertices, faces)._triangle_grid() is None and not listed

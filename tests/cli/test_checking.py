@@ -14,7 +14,7 @@ from antdsl import checking
 from antdsl.diagnostics import Diagnostic, Fix, Label, Report
 from antdsl.diagnostics.transfer import decode_reports, encode_reports
 from antdsl.files import find_files
-from antdsl.pipeline import Choices
+from antdsl.pipeline import RunChoices
 from antdsl.source import Source, Span
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -32,7 +32,7 @@ def labels(diagnostic: Diagnostic) -> list[tuple[object, ...]]:
 
 def check_files(files: list[Path], monkeypatch: pytest.MonkeyPatch, cores: int) -> tuple[list[tuple[object, ...]], list[str]]:
     monkeypatch.setattr(checking, "_can_fork", lambda: True)  # whatever other tests have imported
-    checked = checking.check_all(files, Choices(), cores=cores)
+    checked = checking.check_all(files, RunChoices(), cores=cores)
     assert set(checked.reports) == set(files)
     findings = [
         (file, d.code, d.message, d.severity, d.help, place(d.span), labels(d), d.fix and (place(d.fix.span), d.fix.text))
@@ -45,7 +45,7 @@ def check_files(files: list[Path], monkeypatch: pytest.MonkeyPatch, cores: int) 
 @pytest.mark.skipif(not SHARES, reason="processes are forked on Linux only")
 def test_processes_find_what_one_finds(monkeypatch: pytest.MonkeyPatch) -> None:
     files, _ = find_files(FOLDERS)
-    assert len(files) > checking.WORTH_SHARING
+    assert len(files) > checking.LEAST_FILES_TO_SHARE
     one = check_files(files, monkeypatch, 1)
     assert len(one[0]) > 300
     assert check_files(files, monkeypatch, 3) == one
@@ -118,7 +118,7 @@ def test_a_file_that_takes_too_long_is_reported_and_the_others_are_checked(tmp_p
         return None, Report()
 
     with patch.object(checking, "check_path", spin):
-        results = checking.check_all([slow, fine], Choices(), cpu_seconds=0.05)
+        results = checking.check_all([slow, fine], RunChoices(), cpu_seconds=0.05)
     (error,) = results.reports[slow].errors
     assert error.code == "too-large" and "more than 0.05 s of processor time" in error.message
     assert error.span is not None and error.span.source.path == str(slow)

@@ -88,8 +88,8 @@ def test_what_takes_usd_too_long_is_stopped(row: Row, tmp_path: Path) -> None:
 
 def test_what_takes_usd_too_long_is_stopped_soon(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The same with less CPU time, of which starting the reader takes a part."""
-    monkeypatch.setattr(limits, "READER_SECONDS", 1)
-    monkeypatch.setattr(client, "_reader", client.Reader())
+    monkeypatch.setattr(limits, "READER_BASE_CPU_SECONDS", 1)
+    monkeypatch.setattr(client, "_file_reader", client.FileReader())
     row = next(each for each in usd.SLOW if "2^23" in each.name)
     test_the_verdict_on_a_file(row, tmp_path)
 

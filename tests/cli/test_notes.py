@@ -10,7 +10,7 @@ import commands
 import pytest
 from executed import InThisProcess
 
-from antdsl.preview.observing.observers import Notes
+from antdsl.preview.observing.observers import NoteObserver
 from antdsl.runtime.backends.native import backend as native_backend
 from antdsl.runtime.backends.native import ready
 
@@ -30,7 +30,7 @@ def walkers(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     monkeypatch.setattr(native_backend, "start_building", beside)
     monkeypatch.setattr(native_backend, "find_ready", lambda plan, facts: None)
     monkeypatch.setattr(native_backend, "find", lambda plan, blocks, facts: None)  # an earlier test may have stored the code
-    monkeypatch.setattr(native_backend, "_MANY", 0)
+    monkeypatch.setattr(native_backend, "_MIN_AGENTS_FOR_CODE", 0)
     assert commands.run("new", "walkers", cwd=tmp_path).returncode == 0
     return tmp_path
 
@@ -62,7 +62,7 @@ def test_the_preview_tells_once_and_as_it_comes(walkers: Path, capsys: pytest.Ca
 
     session, report = Session.open(walkers / "walkers" / "scene.yaml")
     assert session is not None, report
-    notes, said = Notes(), []
+    notes, said = NoteObserver(), []
     for _ in range(4):
         session.step()
         notes.after_step(session)

@@ -57,7 +57,7 @@ def test_quiet_shows_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_only_large_tables_that_are_computed_are_stages(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv(stored_tables.KIND.variable, "")
+    monkeypatch.setenv(stored_tables.TABLE_STORE.variable, "")
     stored_tables.forget()
     stage_names: list[str] = []
     with stages.report_to(stage_names.append):

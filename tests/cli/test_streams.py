@@ -24,7 +24,7 @@ import pytest
 from children import child_environment
 
 from antdsl.cli import COMMANDS
-from antdsl.cli.printing.messages import Terminal, note_output, print_note
+from antdsl.cli.printing.messages import TerminalWriter, note_output, print_note
 
 STREAMS, STATES = ("stdout", "stderr"), ("closed", "full", "broken", "slow")
 PORT = "PORT"
@@ -247,10 +247,10 @@ class Failing(io.RawIOBase):
 
 @pytest.mark.parametrize("error", [errno.ENOSPC, errno.EDQUOT, errno.EFBIG])
 def test_a_lost_result_is_recorded_and_a_lost_note_is_not(error: int) -> None:
-    terminal = Terminal(Failing(None, error))
+    terminal = TerminalWriter(Failing(None, error))
     assert terminal.write(b"result\n") == 7
     assert terminal.loss is not None and terminal.loss.errno == error
-    terminal = Terminal(Failing(error))
+    terminal = TerminalWriter(Failing(error))
     terminal.is_note = True
     assert terminal.write(b"note\n") == 5 and terminal.loss is None
 
@@ -258,7 +258,7 @@ def test_a_lost_result_is_recorded_and_a_lost_note_is_not(error: int) -> None:
 @pytest.mark.parametrize("error", [errno.EPIPE, errno.EBADF, errno.EIO])
 def test_nothing_more_is_written_to_a_stream_that_nothing_reads(error: int) -> None:
     raw = Failing(None, error)
-    terminal = Terminal(raw)
+    terminal = TerminalWriter(raw)
     terminal.write(b"result\n")
     terminal.write(b"more\n")
     assert raw.written == b"res" and terminal.loss is None
@@ -266,7 +266,7 @@ def test_nothing_more_is_written_to_a_stream_that_nothing_reads(error: int) -> N
 
 def test_a_stream_that_does_not_block_gets_everything() -> None:
     raw = Failing(errno.EAGAIN, None, errno.EAGAIN, errno.EAGAIN)
-    Terminal(raw).write(b"result\n")
+    TerminalWriter(raw).write(b"result\n")
     assert raw.written == b"result\n"
 
 
@@ -275,7 +275,7 @@ def test_notes_do_not_wait_for_a_slow_reader(monkeypatch: pytest.MonkeyPatch) ->
     fcntl.fcntl(target, fcntl.F_SETPIPE_SZ, 4096)
     fill(target)
     with open(target, "wb", buffering=0) as raw:
-        terminal = Terminal(raw)
+        terminal = TerminalWriter(raw)
         stream = io.TextIOWrapper(io.BufferedWriter(terminal), "ascii", "backslashreplace")
         monkeypatch.setattr(sys, "stdout", stream)
         for number in range(200):

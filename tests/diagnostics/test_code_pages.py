@@ -16,7 +16,7 @@ import pytest
 from children import child_environment
 from code_pages import PAGES, ROOT, Page
 
-from antdsl.diagnostics.codes import CODES
+from antdsl.diagnostics.codes import CODE_DESCRIPTIONS
 from antdsl.resources import code_page
 from antdsl.source import Source
 from antdsl.syntax.formatting.layout import format
@@ -35,9 +35,11 @@ def pages() -> dict[str, Page]:
 
 
 def test_every_code_has_a_page_and_every_page_a_code(pages: dict[str, Page]) -> None:
-    assert sorted(pages) == sorted(CODES)
+    assert sorted(pages) == sorted(CODE_DESCRIPTIONS)
     for name, page in pages.items():
-        assert (page.code, page.meaning) == (name, code_pages.sentence(CODES[name])), f"run `python tests/code_pages.py {name}`"
+        assert (page.code, page.meaning) == (name, code_pages.sentence(CODE_DESCRIPTIONS[name])), (
+            f"run `python tests/code_pages.py {name}`"
+        )
 
 
 def test_a_page_says_why_in_a_few_words_and_shows_little(pages: dict[str, Page]) -> None:
@@ -69,7 +71,7 @@ def test_the_examples_do_what_the_page_says(path: Path, tmp_path: Path) -> None:
 def test_the_index_has_all_codes_by_their_sections() -> None:
     text = (PAGES / "README.md").read_text(encoding="utf-8")
     assert text == code_pages.index(), "run `python tests/code_pages.py`"
-    assert re.findall(r"^\| \[`([a-z0-9-]+)`\]", text, flags=re.MULTILINE) == list(CODES)
+    assert re.findall(r"^\| \[`([a-z0-9-]+)`\]", text, flags=re.MULTILINE) == list(CODE_DESCRIPTIONS)
 
 
 def test_the_pages_go_with_the_package() -> None:
@@ -105,7 +107,7 @@ def test_a_code_without_its_page_is_explained_in_a_line(
 
     monkeypatch.setattr(pages, "code_page", lambda code: None)
     pages.show_page("trap")
-    assert CODES["trap"] in capsys.readouterr().out
+    assert CODE_DESCRIPTIONS["trap"] in capsys.readouterr().out
 
 
 def test_explain_is_laid_out_on_a_terminal(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
@@ -248,24 +250,24 @@ def test_a_slip_in_a_unit_is_reported() -> None:
 
 def test_every_meaning_of_every_word_has_its_sample() -> None:
     from antdsl.lsp import samples, words
-    from antdsl.program.tables.vocabulary import BUILTINS, REDUCERS, TYPE_WORDS
+    from antdsl.program.tables.vocabulary import BUILTINS_BY_NAME, REDUCER_HELP, TYPE_BY_WORD
 
-    assert set(samples.CALL_FORMS) == set(BUILTINS) and set(samples.SET_FORMS) == set(REDUCERS)
-    rows = [samples.CALL_FORMS, samples.SET_FORMS, *(_samples_of(table) for table in _word_tables())]
+    assert set(samples.CALL_SAMPLES) == set(BUILTINS_BY_NAME) and set(samples.SET_QUERY_SAMPLES) == set(REDUCER_HELP)
+    rows = [samples.CALL_SAMPLES, samples.SET_QUERY_SAMPLES, *(_samples_of(table) for table in _word_tables())]
     for word, form in (each for forms in rows for each in forms.items()):
         assert word in form or word == "other", (word, form)
-    assert {word for word, dim in TYPE_WORDS.items() if isinstance(dim, str)} | {"number"} == set(words.TYPE_HELP)
+    assert {word for word, dim in TYPE_BY_WORD.items() if isinstance(dim, str)} | {"number"} == set(words.TYPE_HELP)
 
 
 def _word_tables() -> list[Any]:
     from antdsl.lsp import words
-    from antdsl.program.tables.things import KINDS_OF_THINGS
+    from antdsl.program.tables.things import KIND_BY_WORD
 
     return [
         words.INNER_WORDS,
         words.WHOLES,
-        KINDS_OF_THINGS,
-        words.SETTINGS,
+        KIND_BY_WORD,
+        words.SETTING_HELP,
         words.SCENE_KEYS,
         words.WORDS_OF_STATES,
         words.VALUES,
@@ -293,9 +295,9 @@ species forager {
 def test_samples_of_calls_and_sets_are_right() -> None:
     from test_program import checked
 
-    from antdsl.lsp.samples import CALL_FORMS, SET_FORMS
+    from antdsl.lsp.samples import CALL_SAMPLES, SET_QUERY_SAMPLES
 
-    for form in (*CALL_FORMS.values(), *SET_FORMS.values()):
+    for form in (*CALL_SAMPLES.values(), *SET_QUERY_SAMPLES.values()):
         errors = checked(f"{AROUND}  let one = {form}\n}}\n")[1].errors
         assert not errors, (form, [error.message for error in errors])
 

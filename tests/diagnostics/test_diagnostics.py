@@ -11,8 +11,8 @@ import pytest
 
 from antdsl import limits
 from antdsl.diagnostics import Diagnostic, Fix, Label, Report, codes
-from antdsl.diagnostics.codes import CODES
-from antdsl.diagnostics.render import FORMATS, render
+from antdsl.diagnostics.codes import CODE_DESCRIPTIONS
+from antdsl.diagnostics.render import FORMATTERS, render
 from antdsl.diagnostics.suggestion import nearest_name
 from antdsl.source import Source, Span
 
@@ -117,7 +117,7 @@ def test_sarif_has_rules_and_fingerprints_that_survive_moved_lines() -> None:
         )
         run = json.loads(render(report, "sarif"))["runs"][0]
         (rule,) = run["tool"]["driver"]["rules"]
-        assert rule["id"] == "bad-name" and rule["shortDescription"] == {"text": CODES["bad-name"]}
+        assert rule["id"] == "bad-name" and rule["shortDescription"] == {"text": CODE_DESCRIPTIONS["bad-name"]}
         assert "## Right" in rule["help"]["markdown"] == rule["help"]["text"]
         return run["results"]
 
@@ -142,7 +142,7 @@ def test_junit_counts_errors_and_is_xml_whatever_the_text() -> None:
     assert empty.get("failures") == "0" and len(empty[0]) == 1
 
 
-@pytest.mark.parametrize("format", FORMATS)
+@pytest.mark.parametrize("format", FORMATTERS)
 def test_no_more_than_fifty_are_shown_and_errors_first(format: str) -> None:
     source = Source("a.ant", "x\n" * 3000)
     report = Report()
@@ -150,8 +150,8 @@ def test_no_more_than_fifty_are_shown_and_errors_first(format: str) -> None:
         (report.warning if at < 3990 else report.error)("bad-name", f"number {at}", Span(source, at, at + 1))
     text = render(report, format)
     assert len(re.findall(r"number \d+", text)) in (
-        limits.DIAGNOSTICS_SHOWN,
-        limits.DIAGNOSTICS_SHOWN + 5,
+        limits.MAX_SHOWN_DIAGNOSTICS,
+        limits.MAX_SHOWN_DIAGNOSTICS + 5,
     )  # junit says errors twice
     assert "number 3998" in text and "number 2000" not in text
     assert re.search(r"1,?950", text)
@@ -171,9 +171,9 @@ def test_codes_are_kebab_case_unique_and_in_order() -> None:
     text = Path(codes.__file__).read_text(encoding="utf-8")
     sections = [re.findall(r'^    "(.*?)":', part, re.MULTILINE) for part in text.split("    # --- ")[1:]]
     every = [code for section in sections for code in section]
-    assert len(every) == len(set(every)) == len(CODES) > 30
+    assert len(every) == len(set(every)) == len(CODE_DESCRIPTIONS) > 30
     assert all(section == sorted(section) for section in sections)
-    assert all(re.fullmatch(r"[a-z0-9]+(-[a-z0-9]+)*", code) and meaning for code, meaning in CODES.items())
+    assert all(re.fullmatch(r"[a-z0-9]+(-[a-z0-9]+)*", code) and meaning for code, meaning in CODE_DESCRIPTIONS.items())
 
 
 @pytest.mark.parametrize(

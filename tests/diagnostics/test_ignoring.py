@@ -11,10 +11,10 @@ import pytest
 
 from antdsl.checking import check_all
 from antdsl.diagnostics import Report
-from antdsl.diagnostics.codes import CODES, MESH_CODES, RUN_CODES, STRICT_CODES
+from antdsl.diagnostics.codes import CODE_DESCRIPTIONS, MESH_CODES, RUN_CODES, STRICT_CODES
 from antdsl.diagnostics.ignoring import apply_ignores, find_ignores, without_ignored
 from antdsl.files import find_files
-from antdsl.pipeline import Choices, check_path
+from antdsl.pipeline import RunChoices, check_path
 from antdsl.source import Source
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -129,7 +129,7 @@ def test_codes_that_were_not_looked_for_are_not_judged(tmp_path: Path) -> None:
     for meshes, idle in ((True, ["far-away", "flicker"]), (False, ["flicker"])):
         findings = apply_ignores(Report(), [source], meshes=meshes).diagnostics
         assert [(d.code, d.message.split("`")[1]) for d in findings] == [("ignored-nothing", code) for code in idle]
-    assert CODES.keys() >= STRICT_CODES | MESH_CODES | RUN_CODES
+    assert CODE_DESCRIPTIONS.keys() >= STRICT_CODES | MESH_CODES | RUN_CODES
 
 
 def test_a_scene_that_writes_an_attribute_reads_it(tmp_path: Path) -> None:
@@ -141,7 +141,7 @@ def test_a_scene_that_writes_an_attribute_reads_it(tmp_path: Path) -> None:
     (tmp_path / "written.yaml").write_text(scene + "output: {attributes: [P, energy]}\n")
     assert check_path(tmp_path / "written.yaml")[1].diagnostics == []
     files, report = find_files([tmp_path])
-    checked = check_all(files, Choices())
+    checked = check_all(files, RunChoices())
     for file in files:
         report.extend(checked.reports[file])
     assert len(files) == 3 and report.diagnostics == []

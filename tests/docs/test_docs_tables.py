@@ -21,16 +21,34 @@ def rows(document: str) -> Iterator[list[str]]:
 
 def test_the_card_has_all_the_words() -> None:
     """Units, given names, built-in operations, sets, colours, field settings and the library: whatever the tables have."""
-    from antdsl.program.tables.colours import COLOURS
-    from antdsl.program.tables.vocabulary import BUILTIN_ATTRIBUTES, BUILTINS, REDUCERS, RESERVED, RUN_NAMES, SENSED_NAMES, UNITS
-    from antdsl.syntax.words import FIELD_SETTINGS, LINE_WORDS, WORLD_KINDS
+    from antdsl.program.tables.colours import COLOUR_BY_NAME
+    from antdsl.program.tables.vocabulary import (
+        BUILTIN_ATTRIBUTE_BY_NAME,
+        BUILTINS_BY_NAME,
+        REDUCER_HELP,
+        RESERVED_WORDS,
+        RUN_VALUE_TYPES,
+        SENSE_TYPE_BY_NAME,
+        UNIT_BY_NAME,
+    )
+    from antdsl.syntax.words import FIELD_SETTING_WORDS, LINE_WORDS_BY_RULE, WORLD_KIND_WORDS
 
     text = (ROOT / "docs" / "card.md").read_text(encoding="utf-8")
     words = set(re.findall(r"[A-Za-z_]+|%", " ".join(re.findall(r"`([^`]+)`", text))))
-    tables = (UNITS, BUILTIN_ATTRIBUTES, RUN_NAMES, SENSED_NAMES, BUILTINS, REDUCERS, COLOURS, FIELD_SETTINGS, WORLD_KINDS)
-    missing = {word for table in (*tables, *LINE_WORDS.values()) for word in table} - words
+    tables = (
+        UNIT_BY_NAME,
+        BUILTIN_ATTRIBUTE_BY_NAME,
+        RUN_VALUE_TYPES,
+        SENSE_TYPE_BY_NAME,
+        BUILTINS_BY_NAME,
+        REDUCER_HELP,
+        COLOUR_BY_NAME,
+        FIELD_SETTING_WORDS,
+        WORLD_KIND_WORDS,
+    )
+    missing = {word for table in (*tables, *LINE_WORDS_BY_RULE.values()) for word in table} - words
     assert not missing, f"the card lacks {sorted(missing)}"
-    assert {"flow", "map"} <= {*RESERVED, *WORLD_KINDS} & words
+    assert {"flow", "map"} <= {*RESERVED_WORDS, *WORLD_KIND_WORDS} & words
 
 
 def test_the_library_is_in_the_reference_as_it_is() -> None:

@@ -108,7 +108,7 @@ def large(document: Mapping[str, Any], worker: Worker) -> dict[str, Any]:
 
 
 def test_a_result_larger_than_the_limit_is_reported(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("antdsl.executors.tasks.ANSWER_BYTES", 1000)
+    monkeypatch.setattr("antdsl.executors.tasks.MAX_TASK_ANSWER_BYTES", 1000)
     ended = {a.task.key: a for a in run_tasks((Task(str(n), large, {"n": n}) for n in (10, 2000)), InThisProcess(1))}
     assert ended["10"].answer == {"text": "x" * 10}
     assert ended["2000"].answer is None and "more than 1,000 are not sent" in ended["2000"].problem

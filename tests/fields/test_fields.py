@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from antdsl.fields.cells import FieldTooFine, SurfaceCells, are_compatible, facing_sides
-from antdsl.fields.pheromone import LARGEST_DEPOSIT, UNIT, PheromoneField
+from antdsl.fields.pheromone import DEPOSIT_UNIT, MAX_DEPOSIT, PheromoneField
 from antdsl.scene.field_settings import largest_stable_diffusion
 from tests.meshes import Mesh, ball, box, grid, terrain
 
@@ -88,7 +88,7 @@ def test_the_table_and_the_search_find_the_same(monkeypatch):
     points, normals = on_surface(mesh, 2000)
     points += np.random.default_rng(2).normal(0, 3, points.shape)
     one = SurfaceCells([mesh], 4.0)
-    monkeypatch.setattr(module, "_DENSE", 0)
+    monkeypatch.setattr(module, "_MAX_DENSE_VOXELS", 0)
     two = SurfaceCells([mesh], 4.0)
     assert two._start_table is None and one._start_table is not None
     assert np.array_equal(one.lookup(points, normals), two.lookup(points, normals))
@@ -98,7 +98,7 @@ def test_the_table_and_the_search_find_the_same(monkeypatch):
 def test_who_is_followed_is_looked_up_again_only_in_another_voxel(monkeypatch):
     from antdsl.fields import cells as module
 
-    monkeypatch.setattr(module, "_DENSE", 0)
+    monkeypatch.setattr(module, "_MAX_DENSE_VOXELS", 0)
     mesh, rng = ball(30, (3, 4, 5)), np.random.default_rng(2)
     cells, (points, normals) = SurfaceCells([mesh], 4.0), on_surface(mesh, 2000)
     side, known = facing_sides(normals), None
@@ -199,7 +199,7 @@ def test_deposits_add_exactly_in_any_order_and_any_parts():
     two.step(0.9, 0.0, 1 / 24)
     assert one.values.tobytes() == two.values.tobytes()
     expected = np.bincount(cells, amounts.astype(np.float64), len(one.cells))
-    assert np.abs(one.values - expected).max() < UNIT * 1000
+    assert np.abs(one.values - expected).max() < DEPOSIT_UNIT * 1000
     one.step(0.9, 0.0, 1 / 24)
     assert np.allclose(one.values, np.float64(np.float32(0.9)) * two.values, rtol=1e-15)
 
@@ -223,7 +223,7 @@ def test_what_is_no_amount_is_refused_and_counted_and_what_is_nowhere_is_not_lai
     crowd = flat_field()
     crowd.deposit(np.zeros(5000, np.int32), np.full(5000, 1e9, np.float32))
     crowd.step(1.0, 0.0, 1.0)
-    assert crowd.values[0] == 5000 * LARGEST_DEPOSIT
+    assert crowd.values[0] == 5000 * MAX_DEPOSIT
 
 
 def test_scent_fades_by_its_half_life_and_is_flushed_at_last():

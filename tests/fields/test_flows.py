@@ -10,7 +10,7 @@ import pytest
 from test_program import checked, complaints
 
 from antdsl import passes, plan
-from antdsl.fields.face_points import Lattice, count_cuts, weld_points
+from antdsl.fields.face_points import FaceLattice, count_cuts, weld_points
 from antdsl.plan.ir import Plan
 from antdsl.runtime import BindError, Options, bind, checkpoint, restore, set_flow, state_hash, step
 from antdsl.runtime.world import World
@@ -18,17 +18,17 @@ from antdsl.scene.setting import (
     BorderFlow,
     CrowdData,
     FlowData,
+    FlowTarget,
     ItemData,
     MeshData,
-    Painted,
+    PaintedValues,
     PlaceData,
-    Setting,
     SolidData,
     SolvedFlow,
     SpreadFlow,
-    Target,
+    WorldSetting,
 )
-from antdsl.scene.staging.moves import MeshMoves, Moves
+from antdsl.scene.staging.moves import GeometryMoves, MeshMoves
 
 PROGRAM = """ant 1
 use steering
@@ -42,8 +42,8 @@ species ant {{
   state s {{ steer {steer}; felt = length(drift); wet = damp }}
 }}
 """
-GOAL = Target(np.array([[150.0, 0.0, 0.0]]), np.array([10.0]))
-LINE = Target(np.array([[-150.0, 0, -40.0], [0, 0, 40.0], [150.0, 0, -40.0]]), np.zeros(3), line=True)
+GOAL = FlowTarget(np.array([[150.0, 0.0, 0.0]]), np.array([10.0]))
+LINE = FlowTarget(np.array([[-150.0, 0, -40.0], [0, 0, 40.0], [150.0, 0, -40.0]]), np.zeros(3), line=True)
 
 
 def compiled(steer: str = "along(drift, weight: pull)", radius: str = "size / 2") -> Plan:
@@ -68,10 +68,10 @@ def world(
         surfaces={"ground": MeshData(*floor)},
         items={"nest": (ItemData("home", (150.0, 0, 0), 10.0),)},
         flows={"drift": flow or SpreadFlow("toward", GOAL)},
-        maps={"damp": Painted("ground", (floor[0][:, 0] + 200) / 400)},
+        maps={"damp": PaintedValues("ground", (floor[0][:, 0] + 200) / 400)},
         crowds=(CrowdData("ant", 30, PlaceData(around=(-150.0, 0, 0), radius=30.0)),),
     )
-    return bind(compiled(steer, radius), Setting(**{**defaults, **changes}), options or Options())
+    return bind(compiled(steer, radius), WorldSetting(**{**defaults, **changes}), options or Options())
 
 
 def read(built: World, *points: tuple[float, float]) -> np.ndarray:
@@ -104,7 +104,7 @@ def run(built: World, steps: int) -> np.ndarray:
 def test_what_is_linear_is_read_exactly_wherever_a_face_is_cut() -> None:
     rng = np.random.default_rng(1)
     cuts = np.array([1, 2, 8, 64, 1])
-    lattice = Lattice.of(cuts)
+    lattice = FaceLattice.of(cuts)
     b1, b2 = lattice.weights()
     face = lattice.faces()
     value = 3 * b1 - 7 * b2 + face
@@ -146,7 +146,7 @@ def test_a_curve_leads_along_itself_and_fades_beside_it(cells: int) -> None:
 
 
 def test_a_drawn_way_may_gather_them_onto_it() -> None:
-    straight = Target(np.array([[-200.0, 0, 0], [200.0, 0, 0]]), np.zeros(2), line=True)
+    straight = FlowTarget(np.array([[-200.0, 0, 0], [200.0, 0, 0]]), np.zeros(2), line=True)
     built = world(SpreadFlow("tangent", straight, 60.0, "none", gather=1.0), 1)
     result = read(built, (0, 0), (0, 30), (0, -59))
     half = np.sqrt(0.5)
@@ -156,7 +156,7 @@ def test_a_drawn_way_may_gather_them_onto_it() -> None:
 
 
 def test_toward_and_away_of_points_and_curves_and_their_falloff() -> None:
-    two = Target(np.array([[-100.0, 0, 0], [100.0, 0, 0]]), np.zeros(2))
+    two = FlowTarget(np.array([[-100.0, 0, 0], [100.0, 0, 0]]), np.zeros(2))
     built = world(SpreadFlow("toward", two, 50.0, "linear"), 1)
     result = read(built, (-125, 0), (75, 0), (100, 25), (0, 0))
     assert np.abs(result - [[0.5, 0, 0], [0.5, 0, 0], [0, 0, -0.5], [0, 0, 0]]).max() < 0.03
@@ -185,7 +185,7 @@ def test_without_a_surface_a_flow_about_a_place_is_known_all_the_same() -> None:
     lowered, report = plan.lower(checked(text)[0])
     assert complaints(report) == []
     crowd = CrowdData("ant", 5, PlaceData(around=(-20.0, 0, 0), radius=5.0))
-    built = bind(lowered, Setting(flows={"drift": SpreadFlow("toward", GOAL)}, crowds=(crowd,)))
+    built = bind(lowered, WorldSetting(flows={"drift": SpreadFlow("toward", GOAL)}, crowds=(crowd,)))
     previous = away(built, 150, 0)
     run(built, 24)
     assert (away(built, 150, 0) < previous - 15).all()
@@ -200,8 +200,8 @@ def test_a_flow_leads_over_what_may_be_dug_as_well() -> None:
     hill = SolidData(MeshData(*meshes.box((-60, -10, -60), (60, 25, 60))), 3.0)
     crowd = CrowdData("ant", 5, PlaceData(points=np.array([[-40.0, 50, 5.0 * k] for k in range(5)])))
     floor = {"ground": MeshData(*meshes.grid(400.0, 4))}
-    flow = SpreadFlow("toward", Target(np.array([[150.0, 10, 0]]), np.zeros(1)))
-    built = bind(lowered, Setting(surfaces=floor, solids={"hill": hill}, flows={"drift": flow}, crowds=(crowd,)))
+    flow = SpreadFlow("toward", FlowTarget(np.array([[150.0, 10, 0]]), np.zeros(1)))
+    built = bind(lowered, WorldSetting(surfaces=floor, solids={"hill": hill}, flows={"drift": flow}, crowds=(crowd,)))
     positions = run(built, 260)
     assert (np.abs(positions[40, :, 1] - 25) < 1).all() and (
         positions[40, :, 0] > -10
@@ -221,7 +221,7 @@ def test_a_solved_flow_goes_round_what_is_solid_and_through_it_once_it_is_dug() 
     flow = SolvedFlow(GOAL, every=0.25)
 
     def start_world() -> World:
-        return bind(lowered, Setting(surfaces=floor, solids={"hill": hill}, flows={"drift": flow}, crowds=(crowd,)))
+        return bind(lowered, WorldSetting(surfaces=floor, solids={"hill": hill}, flows={"drift": flow}, crowds=(crowd,)))
 
     def ahead(built: World) -> float:
         return float(read(built, (-60, 0))[0, 0])
@@ -274,7 +274,9 @@ def test_painted_vectors_lie_along_the_ground_and_keep_their_length() -> None:
     hills = meshes.terrain(400.0, 30)
     combed = np.tile([0.6, 0.0, 0.0], (len(hills[0]), 1))
     built = world(
-        Painted("ground", combed), surfaces={"ground": MeshData(*hills)}, maps={"damp": Painted("ground", hills[0][:, 1])}
+        PaintedValues("ground", combed),
+        surfaces={"ground": MeshData(*hills)},
+        maps={"damp": PaintedValues("ground", hills[0][:, 1])},
     )
     run(built, 5)
     ants = built.populations["ant"]
@@ -291,7 +293,9 @@ def test_faces_may_be_painted_and_other_surfaces_have_nothing() -> None:
     values = np.zeros((8, 3))
     values[:, 2] = np.linspace(0.1, 0.8, 8)
     surfaces = {"plate": MeshData(*plate), "ground": MeshData(*floor)}
-    built = world(Painted("ground", values, of_faces=True), surfaces=surfaces, maps={"damp": Painted("plate", np.ones(8))})
+    built = world(
+        PaintedValues("ground", values, of_faces=True), surfaces=surfaces, maps={"damp": PaintedValues("plate", np.ones(8))}
+    )
     on_floor, _ = built.ground.place(np.array([[-150.0, 0, -120], [-210, 9, 0]]), built.up)
     result = built.flows["drift"].at(built.ground.meshes, on_floor, np.zeros((2, 3)), np.zeros((2, 3)))[2]
     assert result[0] in np.float32(values[:, 2]) and result[1] == 0
@@ -347,7 +351,7 @@ def test_what_costs_more_is_gone_round() -> None:
     surfaces = {"ground": MeshData(*ridge)}
     damp = np.where((np.abs(ridge[0][:, 0]) < 40) & (ridge[0][:, 2] < 60), 1.0, 0.0)
 
-    maps = {"damp": Painted("ground", damp)}
+    maps = {"damp": PaintedValues("ground", damp)}
     crowd = (CrowdData("ant", 1, PlaceData(points=np.array([[-150.0, 0, 0]]))),)
     built = world(surfaces=surfaces, maps=maps, crowds=crowd)
     start_state = checkpoint(built)
@@ -375,8 +379,8 @@ def test_a_goal_may_be_a_curve_and_what_cannot_be_reached_has_no_flow() -> None:
 def test_from_one_surface_onto_another_that_lies_on_it() -> None:
     mound = meshes.ball(60.0, (150.0, -30.0, 0.0))
     surfaces = {"ground": MeshData(*meshes.grid(400.0, 40)), "mound": MeshData(*mound)}
-    top = Target(np.array([[150.0, 30.0, 0.0]]), np.array([5.0]))
-    built = world(SolvedFlow(top), surfaces=surfaces, maps={"damp": Painted("mound", np.ones(len(mound[0])))})
+    top = FlowTarget(np.array([[150.0, 30.0, 0.0]]), np.array([5.0]))
+    built = world(SolvedFlow(top), surfaces=surfaces, maps={"damp": PaintedValues("mound", np.ones(len(mound[0])))})
     run(built, 420)
     ants = built.populations["ant"]
     assert (ants.footing.mesh == 1).mean() > 0.9 and (ants.position[:, 1] > 20).mean() > 0.8
@@ -431,7 +435,7 @@ def test_a_flow_leads_to_where_a_thing_has_gone() -> None:
     path = np.linspace([150.0, 0, 0], [-150.0, 0, 150.0], 120)[:, None]
     goal = replace(GOAL, of="nest", which=0)
     for flow in (SpreadFlow("toward", goal), SolvedFlow(goal, every=0.5)):
-        built = world(flow, moves=Moves(items={"nest": path}))
+        built = world(flow, moves=GeometryMoves(items={"nest": path}))
         assert read(built, (0, 150))[0, 0] > 0.4
         run(built, 119)
         assert read(built, (0, 150))[0, 0] < -0.9
@@ -442,7 +446,7 @@ def test_an_obstacle_that_moves_is_gone_round_where_it_is_then() -> None:
     stone = meshes.ball(45.0)
     displacement = np.zeros((30, len(stone[0]), 3))
     displacement[10:, :, 2] = 150  # in one go, at frame 10
-    moves = Moves(meshes={"rock": MeshMoves.free(stone[0] + displacement)})
+    moves = GeometryMoves(meshes={"rock": MeshMoves.free(stone[0] + displacement)})
     built = world(
         SolvedFlow(GOAL, clearance=10.0, every=0.5), 30, obstacles={"rock": MeshData(*stone)}, moves=moves, steer="halt()"
     )
@@ -473,8 +477,8 @@ def test_vectors_turn_with_the_ground_they_are_painted_on() -> None:
         ]
     )
     built = world(
-        Painted("ground", np.tile([0.5, 0, 0], (len(floor[0]), 1))),
-        moves=Moves(meshes={"ground": MeshMoves.free(turned)}),
+        PaintedValues("ground", np.tile([0.5, 0, 0], (len(floor[0]), 1))),
+        moves=GeometryMoves(meshes={"ground": MeshMoves.free(turned)}),
         steer="halt()",
     )
     run(built, 30)

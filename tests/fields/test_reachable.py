@@ -17,14 +17,14 @@ from antdsl.scene.setting import (
     BorderFlow,
     CrowdData,
     FlowData,
+    FlowTarget,
     ItemData,
     MeshData,
     PlaceData,
-    Setting,
     SolidData,
     SolvedFlow,
     SpreadFlow,
-    Target,
+    WorldSetting,
 )
 
 PROGRAM = """ant 1
@@ -37,7 +37,7 @@ species ant {
 }
 species bird { state s { steer halt() } }
 """
-GOAL = Target(np.array([[0.0, 0.0, 0.0]]), np.array([10.0]))
+GOAL = FlowTarget(np.array([[0.0, 0.0, 0.0]]), np.array([10.0]))
 INSIDE, OUTSIDE = (0.0, 0.0, 20.0), (-150.0, 0.0, 0.0)
 
 
@@ -78,7 +78,7 @@ def world(
         flows={"drift": flow or SolvedFlow(GOAL)},
         crowds=tuple(crowds) if count else (),
     )
-    return bind(compiled(), Setting(**{**defaults, **changes}), options or Options())
+    return bind(compiled(), WorldSetting(**{**defaults, **changes}), options or Options())
 
 
 def leads(new_world: World) -> np.ndarray:
@@ -145,14 +145,14 @@ def test_islands_and_targets_off_the_ground() -> None:
     vertices, faces = grid(100.0, 10)
     isle = MeshData(vertices + np.array([600.0, 0.0, 0.0]), faces)
     surfaces = {"ground": MeshData(*grid(400.0, 40)), "isle": isle}
-    far_target = Target(np.array([[600.0, 0, 0]]), np.array([10.0]))
+    far_target = FlowTarget(np.array([[600.0, 0, 0]]), np.array([10.0]))
     island_setting = dict(surfaces=surfaces, obstacles={"rock": MeshData(*ball(5.0, (180, 0, 180)))})
     assert count_reaching(world(SolvedFlow(far_target), **island_setting), "ant", "drift") == 0, "on another island"
     assert count_reaching(world(SolvedFlow(GOAL), **island_setting), "ant", "drift") == 18
     assert count_reaching(world(SolvedFlow(GOAL, on=("isle",)), **island_setting), "ant", "drift") == 0, (
         "they stand on no face of the flow"
     )
-    off = Target(np.array([[-400.0, 0, 0]]), np.array([1.0]))
+    off = FlowTarget(np.array([[-400.0, 0, 0]]), np.array([1.0]))
     assert count_reaching(world(SolvedFlow(off)), "ant", "drift") == 9, "the ground nearest to it is its goal"
 
 
@@ -177,12 +177,14 @@ def test_digging_opens_a_path_and_a_checkpoint_goes_on_with_it() -> None:
     text = PROGRAM.replace("obstacle rock", "solid hill").replace("surface isle; ", "")
     hill = SolidData(MeshData(*box((-250, -10, -40), (250, 25, 40))), 5.0)
     crowd = CrowdData("ant", 4, PlaceData(points=np.array([[10.0 * k, 0, -150.0] for k in range(4)])))
-    goal = Target(np.array([[0.0, 0.0, 150.0]]), np.array([10.0]))
+    goal = FlowTarget(np.array([[0.0, 0.0, 150.0]]), np.array([10.0]))
     lowered = compiled(text)
 
     def start_world() -> World:
         flows = {"drift": SolvedFlow(goal, every=0.25)}
-        setting = Setting(surfaces={"ground": MeshData(*grid(400.0, 40))}, solids={"hill": hill}, flows=flows, crowds=(crowd,))
+        setting = WorldSetting(
+            surfaces={"ground": MeshData(*grid(400.0, 40))}, solids={"hill": hill}, flows=flows, crowds=(crowd,)
+        )
         return bind(lowered, setting, Options(backend="numpy"))
 
     new_world = start_world()

@@ -10,11 +10,11 @@ from plan_text import plan_of
 
 from antdsl.fields.cells import SurfaceCells
 from antdsl.fields.pheromone import PheromoneField
-from antdsl.fields.reached import StrongCells
+from antdsl.fields.reached import CellsAboveThreshold
 from antdsl.machine_code import machine
 from antdsl.numerics import parallel
 from antdsl.passes import optimise
-from antdsl.runtime import CrowdData, MeshData, Options, PlaceData, Setting, bind, state_hash, step
+from antdsl.runtime import CrowdData, MeshData, Options, PlaceData, WorldSetting, bind, state_hash, step
 from antdsl.runtime.backends.native.backend import NativeBackend
 
 NATIVE = Options(backend="native", chunk=16, threads=2, wait_for_code=True)
@@ -24,10 +24,10 @@ WORLD = "ant 1\nuse steering\nworld { surface ground }\nfield scent on ground { 
 @pytest.mark.parametrize("k", [1, 9, 16, 27])
 def test_it_is_reached_where_as_much_is_smelled(k: int, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(parallel, "cores", lambda: 4)
-    monkeypatch.setattr(parallel, "LIGHT", 100)  # so that it goes in parts
+    monkeypatch.setattr(parallel, "MIN_LIGHT_ITEMS_PER_THREAD", 100)  # so that it goes in parts
     field = PheromoneField(SurfaceCells([meshes.terrain(150, 30)], 4.0))
     rng, every, least = np.random.default_rng(k), np.arange(len(field.cells)), np.float32(0.1)
-    reached = StrongCells(field, least, k)
+    reached = CellsAboveThreshold(field, least, k)
     for share in (0.0, 0.01, 0.012, 0.5, 1.0, 0.02, 0.0):
         held = rng.choice([0.1 - 1e-12, float(least), 3.0, np.inf], len(every))  # the first is 0.1 in float32
         field.values[:] = np.where(rng.random(len(every)) < share, held, rng.choice([0.0, 0.0999, np.nan], len(every)))
@@ -39,12 +39,12 @@ def test_it_is_reached_where_as_much_is_smelled(k: int, monkeypatch: pytest.Monk
 @pytest.mark.parametrize("least", [0.0, -1.0, np.nan])
 def test_what_no_scent_is_below_is_reached_everywhere(least: float) -> None:
     field = PheromoneField(SurfaceCells([meshes.grid(40, 4)], 4.0))
-    assert StrongCells(field, np.float32(least), 16).now().all()
+    assert CellsAboveThreshold(field, np.float32(least), 16).now().all()
 
 
 def test_it_tells_of_one_field_and_strength() -> None:
     field, other = (PheromoneField(SurfaceCells([meshes.grid(40, 4)], 4.0)) for _ in range(2))
-    reached = StrongCells(field, np.float32(1), 9)
+    reached = CellsAboveThreshold(field, np.float32(1), 9)
     assert reached.of(field, np.float32(1)) and not reached.of(field, np.float32(2)) and not reached.of(other, np.float32(1))
     field.grow(np.empty(0, np.int64))
     assert not reached.of(field, np.float32(1))
@@ -83,7 +83,7 @@ def program(asks: str) -> str:
 def test_agents_do_the_same_where_it_is_only_compared(asks: str, bounded: int) -> None:
     plan = optimise(plan_of(program(asks), WORLD))
     crowd = CrowdData("a", 24, PlaceData(around=(0.0, 0.0, 0.0), radius=12.0))
-    setting = Setting(crowds=(crowd,), surfaces={"ground": MeshData(*meshes.grid(60.0, 3))}, seed=4)
+    setting = WorldSetting(crowds=(crowd,), surfaces={"ground": MeshData(*meshes.grid(60.0, 3))}, seed=4)
     hashes = []
     for options in (*OPTION_SETS[::2], NATIVE) if machine.is_available() else OPTION_SETS[::2]:
         world = bind(plan, setting, options)

@@ -21,8 +21,8 @@ from antdsl.outputs.cache.cache_reader import CacheError, open_cache
 from antdsl.outputs.cache.cache_writer import DifferentHashes, DifferentInputs, ForeignFolder, PathBlocked
 from antdsl.outputs.cache.manifest import ManifestError
 from antdsl.outputs.exports import export_for
-from antdsl.outputs.gallery import Gallery, NoPicture
-from antdsl.outputs.numbered_files import NoExport
+from antdsl.outputs.gallery import Gallery, PictureUnavailable
+from antdsl.outputs.numbered_files import ExportUnavailable
 from antdsl.outputs.recording import NothingToResume, begin, record
 from antdsl.pipeline import Shot, open_scene
 from antdsl.runtime import Options
@@ -60,7 +60,7 @@ crowd:
   - {species: walker, from: walker.ant, count: 4, place: {on: ground}}
 """
 PROJECT = {"ground.ply": GROUND, "walker.ant": PROGRAM, "scene.yaml": SCENE}
-REFUSED = (CacheError, ManifestError, NoPicture, NoExport, UsdError)
+REFUSED = (CacheError, ManifestError, PictureUnavailable, ExportUnavailable, UsdError)
 EXPORTS = (("a.csv", "keyframes"), ("a.npz", "arrays"), ("a.####.geo", "points"), ("a.####.ply", "meshes"), ("a.glb", "skinned"))
 
 

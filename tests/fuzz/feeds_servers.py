@@ -22,9 +22,9 @@ from preview_served import Noted
 from antdsl.preview import live as live_module
 from antdsl.preview.live import Live
 from antdsl.preview.serving.addresses import ListeningSockets
-from antdsl.preview.serving.guard import Guard
+from antdsl.preview.serving.guard import RequestGuard
 from antdsl.preview.serving.pages import load_pages
-from antdsl.preview.serving.server import RefusedRequest, Server, read_request
+from antdsl.preview.serving.server import PreviewServer, RefusedRequest, read_request
 from antdsl.runtime import Options
 
 TOKEN = "t" * 43
@@ -79,8 +79,8 @@ def feed_websocket(folder: Path) -> Feed:
     sock.bind("s")
     sock.listen()
     noted, errors = Noted(), _Errors()
-    guard = Guard(frozenset({NAME}), TOKEN)
-    server = Server(noted, guard, load_pages(), ListeningSockets((sock,), guard.names, ()))
+    guard = RequestGuard(frozenset({NAME}), TOKEN)
+    server = PreviewServer(noted, guard, load_pages(), ListeningSockets((sock,), guard.names, ()))
     loop = asyncio.new_event_loop()
     loop.set_exception_handler(lambda _, context: errors.add(context["exception"]) if "exception" in context else None)
     running = server.running()
@@ -221,7 +221,7 @@ def feed_lsp(folder: Path) -> Feed:
     from antdsl.lsp import server as module
     from antdsl.lsp.workspace import Workspace
 
-    server, protocol, errors = module.server, module.server.protocol, _Errors(JsonRpcException)
+    server, protocol, errors = module.language_server, module.language_server.protocol, _Errors(JsonRpcException)
     (folder / "a.ant").write_bytes(PROGRAM)
     for name, data in PROJECT.items():
         (folder / name).write_bytes(data)

@@ -18,9 +18,9 @@ from fuzz.mutation import Mutator, insert_words
 from random_programs import Author
 from random_sensing import Sensing
 
-from antdsl.program.tables.effects import EFFECTS
-from antdsl.program.tables.senses import SENSES
-from antdsl.syntax.words import LINE_WORDS, UNIT_NAMES
+from antdsl.program.tables.effects import EFFECT_BY_OPERATION
+from antdsl.program.tables.senses import SENSE_BY_OPERATION
+from antdsl.syntax.words import LINE_WORDS_BY_RULE, UNIT_NAMES
 
 ROOT = Path(__file__).resolve().parents[2]
 LARGEST = 40_000  # bytes of a seed
@@ -49,10 +49,10 @@ def programs() -> list[bytes]:
 
 
 def program_words() -> tuple[Mutator, ...]:
-    lines = [word for words in LINE_WORDS.values() for word in words]
+    lines = [word for words in LINE_WORDS_BY_RULE.values() for word in words]
     numbers_with_units = [f"{n} {unit}" for n in ("0", "1", "2.5", "1e30") for unit in UNIT_NAMES]
     signs = ("->", "{", "}", "(", ")", "held 1 s", "for at least 2 s", "from any", "/s", "%", "# x", '"x"', "=", "+=", "until")
-    return _words(lines, numbers_with_units, signs, SENSES, EFFECTS)
+    return _words(lines, numbers_with_units, signs, SENSE_BY_OPERATION, EFFECT_BY_OPERATION)
 
 
 def scenes() -> list[bytes]:

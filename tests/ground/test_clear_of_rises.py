@@ -9,13 +9,13 @@ from numpy.typing import NDArray
 
 from antdsl.casting.faces import nearest_on_triangle
 from antdsl.casting.rays import RayScene
-from antdsl.ground.mesh.creases import RiseMap, inner_creases, rise_clearance
-from antdsl.ground.mesh.topology import Topology, build_topology
+from antdsl.ground.mesh.creases import SlopeMap, inner_creases, rise_clearance
+from antdsl.ground.mesh.topology import MeshTopology, build_topology
 
 Floats = NDArray[np.float64]
 
 
-def field_of_stones(count: int, offset: float = 0.0) -> tuple[Floats, Topology]:
+def field_of_stones(count: int, offset: float = 0.0) -> tuple[Floats, MeshTopology]:
     """A plane with spheres of several sizes in it, on it, above it and in each other: their corners (m, 3, 3) and tables."""
     random = np.random.default_rng(2)
     plane = trimesh.creation.box((400.0, 400.0, 0.0)).subdivide_to_size(25.0)
@@ -81,7 +81,7 @@ def test_every_point_with_a_rise_is_named_with_few_others() -> None:
     reach = rng.choice([0.5, 3.0, 7.3, 20.0, 100.0, 2e3], 300)
     local, where, reach[:4] = (face - first[mesh]).astype(np.int32), mesh.copy(), [0.0, -1.0, np.nan, 5.0]
     where[3:5], local[5], where[6] = -1, -1, 2
-    map_, width = RiseMap(corners, table, []), max(np.ptp(corners, axis=(0, 1))) / 192
+    map_, width = SlopeMap(corners, table, []), max(np.ptp(corners, axis=(0, 1))) / 192
     rows = map_.rows_near_rises(where, local, first, place, reach, [], 2)
     assert (np.diff(rows) > 0).all() and not np.isin(range(7), rows).any()
     half = inner_creases(table, corners)
@@ -102,7 +102,7 @@ def test_every_point_with_a_rise_is_named_with_few_others() -> None:
         alone = map_.rows_near_rises(where[k : k + 1], local[k : k + 1], first, place[k : k + 1], reach[k : k + 1], [])
         assert len(alone) == (k in rows)
     assert 50 < len(rows) < 250
-    moving = RiseMap(corners, table, [np.arange(len(corners)) < 400])
+    moving = SlopeMap(corners, table, [np.arange(len(corners)) < 400])
     box = (np.array([-50.0, -50, -9]), np.array([50.0, 50, 40]))
     inside = ((place >= box[0] - reach[:, None]) & (place <= box[1] + reach[:, None])).all(axis=1) & (np.arange(300) >= 7)
     rows = moving.rows_near_rises(where, local, first, place, reach, [box])

@@ -7,18 +7,18 @@ import numpy as np
 import pytest
 
 from antdsl.casting.faces import nearest_on_triangle
-from antdsl.ground.combined import Terrain
+from antdsl.ground.combined import CombinedGround
 from antdsl.ground.mesh.surface import MeshGround
 from antdsl.ground.moving import MovingGround
-from antdsl.ground.plane import Plane
-from antdsl.ground.protocol import Footing, Ground, Move
+from antdsl.ground.plane import PlaneGround
+from antdsl.ground.protocol import Footing, Ground, GroundMove
 from antdsl.ground.solid import Volume
 from tests.meshes import ball, box, grid, terrain
 
 UP = np.array([0.0, 1.0, 0.0])
 
 
-def start(ground: MeshGround, positions: list | np.ndarray, headings: list | np.ndarray, up: np.ndarray = UP) -> Move:
+def start(ground: MeshGround, positions: list | np.ndarray, headings: list | np.ndarray, up: np.ndarray = UP) -> GroundMove:
     """Agents at the nearest points of a ground, as after a step of no length."""
     positions, headings = np.array(positions, np.float64), np.array(headings, np.float64)
     footing, _ = ground.nearest(positions)
@@ -26,11 +26,11 @@ def start(ground: MeshGround, positions: list | np.ndarray, headings: list | np.
     return ground.move(footing, np.zeros_like(positions), headings, ups, 4.0)
 
 
-def step(ground: MeshGround, at: Move, length: float, threads: int = 1) -> Move:
+def step(ground: MeshGround, at: GroundMove, length: float, threads: int = 1) -> GroundMove:
     return ground.move(at.footing, at.heading * length, at.heading, at.up, 4.0, threads)
 
 
-def check(ground: MeshGround, meshes: list, at: Move) -> None:
+def check(ground: MeshGround, meshes: list, at: GroundMove) -> None:
     assert not at.lost.any()
     assert np.isfinite(at.position).all() and np.array_equal(at.position, ground.position(at.footing))
     corners = np.stack([meshes[m][0][meshes[m][1][f]] for m, f in zip(at.footing.mesh, at.footing.face, strict=True)])
@@ -280,7 +280,7 @@ def test_no_agent_slips_under_the_ground_or_into_a_boulder_however_deep_it_is_su
 
 
 def test_steps_on_a_plane_are_taken_back() -> None:
-    plane, start = Plane(UP), np.zeros((3, 3))
+    plane, start = PlaneGround(UP), np.zeros((3, 3))
     ahead, up = np.tile([1.0, 0.0, 0.0], (3, 1)), np.tile(UP, (3, 1))
     moved = plane.move(plane.nowhere(3), 5 * ahead, ahead, up, 1.0)
     subset = np.array([0, 2])
@@ -294,10 +294,10 @@ def test_every_ground_has_the_same_doors() -> None:
     """What mypy proves by the assignments, for a footing of every kind."""
     sheet, cube = grid(100.0, 4), Volume.from_mesh(*box((-6.0, -6.0, -6.0), (6.0, 6.0, 6.0)), 2.0)
     assert isinstance(cube, Volume)
-    plane: Ground = Plane(UP)
+    plane: Ground = PlaneGround(UP)
     still: Ground = MeshGround({"sheet": sheet})
     moving: Ground = MovingGround({"sheet": sheet}, ["sheet"])
-    both: Ground = Terrain(MeshGround({"sheet": sheet}), {"cube": cube}, UP)
+    both: Ground = CombinedGround(MeshGround({"sheet": sheet}), {"cube": cube}, UP)
     positions = np.array([[0.0, 9.0, 0.0], [40.0, 3.0, 9.0]])
     for ground in (plane, still, moving, both):
         dropped, is_placed = ground.place(positions, UP)

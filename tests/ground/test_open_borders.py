@@ -10,7 +10,7 @@ from walked import Reference
 from antdsl.bench.cases import case_of
 from antdsl.ground.mesh import open_borders as module
 from antdsl.ground.mesh import walk_events
-from antdsl.ground.mesh.face_table import EDGES, LINK, OPEN, WIDTH, mark_open
+from antdsl.ground.mesh.face_table import EDGE_LINK, EDGES_OFFSET, OPEN_BORDER_LINK, ROW_FLOATS, mark_open
 from antdsl.ground.mesh.open_borders import find_open_borders
 from antdsl.ground.mesh.surface import MeshGround
 from antdsl.ground.mesh.topology import NO_LINK
@@ -101,14 +101,18 @@ def test_no_more_pairs_are_looked_at_than_pay(monkeypatch: pytest.MonkeyPatch) -
     ground = MeshGround(GROUNDS["a finer sheet"])
     all_borders = find_borders(ground, 30.0)
     assert len(all_borders) == 36
-    monkeypatch.setattr(module, "_AT_ONCE", 50)
+    monkeypatch.setattr(module, "_PAIRS_PER_CHUNK", 50)
     assert np.array_equal(find_borders(ground, 30.0), all_borders)
-    monkeypatch.setattr(module, "_PAIRS", 500)
+    monkeypatch.setattr(module, "_MAX_BORDER_PAIRS", 500)
     assert 0 < len(find_borders(ground, 30.0)) < 36
 
 
 def marked(walk: walk_events.WalkTables) -> int:
-    return int(np.count_nonzero(walk.packed.reshape(-1, WIDTH)[:, EDGES + LINK : EDGES + 12 : 4] == OPEN))
+    return int(
+        np.count_nonzero(
+            walk.packed.reshape(-1, ROW_FLOATS)[:, EDGES_OFFSET + EDGE_LINK : EDGES_OFFSET + 12 : 4] == OPEN_BORDER_LINK
+        )
+    )
 
 
 def test_marks_are_for_the_widest_of_a_crowd_and_go_where_a_mesh_moves() -> None:
@@ -143,7 +147,7 @@ def test_a_crowd_along_open_borders_gets_the_same_bits(monkeypatch: pytest.Monke
         waiting.clear()
         for _ in range(60):
             step(world)
-        mark_open(walk.packed, walk._open, OPEN)  # which is cached for another world
+        mark_open(walk.packed, walk._open, OPEN_BORDER_LINK)  # which is cached for another world
         assert (sum(waiting) > 500) != marks  # many come to the border
         populations.append(world.populations["ant"])
     one, other = populations

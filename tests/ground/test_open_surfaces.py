@@ -20,7 +20,7 @@ from walked import Hop, Reference
 
 from antdsl.ground.mesh.surface import MeshGround
 from antdsl.ground.moving import MovingGround
-from antdsl.ground.protocol import Footing, Move
+from antdsl.ground.protocol import Footing, GroundMove
 
 Floats = NDArray[np.float64]
 HAIR = 1e-6  # mm off the surface
@@ -44,7 +44,7 @@ class Watch:
     over: int = 0
     wish: Floats = field(default_factory=lambda: np.empty((0, 3)))
 
-    def look(self, ground: MeshGround, previous_move: Move, at: Move, step: float, closely: bool) -> None:
+    def look(self, ground: MeshGround, previous_move: GroundMove, at: GroundMove, step: float, closely: bool) -> None:
         distances = np.linalg.norm(at.position - previous_move.position, axis=1)
         self.farthest = max(self.farthest, float(distances.max()) / step, float(at.travelled.max()) / step)
         self.lost += int((at.lost | ~np.isfinite(at.position).all(axis=1)).sum())
@@ -64,7 +64,7 @@ class Watch:
             ]
             self.through += [(int(k), int(f[k]), int(g[k])) for k in bad if not self.one_by_one(ground, previous_move, at, k)]
 
-    def hops(self, ground: MeshGround, previous_move: Move, at: Move, who: int) -> list[Hop]:
+    def hops(self, ground: MeshGround, previous_move: GroundMove, at: GroundMove, who: int) -> list[Hop]:
         """The step once more, with all that it stepped over to."""
         face, over = int(standing(ground, previous_move)[0][who]), float(previous_move.footing.over[who])
         reference = Reference(ground)
@@ -73,12 +73,12 @@ class Watch:
         assert np.allclose(again.position, at.position[who], atol=HAIR) and again.face == standing(ground, at)[0][who]
         return again.hops
 
-    def over_another(self, ground: MeshGround, previous_move: Move, at: Move, who: int) -> bool:
+    def over_another(self, ground: MeshGround, previous_move: GroundMove, at: GroundMove, who: int) -> bool:
         """Whether the way of a step led over another part."""
         own = self.sides.part[standing(ground, previous_move)[0][who]]
         return any(self.sides.part[hop.face] != own for hop in self.hops(ground, previous_move, at, who))
 
-    def one_by_one(self, ground: MeshGround, previous_move: Move, at: Move, who: int) -> bool:
+    def one_by_one(self, ground: MeshGround, previous_move: GroundMove, at: GroundMove, who: int) -> bool:
         """Whether all ways are free that a step went over to other faces, or round the border from which it did."""
         for hop in self.hops(ground, previous_move, at, who):
             start, up, displacement, end, above = (v[None] for v in (hop.start, hop.up, hop.direction, hop.end, hop.above))
@@ -116,11 +116,11 @@ class Watch:
         return is_crossing
 
 
-def standing(ground: MeshGround, at: Move) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+def standing(ground: MeshGround, at: GroundMove) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     return ground.on_faces(at.footing)[0], ((ground.normal(at.footing) * at.up).sum(axis=1) < 0).astype(np.int64)
 
 
-def facing(ground: MeshGround, at: Move) -> Floats:
+def facing(ground: MeshGround, at: GroundMove) -> Floats:
     normal = ground.normal(at.footing)
     return normal * np.where((normal * at.up).sum(axis=1) < 0, -1.0, 1.0)[:, None]
 
@@ -196,13 +196,13 @@ def over(at: float, rise: float) -> MeshGround:
     return MeshGround({"near": sheet(20.0, 4, by=(-10.0, 0.0, 0.0)), "far": sheet(20.0, 3, by=(10.0 + at, rise, 0.0))})
 
 
-def on(ground: MeshGround, x: float) -> Move:
+def on(ground: MeshGround, x: float) -> GroundMove:
     footing = ground.nearest(np.array([[x, 0.0, 1.3]]))[0]
     up = np.array([[0.0, 1, 0]])
     return ground.move(footing, np.zeros((1, 3)), np.array([[1.0, 0, 0]]), up, BODY)
 
 
-def walk_straight(ground: MeshGround, at: Move, x: float, steps: int) -> tuple[Move, Floats]:
+def walk_straight(ground: MeshGround, at: GroundMove, x: float, steps: int) -> tuple[GroundMove, Floats]:
     positions = [at.position[0]]
     for _ in range(steps):
         heading = np.array([[np.sign(x), 0.0, 0.0]])

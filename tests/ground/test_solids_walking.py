@@ -8,7 +8,7 @@ import meshes
 import numpy as np
 import pytest
 
-from antdsl.ground.protocol import Move
+from antdsl.ground.protocol import GroundMove
 from antdsl.ground.solid import Volume, move
 
 BODY = 5.0
@@ -54,7 +54,7 @@ def standing(solid: Volume, points: np.ndarray, up: np.ndarray, seed: int = 3) -
 
 def wandering(
     solid: Volume, start: tuple[np.ndarray, np.ndarray, np.ndarray], steps: int, step: float = 1.0, turn: float = 0.1
-) -> Iterator[tuple[np.ndarray, Move]]:
+) -> Iterator[tuple[np.ndarray, GroundMove]]:
     """Agents who go on and on, turning a little at random: where each was, and how it moved."""
     place, up, head = start
     rng = np.random.default_rng(7)

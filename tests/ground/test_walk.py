@@ -14,9 +14,9 @@ from walked import Reference
 
 from antdsl.casting.rays import RayScene
 from antdsl.ground.mesh.surface import MeshGround
-from antdsl.ground.mesh.surroundings import LIFT
+from antdsl.ground.mesh.surroundings import EYE_HEIGHT_PER_BODY
 from antdsl.ground.moving import MovingGround
-from antdsl.ground.protocol import Footing, Move
+from antdsl.ground.protocol import Footing, GroundMove
 from tests.meshes import ball, box, grid, terrain
 
 Floats = NDArray[np.float64]
@@ -64,7 +64,7 @@ GROUNDS = {
 }
 
 
-def crowd(ground: MeshGround, rng: np.random.Generator, n: int = N) -> Move:
+def crowd(ground: MeshGround, rng: np.random.Generator, n: int = N) -> GroundMove:
     """Agents all over a ground, some below it, as after a step of no length."""
     footing, _ = ground.nearest(rng.uniform(ground.low - 1, ground.high + 1, (n, 3)))
     up = ground.normal(footing) * rng.choice([-1.0, 1.0], (n, 1), p=[0.2, 0.8])
@@ -72,7 +72,7 @@ def crowd(ground: MeshGround, rng: np.random.Generator, n: int = N) -> Move:
 
 
 def differing(
-    ground: MeshGround, previous_move: Move, wish: Floats, heading: Floats, body: Floats, straight: bool = False
+    ground: MeshGround, previous_move: GroundMove, wish: Floats, heading: Floats, body: Floats, straight: bool = False
 ) -> int:
     """How many agents a step takes elsewhere than `walked` says; and one that is turned by a hair, too, else it is rounding that
     takes them past a corner on another side."""
@@ -91,8 +91,8 @@ def differing(
 def _same(
     reference: Reference,
     ground: MeshGround,
-    previous_move: Move,
-    next_move: Move,
+    previous_move: GroundMove,
+    next_move: GroundMove,
     wish: Floats,
     heading: Floats,
     body: Floats,
@@ -199,7 +199,7 @@ def test_how_far_agents_look_out_is_their_longest_way_and_widest_body() -> None:
         with np.errstate(all="ignore"):
             square = wish[0] * wish[0] + wish[1] * wish[1] + wish[2] * wish[2]
         most = np.sqrt(square[square < np.inf].max(initial=0.0))
-        assert ground._search_reach(wish, body) == most + LIFT * np.nanmax(body) + 3 * ground._scale.noise
+        assert ground._search_reach(wish, body) == most + EYE_HEIGHT_PER_BODY * np.nanmax(body) + 3 * ground._scale.noise
     assert np.isnan(ground._search_reach(np.ones((3, 2)), np.full(2, np.nan)))
 
 

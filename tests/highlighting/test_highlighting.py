@@ -15,14 +15,14 @@ from pathlib import Path
 import pytest
 
 from antdsl.diagnostics.model import Report
-from antdsl.highlighting.patterns import CLASSES, PATTERNS
-from antdsl.highlighting.textmate import FILES, SCOPE, grammar_text, scope
+from antdsl.highlighting.patterns import SCOPE_AND_TOKEN_BY_CLASS, TOKEN_PATTERNS
+from antdsl.highlighting.textmate import GRAMMAR_FILES, SCOPE_NAME, grammar_text, scope
 from antdsl.source import Source
-from antdsl.syntax.blocks import Line, cut_lines, map_text
+from antdsl.syntax.blocks import SourceLine, cut_lines, map_text
 from antdsl.syntax.brackets import pair_brackets
 from antdsl.syntax.parser import _load_tools
-from antdsl.syntax.scan import Scan, scan
-from antdsl.syntax.words import BODIES
+from antdsl.syntax.scan import TokenScan, scan
+from antdsl.syntax.words import BODY_RULE_BY_LINE
 
 ROOT = Path(__file__).resolve().parents[2]
 EXTENSION = ROOT / "grammar" / "vscode"
@@ -55,7 +55,7 @@ def real(path: Path) -> Cut:
     return sorted((start, end, "keyword" if start in keywords else kind) for start, end, kind in spans)
 
 
-def keyword_places(scanned: Scan, lines: list[Line], rule: str) -> Iterator[int]:
+def keyword_places(scanned: TokenScan, lines: list[SourceLine], rule: str) -> Iterator[int]:
     """Where words begin that the parser took for keywords."""
     parser, builder = _load_tools()
     for line in lines:
@@ -63,7 +63,9 @@ def keyword_places(scanned: Scan, lines: list[Line], rule: str) -> Iterator[int]
         first = text.text.split()[0]
         builder.place, builder.bodies = text, {}
         for group in line.groups:
-            inner = "weight" if group.chooses else BODIES.get((rule, first)) or BODIES.get((rule, "*")) or ""
+            inner = (
+                "weight" if group.chooses else BODY_RULE_BY_LINE.get((rule, first)) or BODY_RULE_BY_LINE.get((rule, "*")) or ""
+            )
             yield from keyword_places(scanned, group.lines, inner)
         interactive = parser.parse_interactive(text.text, start="header" if first == "ant" else rule)
         builder.place = text
@@ -100,7 +102,7 @@ def test_the_real_lexer_tells_keywords_from_names() -> None:
 def test_pygments_sees_what_the_lexer_sees(path: Path) -> None:
     from antdsl.highlighting.lexer import AntLexer, token_type
 
-    names = {token_type(name): name for name in reversed(CLASSES)}
+    names = {token_type(name): name for name in reversed(SCOPE_AND_TOKEN_BY_CLASS)}
     lexer = AntLexer(stripnl=False, ensurenl=False)
     tokens = list(lexer.get_tokens_unprocessed(path.read_text(encoding="utf-8")))
     assert "".join(value for _, _, value in tokens) == path.read_text(encoding="utf-8")
@@ -111,7 +113,7 @@ def test_pygments_sees_what_the_lexer_sees(path: Path) -> None:
 def test_textmate_sees_what_the_lexer_sees(path: Path) -> None:
     onigurumacffi = pytest.importorskip("onigurumacffi", reason="the package `onigurumacffi` (extra `test`) is not installed")
     compiled = [(onigurumacffi.compile(rule["match"]), rule) for rule in json.loads(grammar_text())["patterns"]]
-    names = {scope(name): name for name in reversed(CLASSES)}
+    names = {scope(name): name for name in reversed(SCOPE_AND_TOKEN_BY_CLASS)}
     spans: Cut = []
     begin = 0
     for line in path.read_text(encoding="utf-8").split("\n"):
@@ -183,10 +185,10 @@ def test_vs_code_sees_what_the_lexer_sees(tmp_path: Path) -> None:
     (tmp_path / "node_modules").symlink_to(EXTENSION / "node_modules")
     (tmp_path / "colours.js").write_text(NODE)
     grammar = EXTENSION / "syntaxes" / "antdsl.tmLanguage.json"
-    command = [program, "colours.js", str(grammar), SCOPE, *map(str, TEXTS)]
+    command = [program, "colours.js", str(grammar), SCOPE_NAME, *map(str, TEXTS)]
     result = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=120)
     assert result.returncode == 0, result.stderr
-    names = {scope(name): name for name in reversed(CLASSES)}
+    names = {scope(name): name for name in reversed(SCOPE_AND_TOKEN_BY_CLASS)}
     tokens = json.loads(result.stdout)
     for path in TEXTS:
         assert max(path.read_text(encoding="utf-8")) < "\U00010000"  # so that places are the same in UTF-16
@@ -196,7 +198,7 @@ def test_vs_code_sees_what_the_lexer_sees(tmp_path: Path) -> None:
 # --- the files that ship ---------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("name", FILES)
+@pytest.mark.parametrize("name", GRAMMAR_FILES)
 def test_the_grammar_is_fresh(name: str) -> None:
     text = (ROOT / "grammar" / name).read_text(encoding="utf-8")
     assert text == grammar_text(), "run `python -m antdsl.highlighting.textmate`"
@@ -205,7 +207,7 @@ def test_the_grammar_is_fresh(name: str) -> None:
 def test_every_word_of_the_grammar_has_a_colour() -> None:
     """A keyword that is put into the grammar and into no table would stay a name here."""
     from antdsl.highlighting.lexer import AntLexer
-    from antdsl.program.tables.vocabulary import UNITS
+    from antdsl.program.tables.vocabulary import UNIT_BY_NAME
 
     words = set(re.findall(r"^_?[A-Z_]+\.1: /([a-z]+)\(", (ROOT / "grammar" / "antdsl.lark").read_text(encoding="utf-8"), re.M))
     assert len(words) > 60
@@ -214,7 +216,7 @@ def test_every_word_of_the_grammar_has_a_colour() -> None:
         for text in (f"{word} x", f"{word}: x", f"a {word} x"):
             kinds |= {str(kind) for _, kind, value in AntLexer().get_tokens_unprocessed(text) if value == word}
         assert kinds & {"Token.Keyword", "Token.Keyword.Declaration", "Token.Operator.Word"}, word
-    for unit in UNITS:
+    for unit in UNIT_BY_NAME:
         tokens = list(AntLexer().get_tokens_unprocessed(f"3 {unit}"))
         assert [str(kind) for _, kind, _ in tokens] == ["Token.Literal.Number", "Token.Keyword.Type"], unit
 
@@ -228,12 +230,12 @@ def test_every_pattern_is_of_use() -> None:
         text, at = path.read_text(encoding="utf-8"), 0
         while at < len(text):
             match = next(
-                ((k, m) for k, p in enumerate(PATTERNS) if (m := re.compile(p.regex, AntLexer.flags).match(text, at))), None
+                ((k, m) for k, p in enumerate(TOKEN_PATTERNS) if (m := re.compile(p.regex, AntLexer.flags).match(text, at))), None
             )
             won.add(match[0] if match else None)
             at = match[1].end() if match else at + 1
-    assert won - {None} == set(range(len(PATTERNS)))
-    for pattern in PATTERNS:
+    assert won - {None} == set(range(len(TOKEN_PATTERNS)))
+    for pattern in TOKEN_PATTERNS:
         assert len(pattern.classes) == max(1, re.compile(pattern.regex).groups)
 
 
@@ -250,7 +252,7 @@ def test_the_extension_names_files_that_are_there() -> None:
     files = [package["main"], *(each["configuration"] for each in gives["languages"])]
     files += [each["path"] for each in (*gives["grammars"], *gives["snippets"])]
     assert [name for name in files if not (EXTENSION / name).is_file()] == []
-    assert {each["scopeName"] for each in gives["grammars"]} == {SCOPE}
+    assert {each["scopeName"] for each in gives["grammars"]} == {SCOPE_NAME}
     assert {each["language"] for each in (*gives["grammars"], *gives["snippets"])} == {each["id"] for each in gives["languages"]}
     program = (EXTENSION / "extension.js").read_text(encoding="utf-8")
     assert set(re.findall(r'registerCommand\("([^"]+)"', program)) == {each["command"] for each in gives["commands"]}

@@ -12,8 +12,8 @@ import pytest
 from conftest import LONGEST
 from house_counts import find_places
 
-from antdsl.bootstrap import QUICK
-from antdsl.diagnostics.codes import CODES
+from antdsl.bootstrap import QUICK_TEST_PATTERNS
+from antdsl.diagnostics.codes import CODE_DESCRIPTIONS
 
 ROOT = Path(__file__).resolve().parents[2]
 PACKAGE = ROOT / "antdsl"
@@ -125,7 +125,7 @@ OWN_FILES = {
     "bench/cases.py": "examples that come with antdsl",
     "bootstrap.py": "what antdsl needs, and which system this is",
     "cli/__init__.py": "the null device",
-    "cli/new.py": "files of a project that come with antdsl",
+    "cli/commands/new.py": "files of a project that come with antdsl",
     "cli/printing/pages.py": "pages that come with antdsl",
     "diagnostics/exchange.py": "pages that come with antdsl",
     "lsp/features/tokens.py": "the grammar",
@@ -271,7 +271,7 @@ def test_codes_are_kebab_case_and_given_once() -> None:
     tree = parsed(PACKAGE / "diagnostics" / "codes.py")
     keys = [k.value for node in ast.walk(tree) if isinstance(node, ast.Dict) for k in node.keys if isinstance(k, ast.Constant)]
     assert sorted(keys) == sorted(set(keys)), sorted({k for k in keys if keys.count(k) > 1})
-    for code, meaning in CODES.items():
+    for code, meaning in CODE_DESCRIPTIONS.items():
         assert re.fullmatch("[a-z0-9]+(-[a-z0-9]+)*", code)
         assert meaning and not meaning.endswith(".") and "\n" not in meaning
 
@@ -285,18 +285,18 @@ def test_every_code_is_used_and_every_code_used_has_a_meaning() -> None:
                 if isinstance(node, ast.Constant) and isinstance(node.value, str):
                     written.add(node.value)
     parts = {text for text in written if re.fullmatch("[a-z]+-", text)}  # `unused-` and the kind of what is not used
-    unused = {code for code in CODES if code not in written and not any(code.startswith(part) for part in parts)}
+    unused = {code for code in CODE_DESCRIPTIONS if code not in written and not any(code.startswith(part) for part in parts)}
     assert not unused, sorted(unused)
     complained = re.compile(
         r"(?:\.error|\.warning|PathRefused|complain|refuse|_error|_refuse)\(\s*(?:[a-z_.]+,\s*)?\"([a-z0-9]+(?:-[a-z0-9]+)+)\""
     )
     for path in FILES:
         for code in complained.findall(path.read_text(encoding="utf-8")):
-            assert code in CODES, f"{path}: `{code}`"
+            assert code in CODE_DESCRIPTIONS, f"{path}: `{code}`"
 
 
 def test_files_of_tests_that_are_named_are_there() -> None:
-    assert [pattern for pattern in QUICK if not any(ROOT.glob(pattern))] == []
+    assert [pattern for pattern in QUICK_TEST_PATTERNS if not any(ROOT.glob(pattern))] == []
     names = {path.stem for path in (ROOT / "tests").rglob("test_*.py")}
     assert [name for name in LONGEST if name not in names] == []
 
@@ -305,7 +305,7 @@ def test_every_code_has_a_case() -> None:
     files = [p for p in (ROOT / "tests").rglob("*") if p.suffix in (".py", ".ant", ".yaml", ".txt")]
     files += [ROOT / "grammar" / "README.md", ROOT / "docs" / "scene.md"]
     words = {word for path in files for word in re.findall(r"[\w-]+", path.read_text(encoding="utf-8"))}
-    assert not set(CODES) - words
+    assert not set(CODE_DESCRIPTIONS) - words
 
 
 @pytest.mark.parametrize(

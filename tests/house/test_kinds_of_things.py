@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from antdsl.program.tables.things import KINDS_OF_THINGS
+from antdsl.program.tables.things import KIND_BY_WORD
 from antdsl.scene.kinds import KINDS
 
 PACKAGE = Path(__file__).resolve().parents[2] / "antdsl"
@@ -42,4 +42,4 @@ def test_few_files_name_a_kind(word: str) -> None:
 
 
 def test_every_kind_that_a_scene_gives_has_a_class() -> None:
-    assert set(KINDS) == {row.word for row in KINDS_OF_THINGS.values() if row.scene}
+    assert set(KINDS) == {row.word for row in KIND_BY_WORD.values() if row.scene}

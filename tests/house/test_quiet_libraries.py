@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 from children import child_environment
 
-from antdsl.cli.commands.doctor import EXTRAS
+from antdsl.cli.commands.doctor import OPTIONAL_PACKAGES
 from antdsl.cli.commands.run import choose_threads
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -36,7 +36,7 @@ def test_warnings_of_libraries_do_not_reach_the_terminal(tmp_path: Path, flags: 
 
 def test_doctor_lists_every_extra() -> None:
     extras = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]["optional-dependencies"]
-    named_extras = {extra for words in EXTRAS.values() for extra in re.findall(r"antdsl\[(\w+)\]", words)}
+    named_extras = {extra for words in OPTIONAL_PACKAGES.values() for extra in re.findall(r"antdsl\[(\w+)\]", words)}
     assert named_extras == set(extras) - FOR_DEVELOPERS
 
 

@@ -12,10 +12,10 @@ from sampling import sampled
 from antdsl import syntax
 from antdsl.diagnostics import Diagnostic, Report
 from antdsl.diagnostics.ignoring import apply_ignores
-from antdsl.lsp.text import Text
+from antdsl.lsp.text import DocumentText
 from antdsl.lsp.workspace import Workspace
 from antdsl.pipeline import compile_files
-from antdsl.program.names.bindings import Bindings
+from antdsl.program.names.bindings import NameBindings
 from antdsl.program.traverse import written_nodes
 from antdsl.source import Source, Span
 from antdsl.syntax import nodes
@@ -44,7 +44,7 @@ def said(diagnostics: list[Diagnostic]) -> list[tuple[object, ...]]:
     )  # fmt: skip
 
 
-def bound(file: nodes.File, bindings: Bindings) -> set[tuple[object, ...]]:
+def bound(file: nodes.File, bindings: NameBindings) -> set[tuple[object, ...]]:
     """Every use of a name in a file with what it stands for, by places in the whole text. What is not written there, such as the
     names in a default of the language, is left out."""
 
@@ -102,7 +102,7 @@ def run(path: Path, seed: int, edits: int) -> None:
     for number in range(edits):
         text = original if number % 5 == 4 else edited(text, rng)
         text = text.replace("\r", "\n")
-        workspace.change(path, Text(text), number)
+        workspace.change(path, DocumentText(text), number)
         assert in_parts(workspace, path) == check_afresh(path, text), f"seed {seed}, edit {number}:\n{text}"
 
 

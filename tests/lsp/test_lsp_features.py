@@ -248,15 +248,15 @@ async def test_tokens_say_what_words_are(client) -> None:
 
 def _token_texts(data: list[int]) -> list[tuple[str, str]]:
     """Tokens of the forager's program, with their text."""
-    from antdsl.lsp.features.tokens import TYPES
-    from antdsl.lsp.text import Text
+    from antdsl.lsp.features.tokens import TOKEN_TYPES
+    from antdsl.lsp.text import DocumentText
 
-    text, line, column, pairs = Text(FORAGER), 0, 0, []
+    text, line, column, pairs = DocumentText(FORAGER), 0, 0, []
     for number in range(0, len(data), 5):
         down, along, length, kind, _ = data[number : number + 5]
         line, column = line + down, along if down else column + along
         start = text.offset(line, column)
-        pairs.append((text.text[start : text.offset(line, column + length)], TYPES[kind]))
+        pairs.append((text.text[start : text.offset(line, column + length)], TOKEN_TYPES[kind]))
     return pairs
 
 

@@ -12,17 +12,17 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from antdsl.machine_code.kernels.checks import KernelFault, check_message
-from antdsl.machine_code.kernels.ir import LANES_OF, ORDERS, Function, Instruction, split_type
-from antdsl.machine_code.kernels.operations import DTYPES, OPS, wrap
+from antdsl.machine_code.kernels.ir import LANE_ORDERS_CONSTANT, LANES_BY_MASK, Instruction, IrFunction, split_type
+from antdsl.machine_code.kernels.operations import DTYPE_BY_TYPE, OPERATION_BY_NAME, wrap
 from antdsl.machine_code.kernels.values import Number
-from antdsl.machine_code.kinds import WIDTH
+from antdsl.machine_code.kinds import LANE_COUNT
 
-_STACK_TYPE = re.compile(r"(?:\[(\d+) x )?(?:<(\d+) x )?(\w+)>?(?:\], align \d+)?")
-_INTEGER = re.compile(r"-?\d+")
-_Step = Callable[[list[Any]], Any]
+_STACK_TYPE_PATTERN = re.compile(r"(?:\[(\d+) x )?(?:<(\d+) x )?(\w+)>?(?:\], align \d+)?")
+_INTEGER_PATTERN = re.compile(r"-?\d+")
+_PreparedStep = Callable[[list[Any]], Any]
 
 
-class Memory:
+class ArrayMemory:
     """Bytes of memory as numbers of any type. `empty` marks the bytes of `scratch` that were never stored to."""
 
     def __init__(self, data: Any, empty: bytearray | None = None) -> None:
@@ -31,7 +31,7 @@ class Memory:
 
     def _view(self, type: str) -> Any:
         if type not in self._views:
-            self._views[type] = self._data.view(DTYPES[type])
+            self._views[type] = self._data.view(DTYPE_BY_TYPE[type])
         return self._views[type]
 
     def load(self, at: int, type: str, any_: bool = False) -> Any:
@@ -63,16 +63,16 @@ class ProcessMemory:
         self._place(at, type)[0] = value
 
     def _place(self, at: int, type: str) -> Any:
-        dtype = np.dtype(DTYPES[type])
+        dtype = np.dtype(DTYPE_BY_TYPE[type])
         return np.frombuffer((ctypes.c_uint8 * dtype.itemsize).from_address(int(at)), dtype)
 
 
 class Pointer(NamedTuple):
-    memory: Memory | ProcessMemory
+    memory: ArrayMemory | ProcessMemory
     at: int
 
 
-class _Slot:
+class _StackSlot:
     """A variable's place on the stack."""
 
     value: Any = None
@@ -84,7 +84,7 @@ class PreparedFunction(NamedTuple):
 
     registers: list[Any]
     slots: list[tuple[int, Callable[[], Any]]]
-    blocks: list[list[_Step]]
+    blocks: list[list[_PreparedStep]]
     ends: list[Callable[[list[Any]], Any]]
 
 
@@ -104,7 +104,7 @@ def run_code(code: PreparedFunction, arguments: Sequence[Any]) -> Any:
 class FunctionPreparer:
     """Makes a function ready to run."""
 
-    def __init__(self, function: Function, codes: dict[str, PreparedFunction]) -> None:
+    def __init__(self, function: IrFunction, codes: dict[str, PreparedFunction]) -> None:
         self.function, self.codes = function, codes
         self.registers: list[Any] = [None] * len(function.arguments)
         self.places = {each.name: k for k, each in enumerate(function.arguments)}
@@ -129,7 +129,7 @@ class FunctionPreparer:
     def fault(self, each: Instruction, why: str) -> KernelFault:
         return KernelFault(f"{self.function.file}, line {each.line}: {why}")
 
-    def end(self, each: Instruction) -> _Step:
+    def end(self, each: Instruction) -> _PreparedStep:
         operands = [self.place(operand) for operand in each.operands]
         if each.op == "return":
             return lambda registers: (registers[operands[0]] if operands else None,)
@@ -138,14 +138,14 @@ class FunctionPreparer:
             return lambda registers: targets[0]
         return lambda registers: targets[0] if registers[operands[0]] else targets[1]
 
-    def step(self, each: Instruction) -> _Step:
+    def step(self, each: Instruction) -> _PreparedStep:
         slots = [self.place(operand) for operand in each.operands]
         to = -1 if each.result is None else self.place(each.result)
         method = getattr(self, f"_{each.op.partition('.')[0]}", None)
         if method is not None:
-            output: _Step = method(each, to, *slots)
+            output: _PreparedStep = method(each, to, *slots)
             return output
-        function, dtype = OPS[each.op].meaning, DTYPES.get("" if each.result is None else each.result.base)
+        function, dtype = OPERATION_BY_NAME[each.op].meaning, DTYPE_BY_TYPE.get("" if each.result is None else each.result.base)
         assert function is not None
         if each.result is not None and each.result.wide:
             return self.each_lane(each, to, slots, function)
@@ -174,11 +174,11 @@ class FunctionPreparer:
 
         return ternary
 
-    def each_lane(self, each: Instruction, to: int, slots: list[int], function: Callable[..., Any]) -> _Step:
+    def each_lane(self, each: Instruction, to: int, slots: list[int], function: Callable[..., Any]) -> _PreparedStep:
         """An operation on each lane of its operands."""
         assert each.result is not None
         lanes, wide = each.result.lanes, [operand.wide for operand in each.operands]
-        dtype = [DTYPES[each.result.base]] if _is_cast(each.op) else []
+        dtype = [DTYPE_BY_TYPE[each.result.base]] if _is_cast(each.op) else []
 
         def step(registers: list[Any]) -> None:
             arguments = [registers[k] if many else (registers[k],) * lanes for k, many in zip(slots, wide, strict=True)]
@@ -188,21 +188,21 @@ class FunctionPreparer:
 
     # --- lanes ---------------------------------------------------------------------------------------------------------
 
-    def _insertelement(self, each: Instruction, to: int, of: int, value: int) -> _Step:
+    def _insertelement(self, each: Instruction, to: int, of: int, value: int) -> _PreparedStep:
         def step(registers: list[Any]) -> None:
             registers[to] = (*registers[of][: each.extra], registers[value], *registers[of][each.extra + 1 :])
 
         return step
 
-    def _extractelement(self, each: Instruction, to: int, of: int) -> _Step:
+    def _extractelement(self, each: Instruction, to: int, of: int) -> _PreparedStep:
         def step(registers: list[Any]) -> None:
             registers[to] = registers[of][each.extra]
 
         return step
 
-    def _shufflevector(self, each: Instruction, to: int, a: int, b: int) -> _Step:
+    def _shufflevector(self, each: Instruction, to: int, a: int, b: int) -> _PreparedStep:
         assert each.result is not None
-        order = [int(number) for number in _INTEGER.findall(each.extra.replace("i32", ""))[1:]] or [0] * each.result.lanes
+        order = [int(number) for number in _INTEGER_PATTERN.findall(each.extra.replace("i32", ""))[1:]] or [0] * each.result.lanes
 
         def step(registers: list[Any]) -> None:
             both = registers[a] + registers[b]
@@ -210,26 +210,26 @@ class FunctionPreparer:
 
         return step
 
-    def _permd(self, each: Instruction, to: int, of: int, order: int) -> _Step:
+    def _permd(self, each: Instruction, to: int, of: int, order: int) -> _PreparedStep:
         def step(registers: list[Any]) -> None:
             registers[to] = tuple([registers[of][k & 7] for k in registers[order]])
 
         return step
 
-    def _lanes(self, each: Instruction, to: int, mask: int) -> _Step:
+    def _lanes(self, each: Instruction, to: int, mask: int) -> _PreparedStep:
         def step(registers: list[Any]) -> None:
             registers[to] = wrap(sum(1 << k for k, held in enumerate(registers[mask]) if held), np.int8)
 
         return step
 
-    def _mask(self, each: Instruction, to: int, bits: int) -> _Step:
+    def _mask(self, each: Instruction, to: int, bits: int) -> _PreparedStep:
         def step(registers: list[Any]) -> None:
-            registers[to] = tuple([np.bool_(int(registers[bits]) >> k & 1) for k in range(WIDTH)])
+            registers[to] = tuple([np.bool_(int(registers[bits]) >> k & 1) for k in range(LANE_COUNT)])
 
         return step
 
-    def _reduce(self, each: Instruction, to: int, of: int) -> _Step:
-        function = OPS[each.op].meaning
+    def _reduce(self, each: Instruction, to: int, of: int) -> _PreparedStep:
+        function = OPERATION_BY_NAME[each.op].meaning
         assert function is not None
 
         def step(registers: list[Any]) -> None:
@@ -239,9 +239,9 @@ class FunctionPreparer:
 
     # --- memory --------------------------------------------------------------------------------------------------------
 
-    def _element(self, each: Instruction, to: int, address: int, index: int) -> _Step:
+    def _element(self, each: Instruction, to: int, address: int, index: int) -> _PreparedStep:
         lanes, base = split_type(each.extra)
-        size = lanes * (8 if base == "ptr" else np.dtype(DTYPES[base]).itemsize)
+        size = lanes * (8 if base == "ptr" else np.dtype(DTYPE_BY_TYPE[base]).itemsize)
 
         def step(registers: list[Any]) -> None:
             memory, at = registers[address]
@@ -249,13 +249,13 @@ class FunctionPreparer:
 
         return step
 
-    def _load(self, each: Instruction, to: int, address: int) -> _Step:
+    def _load(self, each: Instruction, to: int, address: int) -> _PreparedStep:
         assert each.result is not None
         type, size, wide, lanes = each.result.base, _size(each.result.base), each.result.wide, range(each.result.lanes)
 
         def step(registers: list[Any]) -> None:
             place = registers[address]
-            if isinstance(place, _Slot):
+            if isinstance(place, _StackSlot):
                 registers[to] = place.value
                 if place.value is None:
                     raise self.fault(each, "a variable is read that nothing was stored to")
@@ -270,12 +270,12 @@ class FunctionPreparer:
 
         return step
 
-    def _store(self, each: Instruction, to: int, value: int, address: int) -> _Step:
+    def _store(self, each: Instruction, to: int, value: int, address: int) -> _PreparedStep:
         type, size, wide = each.operands[0].base, _size(each.operands[0].base), each.operands[0].wide
 
         def step(registers: list[Any]) -> None:
             place = registers[address]
-            if isinstance(place, _Slot):
+            if isinstance(place, _StackSlot):
                 place.value = registers[value]
                 return
             try:
@@ -286,14 +286,14 @@ class FunctionPreparer:
 
         return step
 
-    def _is_null(self, each: Instruction, to: int, address: int) -> _Step:
+    def _is_null(self, each: Instruction, to: int, address: int) -> _PreparedStep:
         def step(registers: list[Any]) -> None:
             registers[to] = np.bool_(registers[address].at == 0)
 
         return step
 
-    def _atomic(self, each: Instruction, to: int, address: int, value: int) -> _Step:
-        function, type = OPS[each.op].meaning, each.operands[1].base
+    def _atomic(self, each: Instruction, to: int, address: int, value: int) -> _PreparedStep:
+        function, type = OPERATION_BY_NAME[each.op].meaning, each.operands[1].base
         assert function is not None
 
         def step(registers: list[Any]) -> None:
@@ -303,14 +303,14 @@ class FunctionPreparer:
 
         return step
 
-    def _nothing(self, each: Instruction, to: int, *operands: int) -> _Step:
+    def _nothing(self, each: Instruction, to: int, *operands: int) -> _PreparedStep:
         return lambda registers: None
 
     _prefetch = _volatile = _wait = _border = _nothing
 
     # --- functions -----------------------------------------------------------------------------------------------------
 
-    def _call(self, each: Instruction, to: int, *arguments: int) -> _Step:
+    def _call(self, each: Instruction, to: int, *arguments: int) -> _PreparedStep:
         code = self.codes[each.extra]
 
         def step(registers: list[Any]) -> None:
@@ -320,13 +320,13 @@ class FunctionPreparer:
             return lambda registers: run_code(code, [registers[place] for place in arguments])
         return step
 
-    def _extractvalue(self, each: Instruction, to: int, of: int) -> _Step:
+    def _extractvalue(self, each: Instruction, to: int, of: int) -> _PreparedStep:
         def step(registers: list[Any]) -> None:
             registers[to] = registers[of][each.extra]
 
         return step
 
-    def _insertvalue(self, each: Instruction, to: int, of: int, value: int) -> _Step:
+    def _insertvalue(self, each: Instruction, to: int, of: int, value: int) -> _PreparedStep:
         def step(registers: list[Any]) -> None:
             registers[to] = (*registers[of], registers[value])
 
@@ -334,14 +334,14 @@ class FunctionPreparer:
 
     # --- checks --------------------------------------------------------------------------------------------------------
 
-    def _index(self, each: Instruction, to: int, index: int, length: int) -> _Step:
+    def _index(self, each: Instruction, to: int, index: int, length: int) -> _PreparedStep:
         def step(registers: list[Any]) -> None:
             if not 0 <= registers[index] <= registers[length] - each.extra:
                 raise KernelFault(check_message(self.function.file, each.line, each.op))
 
         return step
 
-    def _divisor(self, each: Instruction, to: int, number: int) -> _Step:
+    def _divisor(self, each: Instruction, to: int, number: int) -> _PreparedStep:
         def step(registers: list[Any]) -> None:
             if registers[number] == 0:
                 raise KernelFault(check_message(self.function.file, each.line, each.op))
@@ -351,19 +351,19 @@ class FunctionPreparer:
 
 def _make_allocator(extra: str) -> Callable[[], Any]:
     """What makes a place on the stack."""
-    output = _STACK_TYPE.fullmatch(extra)
+    output = _STACK_TYPE_PATTERN.fullmatch(extra)
     if output is None or output[3] == "i1" or not (output[1] or output[2]):
-        return _Slot
+        return _StackSlot
     bytes_ = int(output[1] or 1) * int(output[2] or 1) * _size(output[3])
-    return lambda: Pointer(Memory(np.zeros(bytes_, np.uint8), bytearray(b"\1") * bytes_), 0)
+    return lambda: Pointer(ArrayMemory(np.zeros(bytes_, np.uint8), bytearray(b"\1") * bytes_), 0)
 
 
 def _size(type: str) -> int:
-    return int(np.dtype(DTYPES.get(type, np.int64)).itemsize)
+    return int(np.dtype(DTYPE_BY_TYPE.get(type, np.int64)).itemsize)
 
 
 def _is_cast(op: str) -> bool:
-    return "to {r.type}" in OPS[op].text or op in ("fptosi", "fptoui")
+    return "to {r.type}" in OPERATION_BY_NAME[op].text or op in ("fptosi", "fptoui")
 
 
 def _constants(number: Number) -> tuple[Any, ...]:
@@ -383,11 +383,11 @@ def _constant(number: Number) -> Any:
         return _constants(number)
     if name == "poison":
         return ()
-    if name == ORDERS.name:
-        return Pointer(Memory(np.array(LANES_OF, np.int8).ravel()), 0)
+    if name == LANE_ORDERS_CONSTANT.name:
+        return Pointer(ArrayMemory(np.array(LANES_BY_MASK, np.int8).ravel()), 0)
     if number.base in ("double", "float"):
         value = struct.unpack(">d", bytes.fromhex(name[2:]))[0] if name.startswith("0x") else float(name)
-        return DTYPES[number.base](value)
+        return DTYPE_BY_TYPE[number.base](value)
     if number.base == "i1":
         return np.bool_(name == "true")
-    return DTYPES[number.base](int(name))
+    return DTYPE_BY_TYPE[number.base](int(name))

@@ -12,24 +12,24 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
-from interpreter_steps import FunctionPreparer, Memory, Pointer, PreparedFunction, ProcessMemory, run_code
+from interpreter_steps import ArrayMemory, FunctionPreparer, Pointer, PreparedFunction, ProcessMemory, run_code
 from numpy.lib.array_utils import byte_bounds
 
 from antdsl.machine_code.kernels.calling import flat
-from antdsl.machine_code.kernels.ir import Function
+from antdsl.machine_code.kernels.ir import IrFunction
 from antdsl.machine_code.kernels.kernel import Kernel
-from antdsl.machine_code.kernels.operations import DTYPES, wrap
-from antdsl.machine_code.kernels.types import UNSIGNED, ArrayType, Scalar
-from antdsl.machine_code.kernels.values import Item, leaves
+from antdsl.machine_code.kernels.operations import DTYPE_BY_TYPE, wrap
+from antdsl.machine_code.kernels.types import UNSIGNED, ArrayType, ScalarType
+from antdsl.machine_code.kernels.values import KernelItem, leaves
 
 
 def interpret(kernel: Kernel, *arguments: Any) -> Any:
     """Run a kernel on arguments and return its result; arrays among them may be written to. Raises KernelFault with file and
     line."""
-    return Interpreter(kernel)(*arguments)
+    return KernelInterpreter(kernel)(*arguments)
 
 
-class Interpreter:
+class KernelInterpreter:
     """A kernel with the calling convention of its machine code."""
 
     def __init__(self, kernel: Kernel) -> None:
@@ -56,7 +56,7 @@ class Interpreter:
         return tuple(values) if isinstance(self._result, tuple) else values[0]
 
 
-def interpreted_function(functions: Sequence[Function], name: str) -> Callable[[int, int, int], None]:
+def interpreted_function(functions: Sequence[IrFunction], name: str) -> Callable[[int, int, int], None]:
     """Return a plan's function of (table of addresses, first row, row after the last), with the interface of machine code.
     `functions` are all that it calls, callees first."""
     codes: dict[str, PreparedFunction] = {}
@@ -78,9 +78,9 @@ def _kinds(types: Sequence[Any]) -> Any:
             yield each
 
 
-def _number(value: Any, type: Scalar) -> Any:
+def _number(value: Any, type: ScalarType) -> Any:
     if type.kind in ("double", "float"):
-        return DTYPES[type.kind](np.float64(value))
+        return DTYPE_BY_TYPE[type.kind](np.float64(value))
     return np.bool_(value) if type.kind == "i1" else wrap(int(value))
 
 
@@ -89,12 +89,12 @@ def _array(array: Any, type: ArrayType) -> list[Any]:
     low, high = byte_bounds(array)
     start = array.__array_interface__["data"][0]
     buffer = (ctypes.c_uint8 * (high - low if array.size else 0)).from_address(low)
-    memory = Memory(np.ctypeslib.as_array(buffer))
+    memory = ArrayMemory(np.ctypeslib.as_array(buffer))
     steps = [np.int64(each // array.itemsize) for each in array.strides] if type.strided else []
     return [Pointer(memory, start - low if array.size else 0), *map(np.int64, array.shape), *steps]
 
 
-def _argument_value(number: Item, value: Any) -> Any:
+def _argument_value(number: KernelItem, value: Any) -> Any:
     if number.kind in ("double", "float"):
         return float(value)
     return bool(value) if number.kind == "i1" else int(value) & ((1 << 64) - 1) if number.kind == UNSIGNED else int(value)

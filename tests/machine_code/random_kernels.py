@@ -25,7 +25,7 @@ from antdsl.machine_code.kernels.ir import InvalidCode
 from antdsl.machine_code.kernels.kernel import Kernel, text_of
 
 sys.path.insert(0, str(Path(__file__).parent))
-from kernel_interpreter import Interpreter
+from kernel_interpreter import KernelInterpreter
 from random_kernel_source import OUTPUTS, module_of
 
 BATCH = 40  # kernels of one module
@@ -135,7 +135,7 @@ def differences(kernels: Sequence[Kernel], seed: int, daring: bool) -> Iterator[
                 yield from differences([each], seed, daring)
         return
     for number, kernel in enumerate(kernels):
-        compiled, interpreted = kernel.caller(code, checked=daring), Interpreter(kernel)
+        compiled, interpreted = kernel.caller(code, checked=daring), KernelInterpreter(kernel)
         for length in (17, LENGTHS[(seed + number) % len(LENGTHS)]):
             passed = inputs(1000 * seed + number + length, length)
             (fault, expected), (raised, output) = outcome(interpreted, passed), outcome(compiled, passed)
@@ -158,7 +158,7 @@ def compare(count: int, seed: int, target: str = "", show: bool = True) -> list[
             source = module_of(Random(f"{seed} {batch}"), min(BATCH, count - batch), daring)
             kernels = load(source, Path(name))
             if target:
-                machine.object_code(text_of(kernels, shipped.TARGETS[target]), shipped.TARGETS[target])
+                machine.object_code(text_of(kernels, shipped.TARGET_BY_NAME[target]), shipped.TARGET_BY_NAME[target])
                 continue
             for each in differences(kernels, seed + batch, daring):
                 output.append(f"seed {seed}, batch {batch}: {each}\n{_source(source, each.split(',')[0])}")
@@ -180,7 +180,7 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--count", type=int, default=400)
     parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--target", choices=list(shipped.TARGETS), default="", help="compile for a target, run nothing")
+    parser.add_argument("--target", choices=list(shipped.TARGET_BY_NAME), default="", help="compile for a target, run nothing")
     options = parser.parse_args()
     output = compare(options.count, options.seed, options.target)
     print(f"{options.count} kernels, {len(output)} differences, {time.process_time():.0f} s of CPU")

@@ -32,7 +32,7 @@ from antdsl.machine_code.kernels import (
 from antdsl.machine_code.kernels.ir import InvalidCode, verify
 from antdsl.machine_code.kernels.kernel import Kernel, text_of
 from antdsl.machine_code.kernels.side_by_side import write_function
-from antdsl.machine_code.kernels.units import Unit
+from antdsl.machine_code.kernels.units import KernelUnit
 from antdsl.machine_code.kernels.values import Number
 
 pytestmark = pytest.mark.skipif(not machine.is_available(), reason="no machine code can be process here")
@@ -263,7 +263,7 @@ def usual(a: Array1[F64], x: F32, begin: I64, end: I64) -> F64:
 
 
 def test_the_verifier_finds_instructions_that_do_not_fit() -> None:
-    unit = Unit()
+    unit = KernelUnit()
     name, _ = write_function(unit, quotient.part, [Number("i64", "%x"), Number("i64", "%y")])
     (function,) = unit.functions
     verify(unit.functions)
@@ -344,17 +344,17 @@ def test_a_checked_build_raises_errors_with_file_and_line(tmp_path: Path) -> Non
 def test_checked_code_has_a_key_of_its_own(monkeypatch: pytest.MonkeyPatch) -> None:
     from antdsl.machine_code.kernels import sources
 
-    previous = usual.text_key(machine.ANY)
-    monkeypatch.setattr(sources, "CHECKED", not sources.CHECKED)
-    assert usual.text_key(machine.ANY) != previous
-    assert text_of([usual], machine.ANY, checked=True) != text_of([usual], machine.ANY, checked=False)
+    previous = usual.text_key(machine.PORTABLE_TARGET)
+    monkeypatch.setattr(sources, "CHECKS_ENABLED", not sources.CHECKS_ENABLED)
+    assert usual.text_key(machine.PORTABLE_TARGET) != previous
+    assert text_of([usual], machine.PORTABLE_TARGET, checked=True) != text_of([usual], machine.PORTABLE_TARGET, checked=False)
 
 
 def test_checked_objects_have_line_tables_with_relative_file_names() -> None:
     import llvmlite.binding as llvm
 
-    text = text_of([usual], machine.ANY, checked=True)
-    code = machine.object_code(text, machine.ANY)
+    text = text_of([usual], machine.PORTABLE_TARGET, checked=True)
+    code = machine.object_code(text, machine.PORTABLE_TARGET)
     sections = {each.name(): each.data() for each in llvm.ObjectFileRef.from_data(code).sections()}
     assert sections[b".debug_line"]
     assert f'!DIFile(filename: "tests/machine_code/{Path(__file__).name}", directory: "")' in text

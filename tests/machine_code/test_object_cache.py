@@ -19,7 +19,7 @@ from compilers import need_llvmlite
 from antdsl import user_folders
 from antdsl.machine_code import object_cache, signing
 from antdsl.machine_code.machine import Target, host, load, object_code
-from antdsl.machine_code.object_cache import VARIABLE, ObjectCache, key, versions
+from antdsl.machine_code.object_cache import CACHE_VARIABLE, ObjectCache, key, versions
 
 TARGET = Target("x86_64-unknown-linux-gnu", "znver1", "+avx2,-fma")
 KEY, OTHER = (key(text, TARGET, versions=("1",)) for text in ("one", "other"))
@@ -33,7 +33,7 @@ def home(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     for name in ("project", "home"):
         (tmp_path / name).mkdir(mode=0o700)
     monkeypatch.chdir(tmp_path / "project")
-    monkeypatch.delenv(VARIABLE, raising=False)
+    monkeypatch.delenv(CACHE_VARIABLE, raising=False)
     for name in ("HOME", "USERPROFILE", "LOCALAPPDATA", "XDG_CACHE_HOME", "XDG_STATE_HOME"):
         monkeypatch.setenv(name, str(tmp_path / "project"))
     monkeypatch.setattr(user_folders, "home_folder", lambda: tmp_path / "home")
@@ -204,7 +204,7 @@ def test_many_bad_files_are_one_message(folder: Path) -> None:
 
 
 def test_a_file_that_is_too_large_is_not_read(place: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(object_cache, "_LARGEST", len(CODE) - 1)
+    monkeypatch.setattr(object_cache, "_MAX_OBJECT_BYTES", len(CODE) - 1)
     refused(place.parent, "are not read")
     assert not place.exists()
     cache = ObjectCache(place.parent)
@@ -253,7 +253,7 @@ def test_a_poisoned_folder_is_harmless_wherever_it_lies(place: Path, tmp_path: P
     (project / "code").chmod(0o777)
     (project / "link").symlink_to(project / "code")
     for named in (project / "code", project / "link"):
-        monkeypatch.setenv(VARIABLE, str(named))
+        monkeypatch.setenv(CACHE_VARIABLE, str(named))
         assert ObjectCache().get(KEY) == CODE
         file_of(named, KEY).write_bytes(bytes(32) + b"code of a stranger")
         refused(named, "not written by this user")
@@ -322,7 +322,7 @@ def test_a_folder_that_cannot_be_used_is_reported_once(tmp_path: Path, kind: str
 
 @pytest.mark.parametrize("named", ["kept", "../kept", "~/kept", "."])
 def test_a_path_that_does_not_begin_at_the_root_is_refused(monkeypatch: pytest.MonkeyPatch, named: str) -> None:
-    monkeypatch.setenv(VARIABLE, named)
+    monkeypatch.setenv(CACHE_VARIABLE, named)
     in_memory(ObjectCache(), "does not begin at the root")
     in_memory(ObjectCache(Path(named)), "does not begin at the root")
     assert not list(Path.cwd().iterdir())
@@ -349,13 +349,13 @@ def test_without_a_home_code_stays_in_memory(tmp_path: Path, monkeypatch: pytest
     for name in ("home_folder", "_local_app_data"):
         monkeypatch.setattr(user_folders, name, homeless)
     in_memory(ObjectCache(), "no home folder for this user")
-    monkeypatch.setenv(VARIABLE, str(tmp_path / "named"))
+    monkeypatch.setenv(CACHE_VARIABLE, str(tmp_path / "named"))
     in_memory(ObjectCache(), "no home folder for this user")
     assert not (tmp_path / "named").exists()
 
 
 def test_an_empty_variable_keeps_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv(VARIABLE, "")
+    monkeypatch.setenv(CACHE_VARIABLE, "")
     cache = ObjectCache()
     cache.put(KEY, CODE)
     assert cache.get(KEY) == CODE and ObjectCache().get(KEY) is None and cache.messages == []
@@ -364,8 +364,8 @@ def test_an_empty_variable_keeps_nothing(tmp_path: Path, monkeypatch: pytest.Mon
 
 
 def test_memory_has_a_cap_too(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv(VARIABLE, "")
-    monkeypatch.setattr(object_cache, "_IN_MEMORY", 3 * len(CODE))
+    monkeypatch.setenv(CACHE_VARIABLE, "")
+    monkeypatch.setattr(object_cache, "_MAX_MEMORY_BYTES", 3 * len(CODE))
     cache = ObjectCache()
     names = [key(str(n), TARGET, versions=()) for n in range(4)]
     for name in names[:3]:

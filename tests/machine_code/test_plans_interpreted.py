@@ -13,7 +13,7 @@ from kernel_interpreter import interpreted_function
 
 from antdsl.machine_code import lanes, machine
 from antdsl.machine_code.kernels import rendering
-from antdsl.machine_code.kernels.ir import Function
+from antdsl.machine_code.kernels.ir import IrFunction
 from antdsl.runtime import Options, bind, state_hash, step
 from antdsl.runtime.backends.native import ready, stored
 from antdsl.runtime.backends.native.programs import program
@@ -25,7 +25,7 @@ FRAMES = 1
 class Interpreted:
     """Stands for the code of a text."""
 
-    functions: list[Function]
+    functions: list[IrFunction]
 
     def function(self, name: str) -> Any:
         return interpreted_function(self.functions, f"@{name}.inside")
@@ -34,10 +34,10 @@ class Interpreted:
 @pytest.mark.parametrize("avx2", [True, False])
 def test_the_instructions_of_a_plan_mean_what_numpy_does(monkeypatch: pytest.MonkeyPatch, avx2: bool) -> None:
     need_llvmlite()
-    functions: list[Function] = []
+    functions: list[IrFunction] = []
     render = rendering.function_text
 
-    def noted(function: Function, declared: dict[str, str]) -> str:
+    def noted(function: IrFunction, declared: dict[str, str]) -> str:
         functions.append(function)
         return render(function, declared)
 

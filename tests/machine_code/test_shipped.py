@@ -25,7 +25,7 @@ from antdsl.machine_code.machine import Target
 from antdsl.numerics import row_copies
 from antdsl.numerics.elementary_loops import cosines
 
-ENTRIES: list[library.Entry] = [cosines, row_copies.text]  # type: ignore[list-item]
+ENTRIES: list[library.LibraryEntry] = [cosines, row_copies.text]  # type: ignore[list-item]
 KERNEL = """from antdsl.machine_code.kernels import F64, kernel
 from shipped_numbers import NUMBER
 @kernel
@@ -38,8 +38,8 @@ def value(x: F64) -> F64:
 def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
     """The folder that stands for that of the installation, and none of the user's."""
     need_llvmlite()
-    monkeypatch.setattr(shipped, "FOLDER", tmp_path / "objects")
-    monkeypatch.setenv(object_cache.VARIABLE, "")
+    monkeypatch.setattr(shipped, "OBJECTS_FOLDER", tmp_path / "objects")
+    monkeypatch.setenv(object_cache.CACHE_VARIABLE, "")
     codes.forget()
     yield tmp_path / "objects"
     object_cache.code_versions.cache_clear()
@@ -64,22 +64,22 @@ def own() -> str:
     return name
 
 
-def rows() -> machine.Code:
+def rows() -> machine.LoadedCode:
     """The code of a text of the package, as in a process that begins."""
     codes.forget()
     return row_copies.text.code()
 
 
 def test_objects_are_what_compiling_gives(folder: Path) -> None:
-    assert build(folder, ENTRIES, shipped.TARGETS) == 2 * len(shipped.TARGETS)
-    for name, target in shipped.TARGETS.items():
-        objects = shipped.Objects(shipped.file_of(folder, name))
+    assert build(folder, ENTRIES, shipped.TARGET_BY_NAME) == 2 * len(shipped.TARGET_BY_NAME)
+    for name, target in shipped.TARGET_BY_NAME.items():
+        objects = shipped.ObjectFile(shipped.file_of(folder, name))
         assert len(objects) == len(ENTRIES)
         for entry in ENTRIES:
             code = objects.get(shipped.key(entry.text_key(target), target))
             assert code == machine.object_code(entry.text(target), target)
             assert code[:4] == b"\x7fELF" and int.from_bytes(code[18:20], "little") == (62 if target.x86 else 183)
-    assert build(folder, ENTRIES, shipped.TARGETS) == 0, "what is there is not compiled again"
+    assert build(folder, ENTRIES, shipped.TARGET_BY_NAME) == 0, "what is there is not compiled again"
 
 
 _BUILD = """
@@ -96,14 +96,14 @@ print(build(Path(sys.argv[1]), [row_copies.text, cosines], reversed(list(shipped
 
 def test_two_builds_give_the_same_bytes(folder: Path, tmp_path: Path) -> None:
     """In other processes, with other hashes of texts, in another order and folder."""
-    build(folder, ENTRIES, shipped.TARGETS)
+    build(folder, ENTRIES, shipped.TARGET_BY_NAME)
     (tmp_path / "elsewhere").mkdir()
     command = [sys.executable, "-c", _BUILD, str(tmp_path / "other")]
     ran = subprocess.run(
         command, env=child_environment(PYTHONHASHSEED="7"), cwd=tmp_path / "elsewhere", capture_output=True, text=True
     )
-    assert ran.stdout == f"{2 * len(shipped.TARGETS)}\n", ran.stderr
-    assert sorted(path.name for path in folder.iterdir()) == sorted(f"{name}.objects" for name in shipped.TARGETS)
+    assert ran.stdout == f"{2 * len(shipped.TARGET_BY_NAME)}\n", ran.stderr
+    assert sorted(path.name for path in folder.iterdir()) == sorted(f"{name}.objects" for name in shipped.TARGET_BY_NAME)
     for path in folder.iterdir():
         data = path.read_bytes()
         assert data == (tmp_path / "other" / path.name).read_bytes()
@@ -114,7 +114,7 @@ def test_code_of_the_installation_is_used_before_any_is_compiled(
     folder: Path, compiled: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     (tmp_path / "user").mkdir(mode=0o700)
-    monkeypatch.setenv(object_cache.VARIABLE, str(tmp_path / "user"))
+    monkeypatch.setenv(object_cache.CACHE_VARIABLE, str(tmp_path / "user"))
     build(folder, [*ENTRIES, argument_text.text], [own()])  # type: ignore[list-item]
     compiled.clear()
     kernel = type(cosines)(cosines.part.function)
@@ -232,7 +232,7 @@ def test_a_changed_source_is_compiled(folder: Path, compiled: list[str], tmp_pat
 
 def processor(*absent: str, of: str = "x86-64-v4", **extra_features: bool) -> Target:
     """What `machine.host` gives for a processor with all features of a level but some."""
-    present = {word[1:]: True for word in shipped.TARGETS[of].features.split(",") if word[0] == "+"}
+    present = {word[1:]: True for word in shipped.TARGET_BY_NAME[of].features.split(",") if word[0] == "+"}
     return Target(
         "x86_64-unknown-linux-gnu", "any", machine.format_features(present | extra_features | dict.fromkeys(absent, False))
     )
@@ -258,7 +258,7 @@ def test_a_processor_gets_code_that_it_runs() -> None:
 
 def test_an_older_processor_loads_none(folder: Path, compiled: list[str], monkeypatch: pytest.MonkeyPatch) -> None:
     """One that lacks instructions of all levels compiles for itself."""
-    build(folder, ENTRIES, shipped.TARGETS)
+    build(folder, ENTRIES, shipped.TARGET_BY_NAME)
     plain = Target("x86_64-unknown-linux-gnu", "x86-64", "")
     targets = []
     compile_ = machine.object_code
@@ -274,7 +274,7 @@ def reload_cosines() -> Any:
     return type(cosines)(cosines.part.function)
 
 
-@pytest.mark.parametrize("name", shipped.TARGETS)
+@pytest.mark.parametrize("name", shipped.TARGET_BY_NAME)
 def test_no_operations_are_fused(name: str) -> None:
     text = """define <8 x double> @sum(<8 x double> %a, <8 x double> %b, <8 x double> %c) {
   %product = fmul <8 x double> %a, %b
@@ -282,8 +282,8 @@ def test_no_operations_are_fused(name: str) -> None:
   ret <8 x double> %sum
 }
 """
-    for written in (text, f"; {machine.ALL_PASSES}\n{text}"):
-        assembly = machine.assembly(written, shipped.TARGETS[name])
+    for written in (text, f"; {machine.ALL_PASSES_COMMENT}\n{text}"):
+        assembly = machine.assembly(written, shipped.TARGET_BY_NAME[name])
         assert re.search(r"mul", assembly) and re.search(r"add", assembly) and not re.search(r"fn?m(add|la|sub)", assembly)
     wide = "zmm" in assembly
     assert wide == (name == "x86-64-v4")
@@ -293,11 +293,11 @@ def test_objects_are_those_of_the_installation(tmp_path: Path) -> None:
     """Whatever the working directory has and the environment says."""
     objects = tmp_path / "antdsl" / "machine_code" / "objects"
     objects.mkdir(parents=True)
-    for name in shipped.TARGETS:
+    for name in shipped.TARGET_BY_NAME:
         (objects / f"{name}.objects").write_bytes(b"trap")
     place = "from antdsl.machine_code import shipped; print(shipped.FOLDER)"
     expected = Path(antdsl.__file__).resolve().parent / "machine_code" / "objects"
-    for settings in ({}, dict.fromkeys((object_cache.VARIABLE, "HOME", "XDG_CACHE_HOME"), str(tmp_path))):
+    for settings in ({}, dict.fromkeys((object_cache.CACHE_VARIABLE, "HOME", "XDG_CACHE_HOME"), str(tmp_path))):
         ran = subprocess.run(
             [sys.executable, "-P", "-c", place], env=child_environment(**settings), cwd=tmp_path, capture_output=True, text=True
         )

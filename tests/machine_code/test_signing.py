@@ -13,7 +13,7 @@ from children import child_environment
 
 from antdsl import user_folders
 from antdsl.machine_code import object_cache, signing
-from antdsl.machine_code.object_cache import VARIABLE, ObjectCache
+from antdsl.machine_code.object_cache import CACHE_VARIABLE, ObjectCache
 from antdsl.user_folders import NotPrivate
 
 KEY = "0123456789abcdef" * 4
@@ -24,7 +24,7 @@ rights = pytest.mark.skipif(not hasattr(os, "geteuid"), reason="this system says
 def home(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     monkeypatch.setattr(user_folders, "home_folder", lambda: tmp_path / "home")
     monkeypatch.setattr(user_folders, "_local_app_data", lambda: tmp_path / "home")
-    monkeypatch.delenv(VARIABLE, raising=False)
+    monkeypatch.delenv(CACHE_VARIABLE, raising=False)
     (tmp_path / "home").mkdir(mode=0o700)
     return tmp_path / "home"
 
@@ -130,7 +130,7 @@ def test_where_there_can_be_no_key_code_stays_in_memory(
 
         for call in ("mkdir", "link"):
             monkeypatch.setattr(os, call, refuse)
-    monkeypatch.setenv(VARIABLE, str(tmp_path / "named"))
+    monkeypatch.setenv(CACHE_VARIABLE, str(tmp_path / "named"))
     cache = ObjectCache()
     for _ in range(3):
         cache.put(KEY, b"code")
@@ -202,7 +202,7 @@ def test_a_user_without_a_home_folder(monkeypatch: pytest.MonkeyPatch, tmp_path:
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(pwd, "getpwuid", get_user)
     monkeypatch.setenv("HOME", str(tmp_path))
-    monkeypatch.delenv(VARIABLE, raising=False)
+    monkeypatch.delenv(CACHE_VARIABLE, raising=False)
     with pytest.raises(FileNotFoundError):
         user_folders.home_folder()
     cache = ObjectCache()
@@ -218,7 +218,7 @@ def test_the_home_is_that_of_the_password_database(monkeypatch: pytest.MonkeyPat
     monkeypatch.undo()
     for name in ("HOME", "XDG_CACHE_HOME", "XDG_STATE_HOME", "LOGNAME", "USER"):
         monkeypatch.setenv(name, str(tmp_path))
-    monkeypatch.delenv(VARIABLE, raising=False)
+    monkeypatch.delenv(CACHE_VARIABLE, raising=False)
     assert user_folders.home_folder() == Path(pwd.getpwuid(os.geteuid()).pw_dir)
     assert not user_folders.state_folder().is_relative_to(tmp_path)
     assert object_cache.ObjectCache()._folder == user_folders.cache_folder() / "antdsl" / "native"

@@ -68,8 +68,8 @@ def test_a_wheel_has_the_objects_of_all_targets(wheel: Path, tmp_path: Path) -> 
     with zipfile.ZipFile(wheel) as archive:
         names = [name for name in archive.namelist() if name.startswith("antdsl/machine_code/objects/")]
         archive.extractall(tmp_path, names)
-    assert sorted(names) == sorted(f"antdsl/machine_code/objects/{name}.objects" for name in shipped.TARGETS)
-    counts = [len(shipped.Objects(tmp_path / name)) for name in names]
+    assert sorted(names) == sorted(f"antdsl/machine_code/objects/{name}.objects" for name in shipped.TARGET_BY_NAME)
+    counts = [len(shipped.ObjectFile(tmp_path / name)) for name in names]
     assert min(counts) > 100 and sum((tmp_path / name).stat().st_size for name in names) < 4_000_000
 
 

@@ -27,7 +27,7 @@ def products(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) ->
     if request.param == 1:
         features = features.replace("+vpclmulqdq,", "")
     monkeypatch.setattr(machine, "host", lambda: machine.Target(host.triple, host.cpu, features))
-    monkeypatch.setattr(check_sums, "LEAST", 64 * request.param)
+    monkeypatch.setattr(check_sums, "MIN_BYTES_FOR_KERNEL", 64 * request.param)
     check_sums._fold.cache_clear()
     yield 64 * request.param
     check_sums._fold.cache_clear()

@@ -56,13 +56,13 @@ def test_no_more_threads_run_than_a_control_group_has_time_for(
 ) -> None:
     group_file = groups / "own"
     group_file.write_text(own, encoding="utf-8")
-    monkeypatch.setattr(module, "OWN", group_file)
-    monkeypatch.setattr(module, "GROUPS", groups)
+    monkeypatch.setattr(module, "PROCESS_CGROUP_FILE", group_file)
+    monkeypatch.setattr(module, "CGROUPS_FOLDER", groups)
     monkeypatch.setattr(os, "sched_getaffinity", lambda _: set(range(64)), raising=False)
     assert module.cores.__wrapped__() == most
 
 
 def test_without_control_groups_all_cores_count(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(module, "OWN", tmp_path / "none")
+    monkeypatch.setattr(module, "PROCESS_CGROUP_FILE", tmp_path / "none")
     monkeypatch.setattr(os, "sched_getaffinity", lambda _: {0, 3, 5}, raising=False)
     assert module.cores.__wrapped__() == 3

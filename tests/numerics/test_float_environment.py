@@ -16,12 +16,12 @@ from test_workers import squared
 
 from antdsl.machine_code import machine
 from antdsl.machine_code.entries import inner_text
-from antdsl.machine_code.module import Module
+from antdsl.machine_code.module import LlvmModule
 from antdsl.numerics import parallel
 from antdsl.numerics.float_environment import is_standard, set_standard, standard_floats
 from antdsl.passes import optimise
 from antdsl.plan import ir
-from antdsl.runtime import Options, Setting, bind, state_hash, step
+from antdsl.runtime import Options, WorldSetting, bind, state_hash, step
 
 pytestmark = pytest.mark.skipif(not machine.is_available(), reason="a host's flags are set by machine code")
 
@@ -102,7 +102,7 @@ def threading_is_standard(begin: Callable[[], None]) -> bool:
 @pytest.mark.parametrize("bits", HOSTS.values(), ids=HOSTS)
 def test_machine_code_works_as_the_standard_says(bits: int) -> None:
     """Called outside of any step: a product of denormal numbers, and a quotient."""
-    module = Module(machine.host())
+    module = LlvmModule(machine.host())
     body = """  %first = load ptr, ptr %t
   %values = load <8 x float>, ptr %first, align 4
   %same = fmul <8 x float> %values, splat (float 1.0)
@@ -153,7 +153,7 @@ species a {
 def run(plan: ir.Plan, backend: str, threads: int, steps: int = 6) -> list[str]:
     """The states of a crowd with values that become denormal, then zero."""
     options = Options(backend=backend, threads=threads, chunk=40, wait_for_code=True)  # type: ignore[arg-type]
-    world = bind(plan, Setting(fps=Fraction(10), crowds=(crowd(90, radius=40),)), options)
+    world = bind(plan, WorldSetting(fps=Fraction(10), crowds=(crowd(90, radius=40),)), options)
     hashes, denormal = [state_hash(world)], False
     for _ in range(steps):
         step(world)

@@ -39,9 +39,9 @@ def test_the_least_counts(groups: Path, monkeypatch: pytest.MonkeyPatch) -> None
     own, system = groups / "own", groups / "meminfo"
     own.write_text("0::/job\n")
     system.write_text("MemTotal: 900 kB\nMemAvailable:   20480 kB\n")
-    monkeypatch.setattr(module, "OWN", own)
-    monkeypatch.setattr(module, "GROUPS", groups)
-    monkeypatch.setattr(module, "_SYSTEM", system)
+    monkeypatch.setattr(module, "PROCESS_CGROUP_FILE", own)
+    monkeypatch.setattr(module, "CGROUPS_FOLDER", groups)
+    monkeypatch.setattr(module, "_MEMINFO_FILE", system)
     assert module.available_memory() == 20 * MIB
     system.write_text("MemTotal: 900 kB\n")
     assert module.available_memory() == 45 * MIB

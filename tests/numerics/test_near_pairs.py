@@ -31,7 +31,7 @@ def test_pairs_are_those_of_a_tree(count: int, reach: float, monkeypatch: pytest
         else set()
     )
     for at_once in (1 << 20, 50):
-        monkeypatch.setattr(near_pairs, "_AT_ONCE", at_once)
+        monkeypatch.setattr(near_pairs, "_CELLS_PER_CHUNK", at_once)
         one, two = pairs_within(own, reach)
         assert sorted(zip(one.tolist(), two.tolist(), strict=True)) == sorted(expected)
         one, two = pairs_between(own, others, reach)

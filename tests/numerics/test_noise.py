@@ -7,7 +7,7 @@ import plans
 import pytest
 from plan_text import plan_of
 
-from antdsl.numerics.noise import FAR, fade, noise, pcg4d
+from antdsl.numerics.noise import MAX_LATTICE_COORDINATE, fade, noise, pcg4d
 from antdsl.program.checks.analysis.ranges import range_of
 from antdsl.runtime import Options, bind, state_hash, step
 from antdsl.runtime.faults import FaultStop
@@ -80,7 +80,7 @@ def test_bits_are_those_of_the_paper() -> None:
 
 
 def test_what_is_no_place_gives_no_number() -> None:
-    odd = np.array([[np.nan, np.inf, FAR, 0.5]] * 4)
+    odd = np.array([[np.nan, np.inf, MAX_LATTICE_COORDINATE, 0.5]] * 4)
     assert np.isnan(at(odd)).tolist() == [True, True, True, False]
 
 

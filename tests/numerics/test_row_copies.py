@@ -9,7 +9,7 @@ import pytest
 from numpy.typing import NDArray
 
 from antdsl.numerics import parallel, row_copies
-from antdsl.numerics.row_copies import RowCopies, copy_rows
+from antdsl.numerics.row_copies import RowCopier, copy_rows
 
 COUNT = 9_001
 
@@ -39,7 +39,7 @@ def test_rows_are_picked(threads: int, count: int) -> None:
 
 
 def test_rows_are_copied_time_after_time_and_to_other_arrays(threads: int) -> None:
-    copies, of = RowCopies(), arrays(COUNT)
+    copies, of = RowCopier(), arrays(COUNT)
     for turn in range(3):
         if turn < 2:
             to = [np.zeros_like(each) for each in of]
@@ -62,7 +62,7 @@ def test_where_arrays_lie_is_looked_up_once(threads: int, monkeypatch: pytest.Mo
     monkeypatch.setattr(
         row_copies, "_table", lambda *arguments, table=row_copies._table: looked.append(arguments) or table(*arguments)
     )
-    copies, of = RowCopies(), arrays(COUNT)
+    copies, of = RowCopier(), arrays(COUNT)
     to = [np.zeros_like(each) for each in of]
     for _ in range(3):
         copies.copy(list(to), list(of), threads)

@@ -137,11 +137,11 @@ def test_blocks_and_chunks_of_rows_add_up(count: int) -> None:
     ids, columns = table(count)
     parts = [part for column in columns.values() for part in column.reshape(-1, count)]
     expected = by_definition(ids, parts) if count < 2_000 else row_hash.row_hash(ids, parts)
-    halves = [row_hash.Table([ids[rows], *(part[rows] for part in parts)], row_hash.keys, ids=True).sums(len(ids[rows]))
+    halves = [row_hash.HashTable([ids[rows], *(part[rows] for part in parts)], row_hash.keys, ids=True).sums(len(ids[rows]))
               for rows in (slice(0, count // 3), slice(count // 3, count))]  # fmt: skip
     added = b"".join(((one + other) % 2**64).to_bytes(8, "little") for one, other in zip(*halves, strict=True))
     assert row_hash.row_hash(ids, parts) == expected == added
-    table_hash, numbered = row_hash.RowHash(), row_hash.RowHash()
+    table_hash, numbered = row_hash.RowHasher(), row_hash.RowHasher()
     for threads in (1, 2, 3, 1, 2):
         assert table_hash.of(ids, parts, threads) == expected
         assert numbered.of(None, parts[:3], threads) == row_hash.row_hash(None, parts[:3])
@@ -149,7 +149,7 @@ def test_blocks_and_chunks_of_rows_add_up(count: int) -> None:
 
 def test_tables_that_lie_elsewhere_time_after_time_have_the_hash_of_their_rows() -> None:
     """Arrays of other places, lengths, types and steps, some the same as before with other values in them."""
-    known, numbered = row_hash.RowHash(), row_hash.RowHash()
+    known, numbered = row_hash.RowHasher(), row_hash.RowHasher()
     for count in (70, 70, 71, 1, 5, 0, 1, 70):
         ids, columns = table(count)
         columns["place"] = np.ascontiguousarray(columns["place"].T)  # [n, 3]
@@ -167,7 +167,7 @@ def test_tables_that_lie_elsewhere_time_after_time_have_the_hash_of_their_rows()
 
 
 def test_a_column_of_one_row_lies_in_one_piece_and_one_of_more_with_its_step_may_not() -> None:
-    matrix, known = np.arange(15.0).reshape(5, 3), row_hash.RowHash()
+    matrix, known = np.arange(15.0).reshape(5, 3), row_hash.RowHasher()
     for count in (1, 5, 1, 3):
         columns = [matrix[:count, 0]]
         assert known.of(np.arange(count), columns) == row_hash.row_hash(np.arange(count), columns)

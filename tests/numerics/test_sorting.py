@@ -18,7 +18,7 @@ def test_numbers_are_sorted_as_numpy_does(high: int) -> None:
 
 def test_cells_are_numbered_bit_by_bit(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(parallel, "cores", lambda: 4)
-    monkeypatch.setattr(parallel, "LIGHT", 50)
+    monkeypatch.setattr(parallel, "MIN_LIGHT_ITEMS_PER_THREAD", 50)
     cells = np.random.default_rng(3).integers(0, 1 << 21, (200, 3)).astype(np.uint64)
     plain = [sum(((int(cell[axis]) >> bit) & 1) << (3 * bit + axis) for bit in range(21) for axis in range(3)) for cell in cells]
     assert morton_codes(cells).tolist() == plain and morton_codes(np.asfortranarray(cells), 3).tolist() == plain

@@ -15,13 +15,13 @@ from antdsl.casting.faces import Faces
 from antdsl.casting.rays import RayScene
 from antdsl.casting.triangle_grid import TriangleGrid
 from antdsl.fields.cells import SurfaceCells
-from antdsl.ground.mesh.creases import RiseMap
-from antdsl.ground.mesh.surface_clearance import Clearances
-from antdsl.ground.mesh.topology import Topology, build_topology
+from antdsl.ground.mesh.creases import SlopeMap
+from antdsl.ground.mesh.surface_clearance import PieceClearances
+from antdsl.ground.mesh.topology import MeshTopology, build_topology
 from antdsl.ground.moving import MovingGround
 from antdsl.machine_code import signing
 from antdsl.numerics import stored_tables
-from antdsl.numerics.stored_tables import KIND, LEAST, get_or_compute
+from antdsl.numerics.stored_tables import MIN_STORED_SIZE, TABLE_STORE, get_or_compute
 from antdsl.scene.geometry.closed import count_border_edges
 from antdsl.scene.setting import MeshData
 
@@ -32,7 +32,7 @@ pytestmark = pytest.mark.skipif(signing.signer(create=True) is None, reason="thi
 @pytest.fixture(autouse=True)
 def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
     """An empty store."""
-    monkeypatch.setenv(KIND.variable, str(tmp_path / "tables"))
+    monkeypatch.setenv(TABLE_STORE.variable, str(tmp_path / "tables"))
     stored_tables.forget()
     yield tmp_path / "tables"
     stored_tables.forget()
@@ -50,7 +50,7 @@ def hills(rows: int, high: float = 6.0) -> Mesh:
     return np.concatenate([ground, plate]), faces.astype(np.int32)
 
 
-def topology(mesh: Mesh) -> Topology:
+def topology(mesh: Mesh) -> MeshTopology:
     return build_topology(*mesh, np.zeros(len(mesh[1]), np.int32), 400.0)
 
 
@@ -62,8 +62,8 @@ def arrays(mesh: Mesh) -> list[NDArray[np.generic]]:
     cells = SurfaceCells([mesh], 3.0)
     plain = [getattr(table, each.name) for each in fields(table) if each.name != "cuts"]
     rise_map, parts = (
-        RiseMap(corners, table, []),
-        Clearances(corners, table.piece, table.cuts.cut, mesh[0].min(axis=0), 0.0).parts_within(9.0),
+        SlopeMap(corners, table, []),
+        PieceClearances(corners, table.piece, table.cuts.cut, mesh[0].min(axis=0), 0.0).parts_within(9.0),
     )
     other = [table.cuts.first, table.cuts.other, rise_map._clear, rise_map._creases._within(4), DistanceGrid(corners)._least]
     other += [parts.first, parts.count, parts.least, cells.nearest(7), np.array(count_border_edges(MeshData(*mesh)))]
@@ -78,13 +78,13 @@ def same(one: list[NDArray[np.generic]], other: list[NDArray[np.generic]]) -> bo
 
 def test_stored_tables_have_the_bits_of_computed_ones(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     mesh = hills(75)
-    assert len(mesh[1]) >= LEAST
+    assert len(mesh[1]) >= MIN_STORED_SIZE
     begin = stored_tables.computed_count()
-    monkeypatch.setenv(KIND.variable, "")
+    monkeypatch.setenv(TABLE_STORE.variable, "")
     stored_tables.forget()
     computed = arrays(mesh)
     assert stored_tables.computed_count() == begin + 9 and not folder.exists()
-    monkeypatch.setenv(KIND.variable, str(folder))
+    monkeypatch.setenv(TABLE_STORE.variable, str(folder))
     stored_tables.forget()
     assert same(arrays(mesh), computed) and stored_tables.computed_count() == begin + 18
     stored_tables.forget()
@@ -151,10 +151,10 @@ def test_what_is_damaged_is_computed_again(folder: Path, harm: str, tmp_path: Pa
 def test_signed_nonsense_is_not_used(folder: Path, data: bytes) -> None:
     inputs = (np.arange(4.0), 2.0)
     computed_arrays = {"link": np.arange(7)}
-    stored_tables._store().put(stored_tables._key("some", inputs), data)
+    stored_tables._open_store_once().put(stored_tables._key("some", inputs), data)
     begin = stored_tables.computed_count()
-    assert get_or_compute("some", LEAST, inputs, lambda: computed_arrays)["link"] is computed_arrays["link"]
-    assert get_or_compute("some", LEAST, inputs, dict)["link"].tolist() == list(range(7))
+    assert get_or_compute("some", MIN_STORED_SIZE, inputs, lambda: computed_arrays)["link"] is computed_arrays["link"]
+    assert get_or_compute("some", MIN_STORED_SIZE, inputs, dict)["link"].tolist() == list(range(7))
     assert stored_tables.computed_count() == begin + 1
 
 

@@ -19,7 +19,7 @@ from children import child_environment
 
 from antdsl.machine_code import workers_text
 from antdsl.machine_code.kernels import F64, I64, Array1, independent, kernel
-from antdsl.machine_code.kernels.direct.argument_text import PARTS
+from antdsl.machine_code.kernels.direct.argument_text import MAX_JOB_PARTS
 from antdsl.numerics import parallel, workers
 from antdsl.numerics.parallel import buffer_index
 
@@ -54,10 +54,10 @@ def nothing(begin: I64, end: I64) -> None:
 def many(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     """As on a machine of eight cores."""
     monkeypatch.setattr(parallel, "cores", lambda: 8)
-    previous_pools = dict(workers._pools)
+    previous_pools = dict(workers._pool_by_threads)
     yield
-    for key in [key for key in workers._pools if key not in previous_pools]:
-        workers._pools.pop(key).end()
+    for key in [key for key in workers._pool_by_threads if key not in previous_pools]:
+        workers._pool_by_threads.pop(key).end()
 
 
 def arrays(count: int) -> tuple[Any, ...]:
@@ -154,7 +154,7 @@ def test_the_first_failing_part_raises_after_all_running_parts_have_ended(thread
 
 @pytest.mark.parametrize("is_running", (False, True))
 def test_who_is_interrupted_as_a_job_starts_waits_for_what_has_begun(is_running: bool) -> None:
-    pool, start_event = workers.Workers(2), threading.Event()
+    pool, start_event = workers.WorkerPool(2), threading.Event()
     start = pool._start
     at_work, ended = [], []
 
@@ -173,7 +173,7 @@ def test_who_is_interrupted_as_a_job_starts_waits_for_what_has_begun(is_running:
     pool._start = interrupted  # type: ignore[assignment]
     with pytest.raises(KeyboardInterrupt):
         pool.do(work, 2)
-    assert bool(ended) == is_running and len(at_work) == len(ended) and not pool._words[workers_text.LEFT] % 2**32
+    assert bool(ended) == is_running and len(at_work) == len(ended) and not pool._words[workers_text.PARTS_LEFT_WORD] % 2**32
     pool._start = start
     pool.do(work, 2)
     assert ended.count(0) == 1
@@ -182,12 +182,13 @@ def test_who_is_interrupted_as_a_job_starts_waits_for_what_has_begun(is_running:
 
 def test_functions_of_machine_code_are_called_with_each_row() -> None:
     buffer = np.zeros(8, np.int64)  # `turns` reads one word, and only waits
-    for count in (1, 3, PARTS, 3 * PARTS + 5):
+    for count in (1, 3, MAX_JOB_PARTS, 3 * MAX_JOB_PARTS + 5):
         parallel.call_rows(workers_text.code().function("turns"), np.array([(buffer.ctypes.data, 3, 0)] * count, np.int64), 3)
-    pool = workers._pools[3]
-    assert isinstance(pool, workers.Workers)
+    pool = workers._pool_by_threads[3]
+    assert isinstance(pool, workers.WorkerPool)
     assert (
-        pool._words[workers_text.DONE_COUNT] == pool._words[workers_text.OF] == 5 and not pool._words[workers_text.LEFT] % 2**32
+        pool._words[workers_text.DONE_COUNT_WORD] == pool._words[workers_text.PART_COUNT_WORD] == 5
+        and not pool._words[workers_text.PARTS_LEFT_WORD] % 2**32
     )
 
 
@@ -244,17 +245,17 @@ def test_a_program_ends_whatever_its_threads_are_at(how: str, status: int) -> No
 
 def test_without_machine_code_an_executor_does_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(workers, "possible", lambda: False)
-    monkeypatch.setattr(workers, "_pools", {})
+    monkeypatch.setattr(workers, "_pool_by_threads", {})
     x, out, times = arrays(1_000)
     for threads in THREADS:
         results = parallel.in_parts(partial(squared, x, out, times), 1_000, threads, 10)
         assert sum(total for _, total, _ in results) == x.sum()
         with pytest.raises(ZeroDivisionError):
             parallel.in_parts(lambda a, b: 1 // a, 1_000, threads, 10)
-    assert (times == len(THREADS)).all() and isinstance(workers._pools[2], workers.ExecutorPool)
+    assert (times == len(THREADS)).all() and isinstance(workers._pool_by_threads[2], workers.ExecutorPool)
 
 
-@pytest.mark.parametrize("pool", [workers.Workers, workers.ExecutorPool])
+@pytest.mark.parametrize("pool", [workers.WorkerPool, workers.ExecutorPool])
 def test_an_interrupt_leaves_the_pool_to_others_wherever_it_comes(pool: Any) -> None:
     """CPython raises it where a function begins, and in a call that is over: also in the one that takes the pool."""
     ask, code = workers._run_exclusively, workers._run_exclusively.__code__

@@ -26,9 +26,9 @@ from antdsl.outputs.cache.hashes import HASHES, read_lines
 from antdsl.outputs.cache.lock import FolderLock, FolderLocked
 from antdsl.outputs.recording import Recording, begin, record
 from antdsl.outputs.summary import summary
-from antdsl.pipeline import Choices, open_scene
+from antdsl.pipeline import RunChoices, open_scene
 from antdsl.runtime import Options, World
-from antdsl.whole import Parts
+from antdsl.whole import BytesParts
 
 
 @pytest.fixture(autouse=True)
@@ -174,7 +174,7 @@ output: {checkpoint: 7}
 def run(folder: Path, out: str, **options: Any) -> Recording:
     (folder / "walker.ant").write_text(GROWING)
     (folder / "scene.yaml").write_text(SCENE)
-    shot, report = open_scene(folder / "scene.yaml", Choices())
+    shot, report = open_scene(folder / "scene.yaml", RunChoices())
     assert shot is not None and report.ok, report.errors
     recording = begin(shot, folder / out, Options(**options), resume=False, force=False)
     crowd = [len(recording.world) for _ in record(recording)]
@@ -194,7 +194,7 @@ def test_a_growing_crowd_is_written_the_same_to_the_byte_where_the_disk_stalls_a
     one = run(tmp_path, "plain")
     written, under_way = frame_writer.write_atomically, []
 
-    def stalling(path: Path, data: bytes | Parts, *, sync: bool = True) -> None:
+    def stalling(path: Path, data: bytes | BytesParts, *, sync: bool = True) -> None:
         if path.name in ("frame.0003.npz", "checkpoint.0008.npz"):
             under_way.append(path.name)
             time.sleep(0.2)
@@ -224,7 +224,7 @@ def test_a_growing_crowd_is_written_the_same_to_the_byte_where_the_disk_stalls_a
 def test_an_error_behind_a_run_ends_it_and_frees_the_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     written = frame_writer.write_atomically
 
-    def full(path: Path, data: bytes | Parts, *, sync: bool = True) -> None:
+    def full(path: Path, data: bytes | BytesParts, *, sync: bool = True) -> None:
         if path.name == "frame.0005.npz":
             raise OSError(errno.ENOSPC, "No space left on device", str(path))
         written(path, data, sync=sync)

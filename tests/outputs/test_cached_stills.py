@@ -109,9 +109,9 @@ def test_a_termination_leaves_whole_pictures_and_its_own_exit_code(
     from antdsl.outputs import drawing
     from antdsl.whole import atomic_file
 
-    put, count = drawing.Stills.put, []
+    put, count = drawing.StillStore.put, []
 
-    def ended(self: drawing.Stills, frame: int, image: object) -> Path:
+    def ended(self: drawing.StillStore, frame: int, image: object) -> Path:
         count.append(frame)
         if len(count) == 3:
             with atomic_file(drawing.still_path(self.folder, frame)) as file:
@@ -119,7 +119,7 @@ def test_a_termination_leaves_whole_pictures_and_its_own_exit_code(
                 signal.raise_signal(signal.SIGTERM)
         return put(self, frame, image)  # type: ignore[arg-type]
 
-    monkeypatch.setattr(drawing.Stills, "put", ended)
+    monkeypatch.setattr(drawing.StillStore, "put", ended)
     monkeypatch.setattr("sys.argv", ["antdsl", "render", str(cache), "--out", str(tmp_path), "--frames", "1..6", *SMALL])
     assert run_in_process() == 75 and "--resume" in capsys.readouterr().err
     assert sorted(path.name for path in tmp_path.iterdir()) == name(1, 2)

@@ -10,7 +10,7 @@ from typer.testing import CliRunner
 
 from antdsl.cli import app
 from antdsl.outputs.cache.cache_reader import open_cache
-from antdsl.outputs.drawing import Drawer, DrawRequest
+from antdsl.outputs.drawing import DrawRequest, FrameDrawer
 from antdsl.outputs.gallery import Gallery
 from antdsl.outputs.pictures.camera import make_view
 from antdsl.pipeline import open_scene
@@ -33,7 +33,7 @@ def test_the_flock_is_in_its_own_picture(flock: Path, frames: list[int]) -> None
     assert gallery.camera_fits and gallery.camera(1) is None and not gallery.camera_moves
     width, height = 960, 540
     options = DrawRequest(width, height, "scene", (), legend=False)
-    camera = Drawer(gallery, options, frames, threads=1)._camera(gallery.picture(frames[0]))
+    camera = FrameDrawer(gallery, options, frames, threads=1)._camera(gallery.picture(frames[0]))
     camera_view = make_view(camera, width, height, (0.0, 1.0, 0.0))
     widest = 0.0
     for frame in frames:

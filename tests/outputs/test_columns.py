@@ -17,7 +17,7 @@ from antdsl.outputs.cache.frame_agents import ALWAYS_SAVED, own_arrays
 from antdsl.outputs.cache.frames import FrameMaker
 from antdsl.outputs.cache.pose_arrays import PlacedFeet
 from antdsl.outputs.cache.solid_pieces import PieceMaker
-from antdsl.pipeline import Choices, open_scene
+from antdsl.pipeline import RunChoices, open_scene
 from antdsl.preview import agent_columns
 from antdsl.program.tables.columns import AGENTS, ATTRIBUTES, DEFAULT_ATTRIBUTES, FEET, FIXED, FRAME, REGISTERS, Column
 from antdsl.runtime import Options, World, bind, checkpoint, state_hash, step
@@ -42,7 +42,7 @@ def fits(name: str, array: np.ndarray, column: Column) -> bool:
 @pytest.mark.parametrize("name", ["foraging", "tunnel", "roaches", "walker"])
 def test_frames_have_arrays_of_the_table(name: str, tmp_path: Path) -> None:
     path = ROOT / "examples" / name / "scene.yaml"
-    shot, report = open_scene(path if name != "walker" else stick_bodies.write_scene(tmp_path, 6, "hill", count=4), Choices())
+    shot, report = open_scene(path if name != "walker" else stick_bodies.write_scene(tmp_path, 6, "hill", count=4), RunChoices())
     assert shot is not None, report
     world = bind(shot.plan, shot.setting, Options(backend="numpy", feet=name == "walker"))
     world.carved, world.emitted = {}, []

@@ -17,19 +17,19 @@ from commands import run
 from empty_scenes import CASES, FIRST, LAST
 from sampling import sampled
 
-from antdsl.cli.commands.render import View
+from antdsl.cli.commands.render import CameraView
 from antdsl.outputs.cache.cache_reader import Cache, open_cache
-from antdsl.outputs.drawing import Drawer, DrawRequest, NoAgent
-from antdsl.outputs.exports import EXPORTS, export_for
+from antdsl.outputs.drawing import AgentMissing, DrawRequest, FrameDrawer
+from antdsl.outputs.exports import EXPORT_FORMATS, export_for
 from antdsl.outputs.gallery import Gallery
-from antdsl.outputs.numbered_files import NoExport
+from antdsl.outputs.numbered_files import ExportUnavailable
 from antdsl.outputs.recording import begin, record
 from antdsl.pipeline import open_scene
 from antdsl.runtime import Options
 from antdsl.runtime.backends import BACKENDS
 
 FRAMES = range(FIRST, LAST + 1)
-FORMS = [f"{form} {ending}" for export in EXPORTS for form in export.forms for ending in export.endings]
+FORMS = [f"{form} {ending}" for export in EXPORT_FORMATS for form in export.forms for ending in export.endings]
 """All files that `antdsl export` writes."""
 
 
@@ -126,7 +126,7 @@ def test_every_export_opens_again(cache: Cache, tmp_path: Path, kind: str) -> No
     for arguments in options:
         try:
             export.forms[form](Gallery(cache), list(FRAMES), path, **arguments)
-        except NoExport as why:  # of a mesh sequence: all frames have the same points
+        except ExportUnavailable as why:  # of a mesh sequence: all frames have the same points
             assert form == "meshes" and any(agents(cache)) and "in all of these frames" in str(why)
             return
         for file in export.paths(form, path, list(FRAMES)):
@@ -142,17 +142,17 @@ def _options(kind: str) -> list[dict[str, Any]]:
     return every
 
 
-@pytest.mark.parametrize("camera", sampled([each.value for each in View], ["eye"]))
+@pytest.mark.parametrize("camera", sampled([each.value for each in CameraView], ["eye"]))
 def test_every_camera_draws_frames_without_agents(cache: Cache, camera: str) -> None:
     counts = agents(cache)
     show = ("trail", "flow", "feelers", "velocity", "paths", "ids")
     options = DrawRequest(48, 27, camera, show, blur=0.5)
     chosen = [FIRST, FIRST + counts.index(min(counts)), LAST]
-    drawer = Drawer(options.gallery(cache), options, chosen, 1)
+    drawer = FrameDrawer(options.gallery(cache), options, chosen, 1)
     assert all(drawer.draw(frame).shape == (27, 48, 3) for frame in dict.fromkeys(chosen))
     if camera == "eye" and not min(counts):
-        with pytest.raises(NoAgent, match="no agent 7 to stand beside; this frame has nobody"):
-            Drawer(options.gallery(cache), DrawRequest(48, 27, camera, (), agents=(7,)), chosen[1:], 1)
+        with pytest.raises(AgentMissing, match="no agent 7 to stand beside; this frame has nobody"):
+            FrameDrawer(options.gallery(cache), DrawRequest(48, 27, camera, (), agents=(7,)), chosen[1:], 1)
 
 
 @pytest.mark.slow

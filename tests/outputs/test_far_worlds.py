@@ -14,8 +14,8 @@ import pytest
 from PIL import Image
 
 from antdsl.outputs.cache.cache_reader import open_cache
-from antdsl.outputs.cutting import Cut
-from antdsl.outputs.exports import EXPORTS
+from antdsl.outputs.cutting import CutPlane
+from antdsl.outputs.exports import EXPORT_FORMATS
 from antdsl.outputs.gallery import Gallery
 from tests.commands import run
 from tests.far_pairs import ORIGIN, far_pair, write_scene
@@ -168,7 +168,7 @@ QUICK = {"points", "keyframes", "arrays", "skinned"}
 
 def exported(pair: Pair, folder: Path, ending: str, form: str) -> Pair:
     """The same form of both caches; of one file a frame that of frame 3."""
-    export = next(each for each in EXPORTS if ending in each.endings)
+    export = next(each for each in EXPORT_FORMATS if ending in each.endings)
     paths = []
     for cache, name in zip(pair, ("near", "far"), strict=True):
         path = folder / f"{name}{ending}"
@@ -181,7 +181,7 @@ def exported(pair: Pair, folder: Path, ending: str, form: str) -> Pair:
     ("ending", "form"),
     [
         pytest.param(export.endings[0], form, marks=() if form in QUICK else pytest.mark.slow)
-        for export in EXPORTS
+        for export in EXPORT_FORMATS
         for form in export.forms
     ],
 )
@@ -226,8 +226,8 @@ def test_pictures_are_those_of_the_near_world(pair: Pair) -> None:
 
 
 def test_a_cut_is_at_a_place_of_the_scene(pair: Pair) -> None:
-    near = Gallery(open_cache(pair[0]), Cut.of("x > 1")).picture(4)
-    far = Gallery(open_cache(pair[1]), Cut.of("x > 530001")).picture(4)
+    near = Gallery(open_cache(pair[0]), CutPlane.of("x > 1")).picture(4)
+    far = Gallery(open_cache(pair[1]), CutPlane.of("x > 530001")).picture(4)
     full_picture = Gallery(open_cache(pair[0])).picture(4)
     assert 0 < len(near.crowds[0].position) < len(full_picture.crowds[0].position)
     assert np.array_equal(near.crowds[0].position, far.crowds[0].position)

@@ -16,7 +16,7 @@ from antdsl.bodies.body import rotation_matrices
 from antdsl.outputs.cache.cache_reader import Cache, open_cache
 from antdsl.outputs.gallery import Gallery
 from antdsl.outputs.recording import Recording, begin, record
-from antdsl.pipeline import Choices, open_scene, simulate
+from antdsl.pipeline import RunChoices, open_scene, simulate
 from antdsl.runtime import Options, state_hash
 from antdsl.scene.values import FrameRange
 
@@ -24,7 +24,7 @@ FEET = Options(backend="numpy", feet=True)
 
 
 def ran(scene: Path, out: Path, last: int, options: Options = FEET, *, resume: bool = False) -> Recording:
-    shot, report = open_scene(scene, Choices(frames=FrameRange(1, last)))
+    shot, report = open_scene(scene, RunChoices(frames=FrameRange(1, last)))
     assert shot is not None, report
     recording = begin(shot, out, options, resume=resume, force=False)
     for _ in record(recording):

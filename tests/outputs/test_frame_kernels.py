@@ -11,7 +11,7 @@ import pytest
 from numpy.typing import NDArray
 from plans import bare, block, crowd
 
-from antdsl.bodies.agents.machine_clips import EARLIER
+from antdsl.bodies.agents.machine_clips import EARLIER_FIELDS
 from antdsl.outputs.cache.agent_arrays import write_colours, write_column, write_numbers, write_orientations
 from antdsl.outputs.cache.frames import _nonzero_cells
 from antdsl.outputs.cache.pose_arrays import _REGISTERS, clips_playing, mark_layer, placed_feet
@@ -123,7 +123,7 @@ def test_what_agents_play(three: bool) -> None:
     rows = np.argsort(ids)
     population = Subset(name="ant", plan=plan, now=now, id_ranks=lambda: ids.astype(np.int32), in_id_order=lambda: rows)
     clip_arrays = clips_playing(population)  # type: ignore[arg-type]
-    assert list(clip_arrays) == [f"clips.ant.m.{field}" for field in _REGISTERS if three or field not in EARLIER]
+    assert list(clip_arrays) == [f"clips.ant.m.{field}" for field in _REGISTERS if three or field not in EARLIER_FIELDS]
     for name, array in clip_arrays.items():
         register, kind = _REGISTERS[name.rsplit(".", 1)[1]]
         assert array.dtype == kind and np.array_equal(array, now[f"m.{register}"][rows]) and len(np.unique(array)) > 1

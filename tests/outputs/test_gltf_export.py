@@ -147,7 +147,7 @@ def test_others_read_it(cache: Path, tmp_path: Path) -> None:
 
 
 def test_large_crowds_are_refused_with_what_to_do(cache: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("antdsl.outputs.exports.gltf_export._AGENTS", 9)
+    monkeypatch.setattr("antdsl.outputs.exports.gltf_export._MAX_FILE_AGENTS", 9)
     process = run("export", str(cache), "--to", str(tmp_path / "bugs.glb"), cwd=tmp_path)
     assert (
         process.returncode == 1

@@ -12,7 +12,7 @@ from typer.testing import CliRunner
 from antdsl.bodies.body import rotation_matrices
 from antdsl.cli import app
 from antdsl.outputs.cache.cache_reader import open_cache
-from antdsl.outputs.euler_angles import Angles, nearest_angles
+from antdsl.outputs.euler_angles import EulerAngles, nearest_angles
 
 RUN = CliRunner()
 BUG = """ant 1
@@ -90,7 +90,7 @@ def test_curves_go_on_over_whole_turns_and_past_the_quarter() -> None:
     frames = np.arange(200.0)
     yaw = np.stack([0 * frames, 7.0 * frames, 0 * frames], axis=1)  # on flat ground, y up, through ±90 degrees again and again
     roll = np.stack([-11.0 * frames, 20 + 0 * frames, 5 + 0 * frames], axis=1)
-    angles, curves = Angles(), []
+    angles, curves = EulerAngles(), []
     ids = np.array([4, 9])
     for k in range(200):
         curves.append(angles.of(ids, quaternions(composed(np.stack([yaw[k], roll[k]])))))
@@ -98,7 +98,7 @@ def test_curves_go_on_over_whole_turns_and_past_the_quarter() -> None:
 
 
 def test_new_agents_start_afresh_and_others_continue() -> None:
-    angles = Angles()
+    angles = EulerAngles()
     for degrees in (170.0, 190.0):
         both = angles.of(np.array([1, 5]), quaternions(axis_rotations(0, np.array([degrees, 10.0]))))
     assert both[0, 0] == pytest.approx(190)

@@ -13,12 +13,12 @@ from typer.testing import CliRunner
 from antdsl.bodies.shapes import sheet, sphere
 from antdsl.cli import app
 from antdsl.outputs.cache.cache_reader import frame_path, open_cache
-from antdsl.outputs.cutting import Cut
+from antdsl.outputs.cutting import CutPlane
 from antdsl.outputs.gallery import Gallery
-from antdsl.outputs.paths import Window
+from antdsl.outputs.paths import PathWindow
 from antdsl.outputs.pictures import Camera, Crowd, Picture, Solid, render_frame
 from antdsl.outputs.pictures.camera import make_view
-from antdsl.outputs.pictures.model import Paths
+from antdsl.outputs.pictures.model import AgentPathLines
 
 RUN = CliRunner()
 PROGRAM = """ant 1
@@ -64,7 +64,7 @@ def cache(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def test_paths_are_the_places_of_the_frames_around(cache: Path) -> None:
     stored_cache = open_cache(cache)
-    gallery = Gallery(stored_cache, window=Window(0.25, 0.5))
+    gallery = Gallery(stored_cache, window=PathWindow(0.25, 0.5))
     born, dead = 0, 0
     for frame in (1, 2, 15, 29, 30):
         crowd = gallery.picture(frame).crowds[0]
@@ -91,10 +91,10 @@ def test_paths_are_the_places_of_the_frames_around(cache: Path) -> None:
 
 
 def test_named_agents_alone_have_paths_and_a_cut_keeps_rows_together(cache: Path) -> None:
-    window = Window(0.1, 0.1)
+    window = PathWindow(0.1, 0.1)
     named, others = Gallery(open_cache(cache), window=window).picture(20, agents=frozenset([3])).crowds
     assert named.paths is not None and len(named.paths.positions) == 1 and others.paths is None
-    part = Gallery(open_cache(cache), Cut.of("x > 0"), window).picture(20).crowds[0]
+    part = Gallery(open_cache(cache), CutPlane.of("x > 0"), window).picture(20).crowds[0]
     assert part.paths is not None and 0 < len(part.position) == len(part.paths.positions)
     assert np.abs(part.paths.positions[:, part.paths.now] - part.position).max() < 0.5
     assert Gallery(open_cache(cache)).picture(20).crowds[0].paths is None
@@ -105,7 +105,7 @@ def test_a_frame_that_is_missing_or_damaged_leaves_a_gap(cache: Path, tmp_path: 
     shutil.copytree(cache, copied)
     frame_path(copied, 12).unlink()
     frame_path(copied, 9).write_bytes(b"no frame")
-    paths = Gallery(open_cache(copied), window=Window(0.25, 0.25)).picture(10).crowds[0].paths
+    paths = Gallery(open_cache(copied), window=PathWindow(0.25, 0.25)).picture(10).crowds[0].paths
     assert paths is not None
     is_present = np.isfinite(paths.positions).all(axis=2).any(axis=0)
     assert not is_present[5] and not is_present[8] and is_present[[4, 6, 7]].all()
@@ -119,7 +119,13 @@ def picture(*solids: Solid) -> Picture:
     corner = np.array([[[-12.0, 0.3, 0], [-6, 0.3, 0], [0, 0.3, 0], [6, 0.3, 0], [6, 0.3, 6], [6, 0.3, 12], [np.nan] * 3]])
     still = np.array([[0.0, 0, 0, 1]])
     ant = Crowd(
-        "ant", np.zeros((1, 3)), still, np.full(1, 2.0), np.full((1, 3), 0.5), ids=np.zeros(1, np.int64), paths=Paths(corner, 2)
+        "ant",
+        np.zeros((1, 3)),
+        still,
+        np.full(1, 2.0),
+        np.full((1, 3), 0.5),
+        ids=np.zeros(1, np.int64),
+        paths=AgentPathLines(corner, 2),
     )
     return Picture((Solid("floor", *sheet(line, line)), *solids), (ant,))
 
@@ -148,13 +154,13 @@ def test_what_is_behind_a_wall_is_not_drawn() -> None:
 
 @pytest.mark.parametrize(("text", "window"), [("1..2", (1, 2)), (" 0 .. 2.5 ", (0, 2.5)), ("60..60", (60, 60))])
 def test_windows_are_read(text: str, window: tuple[float, float]) -> None:
-    result = Window.of(text)
+    result = PathWindow.of(text)
     assert result is not None and (result.seconds_before, result.seconds_after) == window
 
 
 @pytest.mark.parametrize("text", ["", "2", "-1..2", "1..61", "nan..2", "1..", "1..2..3", "1e9..2"])
 def test_windows_that_are_none_are_refused(text: str, cache: Path) -> None:
-    assert Window.of(text) is None
+    assert PathWindow.of(text) is None
     result = RUN.invoke(app, ["render", str(cache), "--show", "paths", "--window", text])
     assert result.exit_code == 2 and "1..2" in result.output
 

@@ -32,7 +32,7 @@ from antdsl.outputs.pictures.actors import item_mesh
 from antdsl.outputs.pictures.camera import make_view
 from antdsl.outputs.pictures.cameras import camera_on_top
 from antdsl.outputs.pictures.light import sun_over
-from antdsl.outputs.pictures.looks import Scales
+from antdsl.outputs.pictures.looks import PictureScales
 from antdsl.outputs.pictures.setting import is_floor, make_setting
 from antdsl.outputs.pictures.stage import stage
 from antdsl.outputs.pictures.trails import TrailVoxels, ground_cover, robust_full_strength
@@ -142,7 +142,7 @@ def test_what_closes_on_itself_is_a_figure_that_stands_on_the_table():
     assert is_floor(floor().vertices, floor().faces, up) and not is_floor(vertices, faces, up)
     figure, ground = make_setting((Solid("ground", vertices * 20, faces),), up), make_setting((floor(),), up)
     assert figure.base == pytest.approx(-20, abs=0.1) and ground.base < -2
-    assert looks.FIGURE in figure.kind and looks.EDGE not in figure.kind and looks.EDGE in ground.kind
+    assert looks.FIGURE_KIND in figure.kind and looks.EDGE_KIND not in figure.kind and looks.EDGE_KIND in ground.kind
 
 
 def test_the_soil_of_a_nest_follows_the_ground():
@@ -233,12 +233,12 @@ def test_names_in_the_strip_keep_clear_of_their_numbers():
 def test_shadows_have_soft_edges_without_noise():
     vertices, faces = sphere(3)
     ball = Solid("ball", vertices * 5 + [0, 14, 0], faces, "stone")
-    up, scales = np.array([0.0, 1.0, 0.0]), Scales(80.0, 4.0)
+    up, scales = np.array([0.0, 1.0, 0.0]), PictureScales(80.0, 4.0)
     bare, under = (
         stage(make_setting(solids, up), make_view(ABOVE, 480, 270, (0.0, 1.0, 0.0)), sun_over(up), scales, 1)
         for solids in ((floor(),), (floor(), ball))
     )
-    ground = (under.middle.kind == looks.GROUND) & (bare.middle.sun > 0.2)
+    ground = (under.middle.kind == looks.GROUND_KIND) & (bare.middle.sun > 0.2)
     share = np.where(ground, under.middle.sun / np.maximum(bare.middle.sun, 1e-6), 1.0).reshape(270, 480)
     between = (share > 0.1) & (share < 0.9)
     assert between.sum() > 60 and len(np.unique(share[between].round(3))) > 20

@@ -20,13 +20,13 @@ from antdsl.bodies.body import rotation_matrices
 from antdsl.bodies.library import library_body
 from antdsl.bodies.posed_body import PosedBody
 from antdsl.outputs.cache.cache_reader import Cache, open_cache
-from antdsl.outputs.gallery import Gallery, NoPicture
+from antdsl.outputs.gallery import Gallery, PictureUnavailable
 from antdsl.outputs.paths import follow_agents
 from antdsl.outputs.pictures.actors import make_actors
 from antdsl.outputs.pictures.camera import make_view
 from antdsl.outputs.pictures.model import Camera, Crowd
 from antdsl.outputs.recording import begin, record
-from antdsl.pipeline import Choices, open_scene
+from antdsl.pipeline import RunChoices, open_scene
 from antdsl.runtime import Options
 from antdsl.scene.values import FrameRange
 
@@ -40,7 +40,7 @@ def cache(tmp_path_factory: pytest.TempPathFactory) -> Cache:
     folder = tmp_path_factory.mktemp("walker")
     for path in EXAMPLE.iterdir():
         shutil.copy(path, folder / path.name)
-    shot, report = open_scene(folder / "scene.yaml", Choices(frames=FrameRange(1, FRAMES)))
+    shot, report = open_scene(folder / "scene.yaml", RunChoices(frames=FrameRange(1, FRAMES)))
     assert shot is not None, str(report)
     for _ in record(begin(shot, folder / "out", Options(), resume=False, force=False)):
         pass
@@ -183,7 +183,7 @@ def test_a_body_that_was_changed_is_not_drawn(cache: Cache, tmp_path: Path) -> N
     manifest = json.loads(path.read_text(encoding="utf-8"))
     manifest["bodies"][0]["digest"] = "0" * 32
     path.write_text(json.dumps(manifest), encoding="utf-8")
-    with pytest.raises(NoPicture, match="is not the one that was written"):
+    with pytest.raises(PictureUnavailable, match="is not the one that was written"):
         crowd_at(open_cache(tmp_path / "out"), 1)
 
 

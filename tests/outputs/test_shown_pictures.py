@@ -14,7 +14,7 @@ from antdsl.outputs.cache.cache_writer import read_checkpoint
 from antdsl.outputs.gallery import Gallery
 from antdsl.outputs.pictures.model import Crowd
 from antdsl.outputs.recording import begin, record
-from antdsl.pipeline import Choices, open_scene
+from antdsl.pipeline import RunChoices, open_scene
 from antdsl.runtime import Options, bind, restore, state_hash, step
 from antdsl.scene.values import FrameRange
 
@@ -79,7 +79,7 @@ def folder_with(folder: Path, wear: str, program: str = PROGRAM) -> Path:
 
 
 def recorded(folder: Path, wear: str, options: Options | None = None) -> Cache:
-    shot, report = open_scene(folder_with(folder, wear), Choices(frames=FrameRange(1, 10)))
+    shot, report = open_scene(folder_with(folder, wear), RunChoices(frames=FrameRange(1, 10)))
     assert shot is not None and not report.sorted(), str(report)
     for _ in record(begin(shot, folder / "out", options or Options(), resume=False, force=False)):
         pass
@@ -151,7 +151,7 @@ def test_a_head_turns_with_all_that_is_on_it_and_nothing_else(cache: Cache) -> N
 
 def test_a_run_goes_on_from_a_checkpoint_with_what_is_shown(cache: Cache) -> None:
     folder = cache.folder.parent
-    shot, _ = open_scene(folder / "scene.yaml", Choices(frames=FrameRange(1, 10)))
+    shot, _ = open_scene(folder / "scene.yaml", RunChoices(frames=FrameRange(1, 10)))
     assert shot is not None
     world = bind(shot.plan, shot.setting, Options())
     restore(world, read_checkpoint(cache, 1)[0])

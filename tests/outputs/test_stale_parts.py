@@ -47,6 +47,6 @@ def test_only_files_of_ended_processes_of_this_machine_are_removed(tmp_path: Pat
 
 def test_a_file_that_this_process_writes_stays(tmp_path: Path) -> None:
     mine = whole.new_sibling(tmp_path / "one.csv")
-    whole._cleaned.clear()
+    whole._cleaned_folders.clear()
     whole.new_sibling(tmp_path / "two.csv")
     assert mine.exists()

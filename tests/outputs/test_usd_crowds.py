@@ -11,7 +11,7 @@ import pytest
 
 pxr = pytest.importorskip("pxr")
 
-from antdsl.bodies.agents.definition import Binding, Blend, Capture, Channel, Definition, InBetweens, Layer, Rig, Shape  # noqa: E402  # noqa: E402  # noqa: E402
+from antdsl.bodies.agents.definition import Binding, BlendTargets, Capture, Channel, Definition, InBetweens, Layer, Rig, Shape  # noqa: E402  # noqa: E402  # noqa: E402
 from antdsl.bodies.agents.poses import Poses  # noqa: E402
 from antdsl.bodies.body import rotation_matrices  # noqa: E402
 from antdsl.bodies.posed_body import PosedBody  # noqa: E402
@@ -22,7 +22,7 @@ from antdsl.outputs.pictures.model import Picture  # noqa: E402
 from antdsl.outputs.recording import begin, record  # noqa: E402
 from antdsl.outputs.usd.moments import rotate_by, rotation_vector  # noqa: E402
 from antdsl.outputs.usd.stage import UsdOptions, export_instances, export_xforms  # noqa: E402
-from antdsl.pipeline import Choices, open_scene  # noqa: E402
+from antdsl.pipeline import RunChoices, open_scene  # noqa: E402
 from antdsl.runtime import Options  # noqa: E402
 from antdsl.scene.values import FrameRange  # noqa: E402
 
@@ -56,7 +56,7 @@ species carrier {
 
 
 def recorded(folder: Path, frames: int) -> Cache:
-    shot, report = open_scene(folder / "scene.yaml", Choices(frames=FrameRange(1, frames)))
+    shot, report = open_scene(folder / "scene.yaml", RunChoices(frames=FrameRange(1, frames)))
     assert shot is not None, str(report)
     for _ in record(begin(shot, folder / "out", Options(), resume=False, force=False)):
         pass
@@ -355,7 +355,7 @@ def test_blended_and_skinned_shapes_are_those_of_usd(tmp_path: Path) -> None:
     from pxr import Sdf, Usd, UsdSkel
 
     from antdsl.outputs.usd.definitions import write_definition
-    from antdsl.outputs.usd.materials import Looks
+    from antdsl.outputs.usd.materials import MaterialBinder
 
     rng = np.random.default_rng(5)
     rest = np.tile(np.eye(4), (3, 1, 1))
@@ -373,7 +373,7 @@ def test_blended_and_skinned_shapes_are_those_of_usd(tmp_path: Path) -> None:
     moved = [matrix @ np.diag([1, 1, 1, 1.0]) for matrix in world]
     moved[2] = moved[2].copy()
     moved[2][:3, 3] += 0.5
-    face = Shape("face", points, faces, capture=captured(world), blend=Blend(("smiles",), ("smile",)))
+    face = Shape("face", points, faces, capture=captured(world), blend=BlendTargets(("smiles",), ("smile",)))
     shapes = {
         "face": face,
         "smiles": Shape(
@@ -387,7 +387,7 @@ def test_blended_and_skinned_shapes_are_those_of_usd(tmp_path: Path) -> None:
     )
     body = PosedBody(Definition("it", rig, shapes, {"body": layer}), ())
     stage = Usd.Stage.CreateInMemory()
-    looks = Looks(stage, "/World/looks/it", {})
+    looks = MaterialBinder(stage, "/World/looks/it", {})
     usd_definition = write_definition(stage, "/it", body, looks)
     assert usd_definition.channels == ("smile",) and not usd_definition.notes
     assert [str(p.GetPath()) for p in stage.Traverse() if p.GetTypeName() == "Skeleton"] == [
@@ -470,9 +470,9 @@ def test_agents_without_a_place_are_invisible(people: Cache, tmp_path: Path) -> 
 def test_missing_features_of_usdskel_are_reported() -> None:
     from pxr import Usd
 
-    from antdsl.bodies.agents.deformers import DEFORMERS, register
+    from antdsl.bodies.agents.deformers import DEFORMER_BY_NAME, register
     from antdsl.outputs.usd.definitions import write_definition
-    from antdsl.outputs.usd.materials import Looks
+    from antdsl.outputs.usd.materials import MaterialBinder
 
     rest = np.eye(4)[None]
     capture = Capture(("root",), np.zeros((3, 1), np.int32), np.ones((3, 1), np.float32), rest)
@@ -485,9 +485,9 @@ def test_missing_features_of_usdskel_are_reported() -> None:
         shapes = {"skin": skin, "fur": Shape("fur", points, faces)}
         body = PosedBody(Definition("it", Rig(("root",), np.array([-1], np.int32), rest), shapes, {"body": layer}), ())
         stage = Usd.Stage.CreateInMemory()
-        notes = write_definition(stage, "/it", body, Looks(stage, "/World/looks/it", {})).notes
+        notes = write_definition(stage, "/it", body, MaterialBinder(stage, "/World/looks/it", {})).notes
     finally:
-        del DEFORMERS["ruffled"]
+        del DEFORMER_BY_NAME["ruffled"]
     assert len(notes) == 2 and "dual quaternions" in notes[0] and "`ruffled`" in notes[1]
 
 

@@ -16,7 +16,7 @@ from antdsl.bodies.body import rotation_matrices  # noqa: E402
 from antdsl.cli import _run as run_command  # noqa: E402
 from antdsl.outputs.cache.cache_reader import open_cache  # noqa: E402
 from antdsl.outputs.recording import begin, record  # noqa: E402
-from antdsl.pipeline import Choices, Shot, open_scene  # noqa: E402
+from antdsl.pipeline import RunChoices, Shot, open_scene  # noqa: E402
 from antdsl.runtime import Options  # noqa: E402
 from antdsl.scene import Roots  # noqa: E402
 from antdsl.scene.geometry.usd import open_stage, read_usd_camera, read_usd_mesh  # noqa: E402
@@ -34,7 +34,7 @@ def shot_and_cache(tmp_path_factory: pytest.TempPathFactory) -> tuple[Shot, Path
     path = usd_sets.write_usd(folder / "assets", folder / "usd")
     text = path.read_text().replace("frames: 1..40", "frames: 1..6").replace("count: 60", "count: 25")
     path.write_text(text.replace("up: y", "up: z").replace("units: mm", "units: cm"))
-    shot, report = open_scene(path, Choices({"assets": folder / "assets"}))
+    shot, report = open_scene(path, RunChoices({"assets": folder / "assets"}))
     assert shot is not None, report.errors
     for _ in record(begin(shot, folder / "cache", Options(), resume=False, force=False)):
         pass

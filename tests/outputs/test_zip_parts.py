@@ -93,7 +93,7 @@ def test_the_rest_of_a_member_is_not_copied() -> None:
 @pytest.mark.parametrize("most", [1, 3, 1000])
 def test_parts_are_written_whole(part_size: int | None, most: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """`part_size`: bytes that the system takes at once; None where it takes no parts."""
-    monkeypatch.setattr("antdsl.whole._AT_ONCE", most)
+    monkeypatch.setattr("antdsl.whole._PARTS_PER_WRITE", most)
     if part_size is None:
         monkeypatch.delattr(os, "writev", raising=False)
     else:

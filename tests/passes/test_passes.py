@@ -17,7 +17,7 @@ from antdsl.passes.merge import merge
 from antdsl.passes.narrow import narrow
 from antdsl.pipeline import compile_files
 from antdsl.plan import lower, show, verify
-from antdsl.plan.ir import SENSES, If, Rate, Store
+from antdsl.plan.ir import SENSE_OPERATIONS, If, Store, UpdateRate
 from antdsl.plan.traverse import operands, required_nodes, roots, statements
 
 ROOT = Path(__file__).parents[2]
@@ -80,11 +80,13 @@ def test_hoist_takes_what_all_pairs_share_out_of_them():
     verify(new_plan)
 
     def pairs(p) -> int:
-        return sum(n.rate is Rate.PAIR and n.op in ("mul", "div") for n in required_nodes(roots(p)))
+        return sum(n.rate is UpdateRate.PAIR and n.op in ("mul", "div") for n in required_nodes(roots(p)))
 
     assert pairs(new_plan) < pairs(plan)
     assert not [
-        n for n in required_nodes(roots(new_plan)) if n.op == "div" and n.rate is Rate.PAIR and n.args[1].rate < Rate.PAIR
+        n
+        for n in required_nodes(roots(new_plan))
+        if n.op == "div" and n.rate is UpdateRate.PAIR and n.args[1].rate < UpdateRate.PAIR
     ]
 
 
@@ -97,7 +99,7 @@ def test_hoist_shares_among_components_what_is_the_same_for_all():
     verify(new_plan)
 
     def products(p) -> int:
-        return sum(n.rate is Rate.PAIR and n.op in ("mul", "neg", "div") for n in required_nodes(roots(p)))
+        return sum(n.rate is UpdateRate.PAIR and n.op in ("mul", "neg", "div") for n in required_nodes(roots(p)))
 
     # 1 / distance, its product with the weight, distance * (1 / size), and one product for each of x, y and z
     assert products(new_plan) == 6
@@ -116,7 +118,7 @@ def test_narrow_asks_the_cheap_half_first():
     outer = next(s for s in new_plan.species["a"].blend.statements if isinstance(s, If))
     inner = outer.then.statements[0]
     assert isinstance(inner, If)
-    assert not [n for n in required_nodes(operands(outer)) if n.op in SENSES]
+    assert not [n for n in required_nodes(operands(outer)) if n.op in SENSE_OPERATIONS]
     assert [n for n in required_nodes(operands(inner)) if n.op == "reduce.item"]
 
 

@@ -12,8 +12,8 @@ from hypothesis import strategies as st
 from plan_text import plan_of
 
 from antdsl.plan import PlanError, verify
-from antdsl.plan.builder import Builder
-from antdsl.plan.ir import Block, If, Kind, Rate, Store
+from antdsl.plan.builder import PlanBuilder
+from antdsl.plan.ir import Block, If, Store, UpdateRate, ValueKind
 from antdsl.plan.simplify import f32
 
 numbers = st.floats(width=32)
@@ -30,7 +30,7 @@ def test_constants_are_computed_as_float32(a, b):
     with np.errstate(all="ignore"):
         x, y = np.float32(a), np.float32(b)
         expected = {"add": x + y, "sub": x - y, "mul": x * y, "div": x / y, "sqrt": np.sqrt(x), "floor": np.floor(x), "neg": -x}
-    build = Builder()
+    build = PlanBuilder()
     for op, value in expected.items():
         args = (build.number(a),) if op in ("sqrt", "floor", "neg") else (build.number(a), build.number(b))
         node = build(op, *args)
@@ -44,17 +44,17 @@ def test_f32_ends_in_infinity():
 
 
 def test_the_same_operation_is_the_same_node():
-    b = Builder()
-    x, y = (b("snap", attrs=(name,), kind=Kind.F32) for name in "xy")
+    b = PlanBuilder()
+    x, y = (b("snap", attrs=(name,), kind=ValueKind.F32) for name in "xy")
     assert b("add", x, y) is b("add", x, y)
     assert b("add", x, y) is not b("add", y, x)
     assert b("const", attrs=(0.0,)) is not b("const", attrs=(-0.0,))
-    assert b("snap", attrs=("x",), kind=Kind.BOOL) is not x
+    assert b("snap", attrs=("x",), kind=ValueKind.BOOL) is not x
 
 
 def test_algebra_leaves_out_what_changes_nothing():
-    b = Builder()
-    x = b("snap", attrs=("x",), kind=Kind.F32)
+    b = PlanBuilder()
+    x = b("snap", attrs=("x",), kind=ValueKind.F32)
     c = b("lt", x, b.number(3))
     one, zero = b.number(1), b.number(0)
     assert b("mul", x, one) is x and b("add", zero, x) is x and b("div", x, one) is x
@@ -68,7 +68,7 @@ def test_algebra_leaves_out_what_changes_nothing():
 
 
 def test_operands_are_held_to_the_table():
-    b = Builder()
+    b = PlanBuilder()
     for op, args, attrs in [("add", (b.true, b.true), ()), ("add", (b.number(1),), ()), ("nonsense", (), ()), ("snap", (), ()),
                             ("eq", (b.row(1), b.number(1)), ()), ("where", (b.true, b.row(1), b.number(1)), ())]:  # fmt: skip
         with pytest.raises(PlanError):
@@ -76,12 +76,12 @@ def test_operands_are_held_to_the_table():
 
 
 def test_rates_are_the_greatest_and_a_reduction_is_the_agents():
-    b = Builder()
-    dt, x = b("run", attrs=("dt",)), b("snap", attrs=("x",), kind=Kind.F32)
+    b = PlanBuilder()
+    dt, x = b("run", attrs=("dt",)), b("snap", attrs=("x",), kind=ValueKind.F32)
     pair = b("mul", b("pair.distance"), x)
     every = b("set.every", attrs=("a",))
-    assert [n.rate for n in (b("add", dt, dt), b("add", x, dt), pair)] == [Rate.RUN, Rate.AGENT, Rate.PAIR]
-    assert b("reduce.sum", every, b.true, pair, attrs=(-24,)).rate is Rate.AGENT
+    assert [n.rate for n in (b("add", dt, dt), b("add", x, dt), pair)] == [UpdateRate.RUN, UpdateRate.AGENT, UpdateRate.PAIR]
+    assert b("reduce.sum", every, b.true, pair, attrs=(-24,)).rate is UpdateRate.AGENT
 
 
 # --- what verify refuses ---------------------------------------------------------------------------------------------
@@ -109,7 +109,7 @@ def test_verify_sees_a_store_to_nowhere_and_of_the_wrong_kind(plan):
 
 
 def test_verify_sees_a_condition_that_is_none(plan):
-    number = next(n for n in plan.nodes if n.kind is Kind.F32)
+    number = next(n for n in plan.nodes if n.kind is ValueKind.F32)
     with pytest.raises(PlanError, match="If asks"):
         verify(changed(plan, act=Block((If(number, Block(()), None),))))
 
@@ -126,7 +126,7 @@ def test_verify_sees_nodes_out_of_place(plan):
         verify(replace(plan, nodes=(*plan.nodes[1:], plan.nodes[0])))
     with pytest.raises(PlanError, match="not in the plan's list"):
         verify(replace(plan, nodes=plan.nodes[:-1]))
-    wrong = replace(plan.nodes[-1], rate=Rate.CONST)
+    wrong = replace(plan.nodes[-1], rate=UpdateRate.CONST)
     with pytest.raises(PlanError, match="is said to change"):
         verify(replace(plan, nodes=(*plan.nodes[:-1], wrong)))
 

@@ -9,19 +9,21 @@ from plan_agent import Agent
 from plan_text import codes, lowered, plan_of
 
 from antdsl.plan.lowering import expressions
-from antdsl.plan.lowering.rules import OPERATIONS
+from antdsl.plan.lowering.rules import OPERATION_RULES
 from antdsl.plan.lowering.sets import quantum_exponent
 from antdsl.plan.traverse import operands, required_nodes, statements
 from antdsl.program import model
-from antdsl.program.model import Dim
+from antdsl.program.model import Dimension
 from antdsl.program.tables import vocabulary
-from antdsl.program.tables.set_senses import SET_SENSES
+from antdsl.program.tables.set_senses import SET_SENSE_BY_OPERATION
 
 
 def test_every_operation_of_the_vocabulary_has_a_rule():
-    words = {row.op for rows in vocabulary.BUILTINS.values() for row in rows} - set(SET_SENSES)  # sets come as SetOf
-    words |= set(vocabulary.SIGN_OPS.values()) | set(vocabulary.OTHER_OPS)
-    assert words - set(OPERATIONS) == set()
+    words = {row.op for rows in vocabulary.BUILTINS_BY_NAME.values() for row in rows} - set(
+        SET_SENSE_BY_OPERATION
+    )  # sets come as SetOf
+    words |= set(vocabulary.OPERATION_BY_SIGN.values()) | set(vocabulary.OTHER_OPERATIONS)
+    assert words - set(OPERATION_RULES) == set()
 
 
 def one(expression: str, **senses) -> Agent:
@@ -162,13 +164,10 @@ def test_sets_become_what_the_runtime_has():
 
 
 def test_terms_of_sums_are_rounded_by_their_dimension():
-    assert [quantum_exponent(d) for d in (Dim(), Dim(length=1), Dim(length=1, time=-1), Dim(length=2), Dim(length=-1))] == [
-        -24,
-        -20,
-        -20,
-        -10,
-        -30,
-    ]
+    assert [
+        quantum_exponent(d)
+        for d in (Dimension(), Dimension(length=1), Dimension(length=1, time=-1), Dimension(length=2), Dimension(length=-1))
+    ] == [-24, -20, -20, -10, -30]
 
 
 def test_chains_of_lets_do_not_go_deep_or_grow():
@@ -212,6 +211,6 @@ def test_an_order_that_does_not_fit_is_refused(order, word):
 def test_what_stands_deep_in_an_expression_is_lowered_once(sign: str, monkeypatch: pytest.MonkeyPatch) -> None:
     nodes = []
     plain = expressions._param
-    monkeypatch.setitem(expressions._LOWER, model.ParamRef, lambda w, e: nodes.append(e) or plain(w, e))
+    monkeypatch.setitem(expressions._LOWERER_BY_EXPRESSION, model.ParamRef, lambda w, e: nodes.append(e) or plain(w, e))
     plan_of(f"species a {{\nparam deep = 2\nx = 0\nstart s\nstate s {{ x = {f' {sign} '.join(['deep'] * 24)} }}\n}}\n")
     assert len(nodes) == 24

@@ -13,67 +13,69 @@ from plan_text import plan_of
 
 from antdsl.plan import ir, verify
 from antdsl.plan.builder import PlanError
-from antdsl.plan.lowering.actions import OPERANDS
-from antdsl.plan.lowering.rules import OPERATIONS
+from antdsl.plan.lowering.actions import OPERAND_LOWERERS
+from antdsl.plan.lowering.rules import OPERATION_RULES
 from antdsl.plan.show import show
 from antdsl.plan.traverse import statements
 from antdsl.plan.verify import names_by_kind
 from antdsl.program.declarations.asks import argument_type
-from antdsl.program.model import Kind
+from antdsl.program.model import TypeKind
 from antdsl.program.names.scope import type_from_words
 from antdsl.program.tables import effects
-from antdsl.program.tables.effects import EFFECTS, Effect
-from antdsl.program.tables.rows import Arg, Builtin
-from antdsl.program.tables.senses import SENSES, WORDS, find_words
-from antdsl.program.tables.set_senses import SET_SENSES
-from antdsl.program.tables.things import KINDS_OF_THINGS
-from antdsl.program.tables.vocabulary import BUILTINS, COSTS, INTERVALS, SENSED_NAMES
+from antdsl.program.tables.effects import EFFECT_BY_OPERATION, Effect
+from antdsl.program.tables.rows import ArgumentRow, BuiltinRow
+from antdsl.program.tables.senses import GENERIC_WORDS, SENSE_BY_OPERATION, find_words
+from antdsl.program.tables.set_senses import SET_SENSE_BY_OPERATION
+from antdsl.program.tables.things import KIND_BY_WORD
+from antdsl.program.tables.vocabulary import BUILTINS_BY_NAME, COST_BY_OPERATION, INTERVAL_BY_OPERATION, SENSE_TYPE_BY_NAME
 from antdsl.program.types import sets
 from antdsl.runtime import Options, bind, phases, sensing, step
 from antdsl.runtime.world import World
 from antdsl.scene.kinds import KINDS
-from antdsl.syntax.verbs import VERBS
-from antdsl.syntax.words import WORLD_KINDS
+from antdsl.syntax.verbs import VERB_BY_WORD
+from antdsl.syntax.words import WORLD_KIND_WORDS
 
 OF_THE_AGENT = {"id", "age", "draw", "draw.agent", "event", "surface.touching"}  # what a step knows of it already
 OF_OTHERS = {"agent.get", "agent.age", "agent.alive", "item.get", "item.alive"}  # references, queried in passing
 
 
 def test_every_sense_has_an_operation_and_a_function() -> None:
-    assert set(sensing.SENSES) == {*SENSES, *OF_THE_AGENT, *OF_OTHERS}
-    for op, row in SENSES.items():
-        operation = ir.OPS[op]
-        assert op == row.op and op in ir.SENSES and operation.rate is ir.Rate.AGENT
+    assert set(sensing.SENSE_FUNCTIONS) == {*SENSE_BY_OPERATION, *OF_THE_AGENT, *OF_OTHERS}
+    for op, row in SENSE_BY_OPERATION.items():
+        operation = ir.OPERATION_BY_NAME[op]
+        assert op == row.op and op in ir.SENSE_OPERATIONS and operation.rate is ir.UpdateRate.AGENT
         assert operation.args == row.operands and operation.attrs == ((row.of,) if row.of else ()) + row.attrs
-        assert operation.kind is (ir.Kind.TUPLE if op in ir.TUPLES else ir.LETTERS[row.kinds])
+        assert operation.kind is (ir.ValueKind.TUPLE if op in ir.TUPLE_KINDS_BY_OPERATION else ir.KIND_BY_LETTER[row.kinds])
         assert not row.nothing or row.results[0].kind == "b"
         assert not row.of or row.of in names_by_kind(plan_of("species ant {}\n"))
 
 
 def test_every_word_of_a_sense_has_a_rule_and_a_name_in_the_vocabulary() -> None:
-    words: list[Builtin] = [*WORDS, *(word for row in SENSES.values() for word in row.words)]
+    words: list[BuiltinRow] = [*GENERIC_WORDS, *(word for row in SENSE_BY_OPERATION.values() for word in row.words)]
     assert len({word.op for word in words}) == len(words)
     for word in words:
-        assert word.op in OPERATIONS
+        assert word.op in OPERATION_RULES
         assert word.help and (word.sample or word.called or word.form == "value")
         assert type_from_words(word.result) is not None or word.result.startswith("vector ") or word.result == "hit"
         if word.form == "call":
-            assert word in BUILTINS[word.name]
+            assert word in BUILTINS_BY_NAME[word.name]
         elif word.form == "name":
-            assert SENSED_NAMES[word.name] == word.result and not word.args
-        assert (word.interval is None) == (word.op not in INTERVALS) and (word.cost is None) == (word.op not in COSTS)
-    for row in SENSES.values():
+            assert SENSE_TYPE_BY_NAME[word.name] == word.result and not word.args
+        assert (word.interval is None) == (word.op not in INTERVAL_BY_OPERATION) and (word.cost is None) == (
+            word.op not in COST_BY_OPERATION
+        )
+    for row in SENSE_BY_OPERATION.values():
         for word in row.words:
             assert word.result == "hit" or row.place(word.part)[1] in (1, 3)
     assert {word.args[0].type for word in find_words("value")} == {"field", "flow", "map"}
 
 
 def test_every_set_has_a_rule_and_operations() -> None:
-    assert set(sets.SETS) == set(SET_SENSES) <= set(BUILTINS)
-    for row in SET_SENSES.values():
-        assert set(row.sets) <= set(ir.OPS) and (row.cost is None) == (not row.sets)
-    set_operations = {op for row in SET_SENSES.values() for op in row.sets}
-    assert {op for op in ir.OPS if op.startswith("set.")} <= set_operations
+    assert set(sets.SET_CHECKERS) == set(SET_SENSE_BY_OPERATION) <= set(BUILTINS_BY_NAME)
+    for row in SET_SENSE_BY_OPERATION.values():
+        assert set(row.sets) <= set(ir.OPERATION_BY_NAME) and (row.cost is None) == (not row.sets)
+    set_operations = {op for row in SET_SENSE_BY_OPERATION.values() for op in row.sets}
+    assert {op for op in ir.OPERATION_BY_NAME if op.startswith("set.")} <= set_operations
 
 
 WORLD = """ant 1
@@ -98,19 +100,29 @@ def test_every_effect_is_lowered_and_settled() -> None:
         for _, s in statements(b)
         if isinstance(s, ir.Request)
     }
-    assert request_ops == set(EFFECTS), f"{request_ops ^ set(EFFECTS)}: each has to stand in EVERYTHING above"
-    assert set(EFFECTS) == set(phases.SETTLES), f"{set(EFFECTS) ^ set(phases.SETTLES)}: each has a function that settles it"
-    assert set(VERBS) - set(EFFECTS) == {"give", "play", "wear", "channel", "look"}  # settled between all who ask; what is shown
+    assert request_ops == set(EFFECT_BY_OPERATION), (
+        f"{request_ops ^ set(EFFECT_BY_OPERATION)}: each has to stand in EVERYTHING above"
+    )
+    assert set(EFFECT_BY_OPERATION) == set(phases.SETTLER_BY_EFFECT), (
+        f"{set(EFFECT_BY_OPERATION) ^ set(phases.SETTLER_BY_EFFECT)}: each has a function that settles it"
+    )
+    assert set(VERB_BY_WORD) - set(EFFECT_BY_OPERATION) == {
+        "give",
+        "play",
+        "wear",
+        "channel",
+        "look",
+    }  # settled between all who ask; what is shown
     names = {name for name, _ in phases.PHASES}
-    for op, row in EFFECTS.items():
+    for op, row in EFFECT_BY_OPERATION.items():
         assert op == row.op and row.phase in names and row.optional <= set(row.operands)
         arguments = {**dict.fromkeys(row.operands, "1"), "of": "it", "own": "soil", "receiver": "ant"}
         assert "{" not in effects.fill_template(row.plan_text, arguments) + effects.fill_template(row.trace, arguments)
         assert not row.above_0 or row.refused
-        assert bool(row.computed) == (op in OPERANDS) and len(row.args) - len(row.numbers) <= 1
-        assert row.computed or all(argument_type(arg).kind in (Kind.NUMBER, Kind.AGENT) for arg in row.numbers)
-        assert [VERBS[op].shape == "amount"][: len(row.args)] == [arg.type.startswith("added ") for arg in row.args[:1]]
-        assert (VERBS[op].shape == "alone") == (not row.target)
+        assert bool(row.computed) == (op in OPERAND_LOWERERS) and len(row.args) - len(row.numbers) <= 1
+        assert row.computed or all(argument_type(arg).kind in (TypeKind.NUMBER, TypeKind.AGENT) for arg in row.numbers)
+        assert [VERB_BY_WORD[op].shape == "amount"][: len(row.args)] == [arg.type.startswith("added ") for arg in row.args[:1]]
+        assert (VERB_BY_WORD[op].shape == "alone") == (not row.target)
 
 
 def marked(world: World) -> None:
@@ -123,10 +135,19 @@ def marked(world: World) -> None:
 def test_an_effect_is_a_row_and_a_function(monkeypatch: pytest.MonkeyPatch) -> None:
     """One that only this test has is shown, verified, recorded and settled on both backends."""
     row = Effect(
-        "mark", "", (Arg("amount", "number"),), "effects", "", "", "mark {amount}", "mark {amount}", refused="mark", above_0=True
+        "mark",
+        "",
+        (ArgumentRow("amount", "number"),),
+        "effects",
+        "",
+        "",
+        "mark {amount}",
+        "mark {amount}",
+        refused="mark",
+        above_0=True,
     )
-    monkeypatch.setitem(EFFECTS, "mark", row)
-    monkeypatch.setitem(phases.SETTLES, "mark", marked)
+    monkeypatch.setitem(EFFECT_BY_OPERATION, "mark", row)
+    monkeypatch.setitem(phases.SETTLER_BY_EFFECT, "mark", marked)
     t = plans.Text()
     amount = t("sub", t("number", t("id")), 2.0)
     plan = plans.bare(plans.block(ir.Request("mark", "", (amount,), None, own="marks")), "marks")
@@ -158,14 +179,14 @@ def test_a_request_that_is_not_as_its_row_says_is_refused(request_: ir.Request, 
 
 
 def test_every_kind_of_thing_has_its_word_its_kind_and_its_list() -> None:
-    assert tuple(KINDS_OF_THINGS) == WORLD_KINDS
+    assert tuple(KIND_BY_WORD) == WORLD_KIND_WORDS
     plan = plan_of("species ant {}\n")
-    assert set(plan.things) == set(KINDS) - {"items"} == set(KINDS_OF_THINGS) - {"items", "species"}
-    for row in KINDS_OF_THINGS.values():
-        assert Kind(row.word) and row.help and row.word in row.sample
-        assert set(row.replaces) <= set(KINDS_OF_THINGS)
+    assert set(plan.things) == set(KINDS) - {"items"} == set(KIND_BY_WORD) - {"items", "species"}
+    for row in KIND_BY_WORD.values():
+        assert TypeKind(row.word) and row.help and row.word in row.sample
+        assert set(row.replaces) <= set(KIND_BY_WORD)
         assert bool(row.scene_form) == bool(row.scene) == bool(row.snippet) == (row.word in KINDS)
-        assert {row.nearest, row.touching} <= {"", *ir.OPS}
+        assert {row.nearest, row.touching} <= {"", *ir.OPERATION_BY_NAME}
         assert row.snippet.partition(":")[0].strip("{}$1:") == row.scene.partition(":")[0].strip("{") or row.word == "items"
 
 
@@ -175,5 +196,5 @@ def test_the_reference_tells_of_every_sense_and_set() -> None:
     documented_words = {
         word for line in part.splitlines() if line.startswith("| `") for word in re.findall(r"`(\w+)", line.split(" | ")[0])
     }
-    words = {word.name for how in ("call", "name") for word in find_words(how)} | set(SET_SENSES)
+    words = {word.name for how in ("call", "name") for word in find_words(how)} | set(SET_SENSE_BY_OPERATION)
     assert words - documented_words == {"match"}  # in the section about numbers: it asks nothing of the place

@@ -18,7 +18,7 @@ from PIL import Image
 from antdsl.bodies.agents.blending import Playing, posed
 from antdsl.bodies.agents.definition import (
     Binding,
-    Blend,
+    BlendTargets,
     Capture,
     Channel,
     Clip,
@@ -32,8 +32,8 @@ from antdsl.bodies.agents.definition import (
     Variation,
 )
 from antdsl.bodies.agents.driving import DrivenPose, with_looks
-from antdsl.bodies.agents.leg_ik import Legs, PlacedFeet
-from antdsl.bodies.agents.machine_clips import EARLIER, MachineClips, PlayedClip, playing_of_machines
+from antdsl.bodies.agents.leg_ik import LegSolver, PlacedFeet
+from antdsl.bodies.agents.machine_clips import EARLIER_FIELDS, MachineClips, PlayedClip, playing_of_machines
 from antdsl.bodies.agents.poses import ClipTable, clip_table
 from antdsl.bodies.agents.transforms import world_matrices
 from antdsl.bodies.agents.varied_bodies import VariationDraws, colour_position, size_of
@@ -42,7 +42,7 @@ from antdsl.bodies.posed_body import PosedBody
 from antdsl.bodies.skinned_mesh import blend_targets
 from antdsl.preview.binary_packets import pack
 from antdsl.preview.viewing.acting import blend_weights, pack_clips, stance_arrays
-from antdsl.preview.viewing.bodies import Outfit, rig_packet, traits
+from antdsl.preview.viewing.bodies import BodyOutfit, rig_packet, traits
 from antdsl.runtime.feet.state import Feet
 from antdsl.runtime.feet.trunk import slope_quaternions
 
@@ -112,7 +112,7 @@ def machines(count: int, seed: int = 7) -> tuple[MachineClips, MachineClips]:
         fade = random.choice([0.0, 0.3, 0.8], count).astype(np.float32)
         machine_clips.append(MachineClips(clips[0], turns[0], weights[0], clips[1], turns[1], weights[1], fade))
     earlier = random.integers(-1, len(PLAYS), count).astype(np.int16), *random.uniform(size=(3, count)).astype(np.float32)
-    return replace(machine_clips[0], **dict(zip(EARLIER, earlier, strict=True))), machine_clips[1]
+    return replace(machine_clips[0], **dict(zip(EARLIER_FIELDS, earlier, strict=True))), machine_clips[1]
 
 
 def leans(count: int) -> NDArray[np.int8]:
@@ -139,7 +139,7 @@ def frame(plays: tuple[MachineClips, ...], number: int = 20, extra_arrays: Mappi
 
 
 def rig(body: Definition) -> bytes:
-    return rig_packet("ant", Outfit(body, PLAYS, leans=True), ("main", "arms"))
+    return rig_packet("ant", BodyOutfit(body, PLAYS, leans=True), ("main", "arms"))
 
 
 def expected_bones(body: Definition, plays: tuple[MachineClips, ...], level: PosedBody) -> NDArray[np.float64]:
@@ -219,7 +219,7 @@ def test_bones_are_where_antdsl_puts_them(page: Stage, near: bool) -> None:
 def test_legs_are_bent_as_antdsl_bends_them(page: Stage) -> None:
     body, plays, count = legged(), machines(40), 40
     feet, light = standing(count)
-    legs, level, table = Legs(body), PosedBody(body, PLAYS), clip_table(body)
+    legs, level, table = LegSolver(body), PosedBody(body, PLAYS), clip_table(body)
     stands = legs.stance_weights(PLAYS, plays, count)
     assert 0 < stands.min() < 0.9 and stands.max() == 1
     placed = PlacedFeet(
@@ -248,7 +248,7 @@ def test_parts_look_where_antdsl_has_them_look(page: Stage) -> None:
     turned = with_looks(table, poses, {"arms": directions}, body.groups, body.base_matrix()[:3, :3])
     expected = in_bones(body, level, turned.world)
     assert np.abs(expected - expected_bones(body, plays, level)).max() > 0.3
-    message = rig_packet("ant", Outfit(body, PLAYS, (), ("arms",), True), ("main", "arms"))
+    message = rig_packet("ant", BodyOutfit(body, PLAYS, (), ("arms",), True), ("main", "arms"))
     page.tell(scene(camera=CAMERA), texts(), status(), message, frame(plays, extra_arrays={"look/arms": looks}))
     page.page.wait_for_timeout(300)
     for row in range(count):
@@ -262,7 +262,7 @@ def test_agents_show_the_layers_that_they_wear(page: Stage) -> None:
     body = replace(body, shapes={**body.shapes, "hat": box}, layers={**body.layers, "hat": hats[0], "cap": hats[1]})
     masks = PosedBody(body, PLAYS, ("hat", "cap")).masks
     assert [int((masks == mask).sum()) for mask in (0, 1, 2)] == [64, 8, 8]
-    message = rig_packet("ant", Outfit(body, PLAYS, ("hat", "cap"), leans=True), ("main", "arms"))
+    message = rig_packet("ant", BodyOutfit(body, PLAYS, ("hat", "cap"), leans=True), ("main", "arms"))
     page.tell(scene(camera=CAMERA), texts(), status(), message)
 
     def coloured(wears: int) -> int:
@@ -275,7 +275,7 @@ def test_agents_show_the_layers_that_they_wear(page: Stage) -> None:
     assert coloured(0) == none
 
 
-def trait_arrays(worn: Outfit, plays: tuple[MachineClips, ...], driven: DrivenPose) -> dict[str, NDArray[np.float32]]:
+def trait_arrays(worn: BodyOutfit, plays: tuple[MachineClips, ...], driven: DrivenPose) -> dict[str, NDArray[np.float32]]:
     """What a frame tells of what bodies differ by."""
     assert driven.draws is not None
     body_traits, differ = traits(worn), worn.definition.variation
@@ -295,7 +295,7 @@ def test_parts_are_as_large_as_antdsl_has_them_by_id(page: Stage) -> None:
     level = PosedBody(body, PLAYS)
     expected = in_bones(body, level, level.poses(plays, 12, driven=driven).world)
     assert np.abs(expected - expected_bones(body, plays, level)).max() > 0.3
-    worn = Outfit(body, PLAYS, leans=True)
+    worn = BodyOutfit(body, PLAYS, leans=True)
     page.tell(scene(camera=CAMERA), texts(), status(), rig_packet("ant", worn, ("main", "arms")))
     page.tell(frame(plays, extra_arrays=trait_arrays(worn, plays, driven)))
     page.page.wait_for_timeout(300)
@@ -316,7 +316,7 @@ def blended() -> Definition:
         return Shape(name, points + random.normal(0, spread, points.shape).astype(np.float32), faces, capture=capture, **fields)
 
     shapes = [
-        shape("base", 0, blend=Blend(("puffed", "torn"), ("puff", "tear"))),
+        shape("base", 0, blend=BlendTargets(("puffed", "torn"), ("puff", "tear"))),
         shape("puffed", 0.3), shape("torn", 0.3, between=InBetweens(("half",), (0.4,))), shape("half", 0.3),
     ]  # fmt: skip
     values = random.uniform(0, 1, (9, 1)).astype(np.float32)
@@ -333,7 +333,7 @@ def test_blend_shapes_go_by_clips_and_by_what_is_said_of_channels() -> None:
     body, plays = blended(), machines(12)
     said = np.where(np.arange(12) % 3 == 0, np.nan, np.linspace(-0.5, 1.5, 12)).astype(np.float32)
     driven = DrivenPose({"puff": said}, draws=VariationDraws(np.arange(10, 22)), lean=leans(12)[:, :2].astype(np.float32) / 127)
-    worn, level = Outfit(body, PLAYS, leans=True), PosedBody(body, PLAYS)
+    worn, level = BodyOutfit(body, PLAYS, leans=True), PosedBody(body, PLAYS)
     body_traits = traits(worn)
     weights = blend_weights(worn, body_traits, plays, 12, driven.channels, driven.lean)
     assert len(body_traits.targets) == 3 and len(np.unique(weights[:, 1:])) > 6
@@ -350,7 +350,7 @@ def test_blend_shapes_are_drawn_as_a_body_of_that_shape(page: Stage) -> None:
     body, plays = blended(), machines(12)
 
     def picture(body: Definition, weight: float) -> NDArray[np.int64]:
-        worn = Outfit(body, PLAYS, leans=True)
+        worn = BodyOutfit(body, PLAYS, leans=True)
         page.tell(scene(camera=CAMERA), texts(), status(), rig_packet("ant", worn, ("main", "arms")))
         driven = DrivenPose(
             {"puff": np.full(12, weight, np.float32), "tear": np.zeros(12, np.float32)}, draws=VariationDraws(np.arange(10, 22))
@@ -379,7 +379,7 @@ def test_materials_have_the_colours_that_antdsl_draws_by_id(page: Stage) -> None
     plays, draws = machines(12), VariationDraws(np.arange(10, 22), 4, "ant")
 
     def picture(body: Definition) -> NDArray[np.int64]:
-        worn = Outfit(body, PLAYS, leans=True)
+        worn = BodyOutfit(body, PLAYS, leans=True)
         page.tell(scene(camera=CAMERA), texts(), status(), rig_packet("ant", worn, ("main", "arms")))
         page.tell(frame(plays, extra_arrays=trait_arrays(worn, plays, DrivenPose(draws=draws))))
         return take_screenshot(page)

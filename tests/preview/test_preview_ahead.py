@@ -103,7 +103,7 @@ def test_an_edit_makes_other_paths(session: Session) -> None:
 
 
 def test_stored_paths_are_bounded(session: Session, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(ahead_module, "_BYTES", 12 * 40 * 7)
+    monkeypatch.setattr(ahead_module, "_MAX_POSITION_BYTES", 12 * 40 * 7)
     assert len(filled(Ahead(), session).frames) == 7 + 1
 
 

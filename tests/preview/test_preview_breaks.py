@@ -16,8 +16,8 @@ from antdsl.preview.breaking.conditions import condition_plan
 from antdsl.preview.breaking.model import BreakpointError
 from antdsl.preview.observing import spec_judgement
 from antdsl.preview.observing.explainer import Explainer
-from antdsl.preview.observing.observer import Stop
-from antdsl.preview.observing.spec_judgement import Specs
+from antdsl.preview.observing.observer import PauseReason
+from antdsl.preview.observing.spec_judgement import SpecObserver
 from antdsl.preview.requests import Break, ConditionBreak, FaultBreak, SpecBreak, StateBreak
 from antdsl.runtime import Options
 from antdsl.specs.cases import collect_cases
@@ -81,7 +81,7 @@ class Driver:
         self.session = session
         self.messages: list[dict[str, Any]] = []
         self.told: list[dict[str, Any]] = []
-        self.specs = Specs(self.messages.append)
+        self.specs = SpecObserver(self.messages.append)
         self.breaks = Breakpoints(self.specs, self.told.append)
         self.set(*breaks)
 
@@ -92,7 +92,7 @@ class Driver:
     def set(self, *breaks: Break) -> None:
         self.breaks.set(self.session, breaks)
 
-    def step(self) -> Stop | None:
+    def step(self) -> PauseReason | None:
         stop = None
         for each in (self.specs, self.breaks):
             each.before_step(self.session)
@@ -101,7 +101,7 @@ class Driver:
             stop = each.after_step(self.session) or stop
         return stop
 
-    def play(self, frames: int) -> dict[int, Stop]:
+    def play(self, frames: int) -> dict[int, PauseReason]:
         stops = {}
         for _ in range(frames):
             stop = self.step()
@@ -133,7 +133,7 @@ def test_it_stops_where_agents_enter_a_state(scene: Path) -> None:
         previous_states, now = (light[each]["walker"]["state/main"] for each in (frame - 1, frame))
         assert (frame in stops) == bool(((now == 1) & (previous_states == 0)).any()), frame
     first = min(stops)
-    assert stops[first] == Stop(f"walker 0, 1, 2 entered rest at frame {first}", "walker", (0, 1, 2))
+    assert stops[first] == PauseReason(f"walker 0, 1, 2 entered rest at frame {first}", "walker", (0, 1, 2))
     assert len(stops) == 2
 
 
@@ -151,7 +151,7 @@ def test_it_stops_where_a_condition_comes_true_and_not_where_it_stays_so(scene: 
 def test_a_condition_may_be_checked_for_each_agent(scene: Path) -> None:
     driver = Driver(scene, condition("each walker: load > 1"))
     [(frame, stop)] = driver.play(40).items()
-    assert stop == Stop(f"walker 0, 1, 2: load > 1 at frame {frame}", "walker", (0, 1, 2))
+    assert stop == PauseReason(f"walker 0, 1, 2: load > 1 at frame {frame}", "walker", (0, 1, 2))
     assert driver.session.world.populations["walker"].now["load"].min() == 2
 
 
@@ -386,8 +386,8 @@ def test_a_page_sets_breakpoints_and_hears_of_them(scene: Path) -> None:
 
 
 def test_a_spec_that_takes_long_is_let_go_of_unless_it_is_waited_for(scene: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(spec_judgement, "_LITTLE", 0.0)
-    monkeypatch.setattr(spec_judgement, "_SHARE", 0.0)
+    monkeypatch.setattr(spec_judgement, "_MAX_JUDGING_SECONDS", 0.0)
+    monkeypatch.setattr(spec_judgement, "_MAX_JUDGING_SHARE", 0.0)
     driver = Driver(scene, spec("they are three"))
     driver.play(30)
     assert driver.spec("they are three")["holds"] is True

@@ -16,19 +16,19 @@ import pytest
 from antdsl.preview.serving import addresses, ready
 from antdsl.preview.serving.addresses import ListenError, is_loopback, listen
 from antdsl.preview.serving.connections import TokenBucket
-from antdsl.preview.serving.mailbox import Mailbox
+from antdsl.preview.serving.mailbox import ClientMailbox
 
 
-def with_mailbox(test: Callable[[Mailbox, list[str]], Awaitable[None]], **budgets: int) -> None:
+def with_mailbox(test: Callable[[ClientMailbox, list[str]], Awaitable[None]], **budgets: int) -> None:
     async def go() -> None:
         full: list[str] = []
         async with asyncio.timeout(60):
-            await test(Mailbox(asyncio.get_running_loop(), {"build": "now"}, lambda: full.append("full"), **budgets), full)
+            await test(ClientMailbox(asyncio.get_running_loop(), {"build": "now"}, lambda: full.append("full"), **budgets), full)
 
     asyncio.run(go())
 
 
-async def drained(mailbox: Mailbox) -> list[Any]:
+async def drained(mailbox: ClientMailbox) -> list[Any]:
     items: list[Any] = []
     try:
         while True:
@@ -39,7 +39,7 @@ async def drained(mailbox: Mailbox) -> list[Any]:
 
 
 def test_the_latest_of_a_slot_takes_the_place_of_the_one_before() -> None:
-    async def test(mailbox: Mailbox, full: list[str]) -> None:
+    async def test(mailbox: ClientMailbox, full: list[str]) -> None:
         mailbox.show("mesh", b"mesh")
         mailbox.show("frame", b"1")
         mailbox.tell({"op": "status"})
@@ -54,7 +54,7 @@ def test_the_latest_of_a_slot_takes_the_place_of_the_one_before() -> None:
 
 
 def test_a_packet_after_a_scene_arrives_after_it() -> None:
-    async def test(mailbox: Mailbox, full: list[str]) -> None:
+    async def test(mailbox: ClientMailbox, full: list[str]) -> None:
         mailbox.show("frame", b"old")
         mailbox.show("mesh", b"mesh")
         mailbox.tell({"op": "scene"})
@@ -66,7 +66,7 @@ def test_a_packet_after_a_scene_arrives_after_it() -> None:
 
 
 def test_hello_names_the_current_page() -> None:
-    async def test(mailbox: Mailbox, full: list[str]) -> None:
+    async def test(mailbox: ClientMailbox, full: list[str]) -> None:
         message = {"op": "hello", "build": ""}
         mailbox.tell(message)
         assert json.loads(await mailbox.next()) == {"op": "hello", "build": "now"}
@@ -77,7 +77,7 @@ def test_hello_names_the_current_page() -> None:
 
 @pytest.mark.parametrize("what", ["words", "packets"])
 def test_more_than_the_budget_is_not_stored(what: str) -> None:
-    async def test(mailbox: Mailbox, full: list[str]) -> None:
+    async def test(mailbox: ClientMailbox, full: list[str]) -> None:
         for _ in range(100):
             mailbox.show("one", bytes(900))  # the same slot: never more than one of them
         await asyncio.sleep(0)
@@ -95,7 +95,7 @@ def test_more_than_the_budget_is_not_stored(what: str) -> None:
 
 
 def test_what_a_page_cannot_read_is_never_sent() -> None:
-    async def test(mailbox: Mailbox, full: list[str]) -> None:
+    async def test(mailbox: ClientMailbox, full: list[str]) -> None:
         with pytest.raises(ValueError):
             mailbox.tell({"op": "curves", "values": [float("nan")]})
         assert await drained(mailbox) == []
@@ -104,7 +104,7 @@ def test_what_a_page_cannot_read_is_never_sent() -> None:
 
 
 def test_nothing_is_lost_or_turned_round_between_two_threads() -> None:
-    async def test(mailbox: Mailbox, full: list[str]) -> None:
+    async def test(mailbox: ClientMailbox, full: list[str]) -> None:
         def fill() -> None:
             chance = random.Random(5)
             for number in range(3000):
@@ -144,9 +144,9 @@ def test_nothing_is_lost_or_turned_round_between_two_threads() -> None:
 
 
 def test_a_mailbox_accepts_messages_after_the_end_of_its_loop() -> None:
-    mailboxes: list[Mailbox] = []
+    mailboxes: list[ClientMailbox] = []
 
-    async def test(mailbox: Mailbox, full: list[str]) -> None:
+    async def test(mailbox: ClientMailbox, full: list[str]) -> None:
         mailboxes.append(mailbox)
 
     with_mailbox(test)
@@ -172,7 +172,7 @@ def test_a_port_that_is_taken_leads_to_the_next() -> None:
     two = listen()
     try:
         ports = [each.sockets[0].getsockname()[1] for each in (one, two)]
-        assert addresses.PORT <= ports[0] < ports[1]
+        assert addresses.DEFAULT_PORT <= ports[0] < ports[1]
         assert two.addresses == (f"http://127.0.0.1:{ports[1]}/",)
         assert two.names == {f"{name}:{ports[1]}" for name in ("localhost", "127.0.0.1", "[::1]")}
         with pytest.raises(ListenError, match=f"port {ports[0]} is taken"):
@@ -204,7 +204,7 @@ def test_a_port_taken_at_the_other_loopback_is_refused() -> None:
 def test_without_one_of_the_loopbacks_the_other_does(monkeypatch: pytest.MonkeyPatch) -> None:
     if not has_six():
         pytest.skip("this machine has no IPv6")
-    monkeypatch.setattr(addresses, "_LOOPBACK", ("192.0.2.7", "::1"))  # an address for documents: no machine has it
+    monkeypatch.setattr(addresses, "_LOOPBACK_ADDRESSES", ("192.0.2.7", "::1"))  # an address for documents: no machine has it
     listener = listen(port=0)
     listener.close()
     assert len(listener.sockets) == 1 and listener.addresses[0].startswith("http://[::1]:")

@@ -14,7 +14,7 @@ from preview_page import few
 
 from antdsl.preview import Live, Session, timeline
 from antdsl.preview.binary_packets import unpack
-from antdsl.preview.observing.spec_judgement import Specs
+from antdsl.preview.observing.spec_judgement import SpecObserver
 from antdsl.preview.viewing.acting import store_poses, stored_poses
 from antdsl.preview.viewing.curves import SentCurves
 from antdsl.preview.viewing.scene import BoundingBox
@@ -70,7 +70,7 @@ def test_poses_are_stored_for_the_latest_frames_only(scene: Path) -> None:
 
 
 def test_curves_and_branches_do_not_grow_for_ever(scene: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(timeline, "_CURVES", 30)
+    monkeypatch.setattr(timeline, "_MAX_CURVE_FRAMES", 30)
     session, sent_curves = opened(scene, every=4), SentCurves()
     for number in range(12):
         for _ in range(4):
@@ -97,12 +97,12 @@ def test_a_long_history_is_sent_in_few_points(scene: Path) -> None:
     session = opened(scene)
     one = session.timeline.curves[1]
     session.timeline.curves = {frame: one for frame in range(1, 20_001)}
-    session.timeline.branches = [timeline.Branch(1, "before", dict(session.timeline.curves)) for _ in range(8)]
+    session.timeline.branches = [timeline.TimelineBranch(1, "before", dict(session.timeline.curves)) for _ in range(8)]
     assert len(json.dumps(SentCurves().full_history(session.timeline))) < 2_000_000
 
 
 def test_what_was_judged_at_an_edit_is_still_known_when_one_plays_through_it_again(scene: Path) -> None:
-    session, specs = opened(scene), Specs()
+    session, specs = opened(scene), SpecObserver()
 
     def go(frames: int) -> None:
         for _ in range(frames):

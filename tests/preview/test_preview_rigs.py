@@ -14,7 +14,7 @@ from preview_page import copied
 from antdsl.bodies.library import library_body
 from antdsl.preview import Live, Session
 from antdsl.preview.binary_packets import unpack
-from antdsl.preview.viewing.acting import NONE
+from antdsl.preview.viewing.acting import NO_CLIP_CODE
 
 
 @pytest.fixture
@@ -52,14 +52,14 @@ def test_a_frame_tells_what_agents_play(live: Live, scene: Path) -> None:
     for machine in ("legs", "arms"):
         plays = arrays[f"walker/plays/{machine}"].reshape(30, 3, -1)[:, :, :2].reshape(30, 6)
         now = {name: walkers.now[f"{machine}.{name}"][rows] for name in ("clip", "clip_before", "clip_turns", "clip_fade")}
-        assert np.array_equal(plays[:, 0], np.where(now["clip"] < 0, NONE, now["clip"]).astype(np.uint16))
+        assert np.array_equal(plays[:, 0], np.where(now["clip"] < 0, NO_CLIP_CODE, now["clip"]).astype(np.uint16))
         loops = np.array([*(name != "wave" for name in clips), False])[np.minimum(plays[:, 0], len(clips))]
         turns = np.where(loops, now["clip_turns"] % 1, np.minimum(now["clip_turns"], 1))
         assert np.abs(plays[:, 2] / 65535 - turns).max() < 2e-5
         weights = plays[:, 4:] / 65535
         assert np.abs(weights[:, 0] - walkers.now[f"{machine}.clip_weight"][rows] * (1 - now["clip_fade"])).max() < 2e-5
-        assert (weights[plays[:, :2] == NONE] == 0).all()
-        playing |= {clips[each] for each in plays[:, 0] if each != NONE}
+        assert (weights[plays[:, :2] == NO_CLIP_CODE] == 0).all()
+        playing |= {clips[each] for each in plays[:, 0] if each != NO_CLIP_CODE}
     assert playing >= {"walk", "run", "idle"}
     page.ask("seek", frame=30, exact=False)
     dragged = {name for name in page.frame_arrays(30, light=True) if "/plays/" in name}

@@ -284,7 +284,7 @@ def test_a_busy_server_says_so() -> None:
 
 
 FRAMES = {
-    "more than 64 KiB": (1009, lambda: [frame(Opcode.TEXT, b" " * (limits.PREVIEW_MESSAGE_BYTES + 1))]),
+    "more than 64 KiB": (1009, lambda: [frame(Opcode.TEXT, b" " * (limits.MAX_PREVIEW_MESSAGE_BYTES + 1))]),
     "a gigabyte, says its header": (1009, lambda: [b"\x81\xff" + (1 << 30).to_bytes(8, "big") + b"mask"]),
     "exabytes, says its header": (1009, lambda: [b"\x81\xff" + ((1 << 63) - 1).to_bytes(8, "big") + b"mask"]),
     "more than 64 KiB in pieces": (
@@ -345,7 +345,7 @@ def test_who_asks_too_fast_loses_asks_and_then_the_connection() -> None:
                 await client.send("")
             took = asyncio.get_running_loop().time() - began
             assert client.close_code in (1006, 1013)
-            assert 0 < len(server.live.asks) <= limits.PREVIEW_ASKS_A_SECOND * (took + 2) + 1
+            assert 0 < len(server.live.asks) <= limits.MAX_PREVIEW_REQUESTS_PER_SECOND * (took + 2) + 1
         await still_well(server)
 
     with_server(test)
@@ -386,7 +386,7 @@ def test_a_slider_that_is_dragged_is_not_too_fast() -> None:
 
 def test_sixteen_pages_look_on_and_the_next_has_to_wait() -> None:
     async def test(server: Served) -> None:
-        clients = [await server.connect() for _ in range(limits.PREVIEW_CLIENTS)]
+        clients = [await server.connect() for _ in range(limits.MAX_PREVIEW_CLIENTS)]
         for client in clients:
             await client.recv()
         async with server.connect() as late:
@@ -427,13 +427,13 @@ def test_ten_thousand_silent_connections_keep_no_page_out() -> None:
                     closed_count += 1
                 finally:
                     each.close()
-            assert closed_count >= len(held) - limits.PREVIEW_STRANGERS
+            assert closed_count >= len(held) - limits.MAX_UNADMITTED_CONNECTIONS
 
     with_server(test)
 
 
 def test_a_request_that_takes_for_ever_is_cut_off(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(serving, "_OPEN", 0.4)
+    monkeypatch.setattr(serving, "_REQUEST_TIMEOUT_SECONDS", 0.4)
 
     async def test(server: Served) -> None:
         reader, writer = await asyncio.open_connection("127.0.0.1", server.port)
@@ -484,7 +484,7 @@ def test_a_slow_page_gets_the_latest_packet_of_each_slot_and_every_message() -> 
 
 
 def test_a_page_that_takes_nothing_is_let_go_and_may_come_back(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(serving, "_CLOSE", 0.3)
+    monkeypatch.setattr(serving, "_CLOSE_TIMEOUT_SECONDS", 0.3)
 
     async def test(server: Served) -> None:
         client = await server.connect(max_size=None, max_queue=1, ping_interval=None)

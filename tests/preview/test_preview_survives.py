@@ -25,9 +25,9 @@ from websockets.exceptions import ConnectionClosed
 from antdsl.preview import Live
 from antdsl.preview.binary_packets import unpack
 from antdsl.preview.serving.addresses import listen
-from antdsl.preview.serving.guard import Guard
+from antdsl.preview.serving.guard import RequestGuard
 from antdsl.preview.serving.pages import load_pages
-from antdsl.preview.serving.server import Server
+from antdsl.preview.serving.server import PreviewServer
 
 SECONDS = 120  # that a test may take at most, on a machine that is busy
 
@@ -118,9 +118,9 @@ def with_live(live: Live, test: Callable[[Served], Awaitable[None]]) -> None:
     @asynccontextmanager
     async def served():  # type: ignore[no-untyped-def]
         listening = listen(port=0)
-        guard = Guard(listening.names)
+        guard = RequestGuard(listening.names)
         server = Served(live, guard, load_pages(), listening)  # type: ignore[arg-type]
-        async with asyncio.timeout(SECONDS), Server(live, guard, server.pages, listening).running():
+        async with asyncio.timeout(SECONDS), PreviewServer(live, guard, server.pages, listening).running():
             yield server
 
     async def run() -> None:

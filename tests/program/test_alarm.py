@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from meaning import crowd, play
 
-from antdsl.pipeline import Choices, open_scene, simulate
+from antdsl.pipeline import RunChoices, open_scene, simulate
 from antdsl.scene.setting import MeshData
 
 SCENE = Path(__file__).resolve().parents[2] / "examples" / "alarm" / "scene.yaml"
@@ -20,7 +20,7 @@ STAB = 48  # frames
 
 def run(frames: int, **params: str) -> tuple[np.ndarray, np.ndarray, list[float]]:
     """States (frames, ants), the position of each at the stab, and the alarm there is, frame by frame, ants in order of id."""
-    shot, report = open_scene(SCENE, Choices(params={f"ant.{name}": text for name, text in params.items()}))
+    shot, report = open_scene(SCENE, RunChoices(params={f"ant.{name}": text for name, text in params.items()}))
     assert shot is not None, report.sorted()
     states, scent, place = [], [], np.zeros(0)
     for k, world in enumerate(islice(simulate(shot), frames)):

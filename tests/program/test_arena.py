@@ -12,7 +12,7 @@ from meaning import crowd
 from test_program import checked, complaints
 
 from antdsl import passes, plan
-from antdsl.runtime import CrowdData, MeshData, Options, Setting, World, bind, step
+from antdsl.runtime import CrowdData, MeshData, Options, World, WorldSetting, bind, step
 
 PROGRAMS = Path(__file__).parents[1] / "programs"
 PER_SECOND = (("= 0.1 u/s ", "= 2.4 u/s^2 "), ("* nudge)", "* nudge * dt)"))  # of what is written per step, at 24 steps a second
@@ -30,7 +30,7 @@ def arena(*crowds: CrowdData, fps: int = 24, per_second: bool = False, still: bo
     angle = np.linspace(0, 2 * np.pi, 65)
     rim = np.stack([200 * np.cos(angle), np.zeros(65), 200 * np.sin(angle)], axis=1)
     ground = {"ground": MeshData(*meshes.grid(600.0, 4))}
-    setting = Setting(fps=Fraction(fps), surfaces=ground, curves={"arena": rim}, seed=4, crowds=crowds)
+    setting = WorldSetting(fps=Fraction(fps), surfaces=ground, curves={"arena": rim}, seed=4, crowds=crowds)
     world = bind(passes.optimise(plan.lower(program)[0]), setting, Options(threads=1))
     if still:
         for population in world.populations.values():

@@ -13,7 +13,7 @@ from children import child_environment
 from antdsl import passes, plan
 from antdsl.pipeline import compile_files
 from antdsl.plan.registers import bytes_by_purpose
-from antdsl.program.cost import MEMBERS, StateCost, costs
+from antdsl.program.cost import ASSUMED_SET_MEMBERS, StateCost, costs
 
 ROOT = Path(__file__).resolve().parents[2]
 HEAD = "ant 1\nuse steering\nworld { surface ground; obstacle stones; items food { load = 0 } }\n"
@@ -57,7 +57,7 @@ def test_more_rays_and_sums_inside_sets_weigh_more(tmp_path: Path) -> None:
 
     assert weight("avoid(stones, feelers: 7)") > weight("avoid(stones, feelers: 3)") > weight("heading * 0.5")
     one = weight("heading * count(n in neighbours(20 mm): n.speed > 3 mm/s)")
-    assert weight("heading * count(n in neighbours(20 mm): n.speed * 2 > 3 mm/s)") == one + MEMBERS
+    assert weight("heading * count(n in neighbours(20 mm): n.speed * 2 > 3 mm/s)") == one + ASSUMED_SET_MEMBERS
 
 
 def test_what_is_done_in_every_state_stands_last(tmp_path: Path) -> None:

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from antdsl.pipeline import Choices, Shot, open_scene
+from antdsl.pipeline import RunChoices, Shot, open_scene
 from antdsl.runtime import Options, World, bind, state_hash, step
 from antdsl.runtime.checkpoints import checkpoint, restore
 from antdsl.runtime.moving.heads import find_heads_inside
@@ -72,7 +72,7 @@ def shot(folder: Path, triangles: list, turn: str = "max_turn 360 deg/s") -> Sho
     (folder / "ground.obj").write_text("\n".join(lines) + "\n")
     (folder / "walker.ant").write_text(PROGRAM.replace("TURN", turn))
     (folder / "scene.yaml").write_text(SCENE)
-    opened_shot, report = open_scene(folder / "scene.yaml", Choices())
+    opened_shot, report = open_scene(folder / "scene.yaml", RunChoices())
     assert opened_shot is not None, [each.message for each in report]
     return opened_shot
 

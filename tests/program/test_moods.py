@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from antdsl.pipeline import Choices, open_scene, simulate
+from antdsl.pipeline import RunChoices, open_scene, simulate
 from antdsl.runtime import Options, bind, state_hash, step
 
 SCENE = Path(__file__).resolve().parents[2] / "examples" / "moods" / "scene.yaml"
@@ -19,7 +19,7 @@ FORAGE, HIDE, LURK = range(3)
 @pytest.fixture(scope="module")
 def states() -> np.ndarray:
     """(frames, agents): the state of each roach in 8 s, of which 4 are lit."""
-    shot, report = open_scene(SCENE, Choices(params={"roach.cycle": "8 s"}))
+    shot, report = open_scene(SCENE, RunChoices(params={"roach.cycle": "8 s"}))
     assert shot is not None, report.sorted()
     snapshots = [world.populations["roach"].now["main.state"].copy() for world in islice(simulate(shot), 193)]
     return np.array(snapshots)

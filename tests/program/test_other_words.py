@@ -6,15 +6,15 @@ import pytest
 from test_program import checked, complaints
 
 from antdsl.diagnostics import Diagnostic
-from antdsl.program.tables.other_words import CALLS, NAMES
+from antdsl.program.tables.other_words import CALL_REPLACEMENTS, NAME_REPLACEMENTS
 from antdsl.program.tables.vocabulary import (
-    BUILTIN_ATTRIBUTES,
-    BUILTINS,
-    OTHER_SENSES,
-    REDUCERS,
-    RESERVED,
-    RUN_NAMES,
-    SENSED_NAMES,
+    BUILTIN_ATTRIBUTE_BY_NAME,
+    BUILTINS_BY_NAME,
+    REDUCER_HELP,
+    RESERVED_WORDS,
+    RUN_VALUE_TYPES,
+    SENSE_REPLACEMENTS,
+    SENSE_TYPE_BY_NAME,
 )
 
 TEXT = """ant 1
@@ -47,9 +47,9 @@ def mended(text: str, error: Diagnostic) -> str:
     return text[: error.fix.span.start] + error.fix.text + text[error.fix.span.end :]
 
 
-@pytest.mark.parametrize("word", CALLS)
+@pytest.mark.parametrize("word", CALL_REPLACEMENTS)
 def test_a_call_of_another_tool_is_reported_with_its_equivalent(word: str) -> None:
-    form = CALLS[word]
+    form = CALL_REPLACEMENTS[word]
     many = len({letter for letter in "abcde" if "{" + letter in form.lower()})
     usual = ", ".join(("x", "0.2", "gain + 1", "0", "1")[:many])
     arguments = next((values for begins, values in GIVEN_TO.items() if begins in form), usual)
@@ -57,16 +57,16 @@ def test_a_call_of_another_tool_is_reported_with_its_equivalent(word: str) -> No
     target = f"steer heading * length({call})" if "unit(" in form or "vector(" in form else f"{name} = {call}"
     text, (error, *rest) = check_line(target)
     assert error.code == "unknown-behaviour" and not rest and "`" in (error.help or "")
-    if many or word in NAMES:
+    if many or word in NAME_REPLACEMENTS:
         assert error.fix is not None and f"`{error.fix.text}`" in (error.help or "")
         assert not checked(mended(text, error))[1].errors, complaints(checked(mended(text, error))[1])
 
 
-@pytest.mark.parametrize("word", NAMES)
+@pytest.mark.parametrize("word", NAME_REPLACEMENTS)
 def test_a_name_of_another_tool_is_reported_with_its_equivalent(word: str) -> None:
     target = {"dt": "waited = waited + ", "0.5 turn": "turned = ", "1 turn": "turned = ", "time": "waited = "}
-    text, (error, *rest) = check_line(f"{target.get(NAMES[word], 'x = ')}{word}")
-    assert error.code == "unknown-name" and not rest and f"write `{NAMES[word]}`" in (error.help or "")
+    text, (error, *rest) = check_line(f"{target.get(NAME_REPLACEMENTS[word], 'x = ')}{word}")
+    assert error.code == "unknown-name" and not rest and f"write `{NAME_REPLACEMENTS[word]}`" in (error.help or "")
     assert not checked(mended(text, error))[1].errors
 
 
@@ -99,5 +99,5 @@ def test_a_step_and_other_units_say_where_they_stand() -> None:
 
 
 def test_no_word_of_the_language_stands_in_the_tables() -> None:
-    own = {*BUILTINS, *REDUCERS, *BUILTIN_ATTRIBUTES, *RUN_NAMES, *SENSED_NAMES, *RESERVED}
-    assert not own & {*CALLS, *NAMES} and not {*CALLS} & {*OTHER_SENSES}
+    own = {*BUILTINS_BY_NAME, *REDUCER_HELP, *BUILTIN_ATTRIBUTE_BY_NAME, *RUN_VALUE_TYPES, *SENSE_TYPE_BY_NAME, *RESERVED_WORDS}
+    assert not own & {*CALL_REPLACEMENTS, *NAME_REPLACEMENTS} and not {*CALL_REPLACEMENTS} & {*SENSE_REPLACEMENTS}

@@ -9,7 +9,7 @@ from meaning import FAST, play
 from test_program import checked, complaints
 
 from antdsl.diagnostics import Diagnostic
-from antdsl.loading import Parsed
+from antdsl.loading import ParsedFileCache
 from antdsl.pipeline import check_path
 from antdsl.source import Source
 from antdsl.syntax.formatting.layout import format
@@ -204,7 +204,7 @@ def test_a_memory_of_a_behaviour_is_reported_too() -> None:
 
 
 def test_the_library_and_the_samples_have_none() -> None:
-    parsed = Parsed()
+    parsed = ParsedFileCache()
     root = Path(__file__).resolve().parents[2]
     paths = [
         root / "behaviours" / "steering.ant",

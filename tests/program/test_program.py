@@ -50,7 +50,7 @@ def test_species_of_two_files_meet() -> None:
     assert complaints(report) == []
     assert sorted(program.species) == ["hunter", "rabbit"]
     prey = next(a for a in program.species["hunter"].attributes if a.name == "prey")
-    assert prey.type == model.Type(model.Kind.AGENT, of="rabbit")
+    assert prey.type == model.ValueType(model.TypeKind.AGENT, of="rabbit")
 
 
 EDITS = [
@@ -203,20 +203,20 @@ def test_rates_and_amounts() -> None:
     assert complaints(report) == []
     s, r = program.species["a"].machines[0].states
     lay, add = s.body
-    assert isinstance(lay, model.Ask) and lay.op == "deposit" and lay.per_second
-    assert isinstance(lay.args[0], model.Const) and lay.args[0].number == 2
+    assert isinstance(lay, model.EffectRequest) and lay.op == "deposit" and lay.per_second
+    assert isinstance(lay.args[0], model.Constant) and lay.args[0].number == 2
     assert (
         isinstance(add, model.Assign)
         and add.per_second
-        and isinstance(add.value, model.Const)
+        and isinstance(add.value, model.Constant)
         and add.value.number == pytest.approx(0.1)
     )
     deposit, decrease = s.transitions[0].actions
-    assert isinstance(deposit, model.Ask) and not deposit.per_second
+    assert isinstance(deposit, model.EffectRequest) and not deposit.per_second
     assert isinstance(decrease, model.Assign) and not decrease.per_second and decrease.op == "-="
     assert isinstance(r.body[0], model.Assign) and not r.body[0].per_second
     keeps = program.fields["t"].keeps
-    assert isinstance(keeps, model.Const) and (keeps.number, keeps.step) == (0.9, 0)
+    assert isinstance(keeps, model.Constant) and (keeps.number, keeps.step) == (0.9, 0)
 
 
 def test_units_are_worked_out() -> None:
@@ -226,7 +226,7 @@ def test_units_are_worked_out() -> None:
     )
     assert {d.code for d in report.diagnostics} == {"constant-attribute"}
     values = {a.name: a.default for a in program.species["a"].attributes if not a.is_builtin}
-    got = {name: (v.number, v.u, tuple(v.type.dim)) for name, v in values.items() if isinstance(v, model.Const)}
+    got = {name: (v.number, v.u, tuple(v.type.dim)) for name, v in values.items() if isinstance(v, model.Constant)}
     assert got["speedy"] == (pytest.approx(0.5), 0, (1, -1, 0, 0))
     assert got["far"] == (3, 1, (1, 0, 0, 0))
     assert got["turn"] == (pytest.approx(6.283185307179586), 0, (0, -1, 0, 1))
@@ -251,7 +251,7 @@ def keys_of(text: str) -> set[str]:
     program, report = checked(text)
     assert complaints(report) == []
     keys = {b.key for b in parts(program) if isinstance(b, model.Binding) and b.role == "keep"}
-    return keys | {o.site for o in parts(program) if isinstance(o, model.Op) and o.site}
+    return keys | {o.site for o in parts(program) if isinstance(o, model.OperationExpr) and o.site}
 
 
 def test_moving_lines_changes_no_key() -> None:
@@ -273,9 +273,9 @@ def test_a_behaviour_takes_the_types_of_its_call() -> None:
     kinds = [
         part.args[0].type.kind
         for part in parts(program)
-        if isinstance(part, model.Op) and part.name == "direction" and part.args[0] is not None
+        if isinstance(part, model.OperationExpr) and part.name == "direction" and part.args[0] is not None
     ]
-    assert set(kinds) == {model.Kind.ITEM, model.Kind.CURVE, model.Kind.AGENT, model.Kind.VECTOR}
+    assert set(kinds) == {model.TypeKind.ITEM, model.TypeKind.CURVE, model.TypeKind.AGENT, model.TypeKind.VECTOR}
 
 
 def test_no_place_is_left_open_in_a_checked_program() -> None:
@@ -283,7 +283,7 @@ def test_no_place_is_left_open_in_a_checked_program() -> None:
         program, _ = checked(path.read_text(encoding="utf-8"))
         for part in parts(program):
             if isinstance(part, model.Expr):
-                assert part.type.kind not in (model.Kind.PLACE, model.Kind.BAD), (path.stem, part)
+                assert part.type.kind not in (model.TypeKind.PLACE, model.TypeKind.BAD), (path.stem, part)
 
 
 def test_attributes_come_after_those_they_start_from() -> None:

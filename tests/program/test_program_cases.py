@@ -14,7 +14,7 @@ from pathlib import Path
 import pytest
 
 from antdsl.diagnostics import Report
-from antdsl.diagnostics.codes import CODES
+from antdsl.diagnostics.codes import CODE_DESCRIPTIONS
 from antdsl.loading import find_library
 from antdsl.program import check
 from antdsl.source import Source
@@ -97,7 +97,7 @@ def test_every_code_of_the_checker_has_a_case() -> None:
     text = (Path(check.__code__.co_filename).parents[1] / "diagnostics" / "codes.py").read_text(encoding="utf-8")
     mine = text[text.index("# --- names ---") : text.index("# --- scenes ---")]
     codes = set(re.findall(r'^    "([a-z-]+)":', mine, flags=re.MULTILINE))
-    assert codes <= set(CODES)
+    assert codes <= set(CODE_DESCRIPTIONS)
     tested_codes = {code for part in parts() for line in part.text.splitlines() for _, code, _, _ in EXPECTATION.findall(line)}
     elsewhere = {"per-step", "too-deep", "too-many", "missing-target"}  # tests of their own in test_program.py
     assert codes - tested_codes == elsewhere, "each code of the checker has a case in tests/cases/check/*.ant"

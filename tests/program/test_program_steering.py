@@ -13,8 +13,8 @@ from test_program import checked, complaints
 from test_program_cases import find_library
 
 from antdsl import passes, plan
-from antdsl.runtime import CrowdData, FieldStart, ItemData, MeshData, PlaceData, Setting, World, bind, step
-from antdsl.scene.setting import SpreadFlow, Target
+from antdsl.runtime import CrowdData, FieldStart, ItemData, MeshData, PlaceData, World, WorldSetting, bind, step
+from antdsl.scene.setting import FlowTarget, SpreadFlow
 from antdsl.syntax import nodes
 
 HEAD = """ant 1
@@ -50,12 +50,12 @@ def scene(
     ground, rock = meshes.grid(400.0, 20), meshes.ball(8.0, (40.0, 0.0, 0.0))
     return bind(
         passes.optimise(lowered),
-        Setting(
+        WorldSetting(
             fps=Fraction(fps),
             surfaces={"ground": MeshData(*ground)},
             obstacles={"rock": MeshData(*rock)},
             curves={"road": ROAD},
-            flows={"drift": SpreadFlow("tangent", Target(ROAD, np.zeros(len(ROAD)), line=True), 60.0)},
+            flows={"drift": SpreadFlow("tangent", FlowTarget(ROAD, np.zeros(len(ROAD)), line=True), 60.0)},
             items={"food": (ItemData("crumb", (food[0], 0.0, food[1]), 2.0),)},
             crowds=crowds,
             field_start={"trail": FieldStart(1.0, (0.0, 0.0, 60.0), 30.0)},

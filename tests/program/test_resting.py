@@ -11,10 +11,10 @@ from meaning import FAST, OPTION_SETS, RunHistory, crowd, play
 from test_program import checked
 from test_specs import GROUND
 
-from antdsl.cli.commands.new import FILES, file_text, ground
+from antdsl.cli.commands.new import TEMPLATE_FILES, file_text, ground
 from antdsl.explain import CacheHistory, Replay, explain, explain_agents, open_shot, tell
 from antdsl.pipeline import open_scene
-from antdsl.plan.lowering.source_map import RESTS
+from antdsl.plan.lowering.source_map import RESTING_TEXT
 from antdsl.runtime import bind, step
 
 SET_OUT = "on spawn { velocity = vector(20 mm/s, 0 mm/s, 0 mm/s); heading = vector(1, 0, 0) }\n"
@@ -105,7 +105,7 @@ def test_it_needs_no_library_and_minds_no_behaviour_of_the_same_name() -> None:
     assert [len(frame["a"]["id"]) for frame in play(text, crowd(3), steps=1, option_sets=OPTION_SETS).frames] == [3, 3]
 
 
-@pytest.mark.parametrize("rest, words", [("", RESTS), ("steer coast()", "coast()")])
+@pytest.mark.parametrize("rest, words", [("", RESTING_TEXT), ("steer coast()", "coast()")])
 def test_explain_says_why_it_stands_still(tmp_path: Path, rest: str, words: str) -> None:
     text = "ant 1\n" + walker(rest).replace("use steering\n", "use steering\nworld { surface ground }\n")
     scene = "antdsl: 1\nfps: 10\nframes: 1..12\nworld: {ground: {mesh: ground.ply}}\n"
@@ -118,14 +118,14 @@ def test_explain_says_why_it_stands_still(tmp_path: Path, rest: str, words: str)
     assert step_report is not None
     words_of_strip = tell(explain(cache, 0, 3)).splitlines()[3]
     assert words_of_strip.startswith("  [rest 1..")  # and no name of a state stands before the first one's
-    assert [steer.text for steer in step_report.steers] == [words if words == RESTS else "steer coast()"]
+    assert [steer.text for steer in step_report.steers] == [words if words == RESTING_TEXT else "steer coast()"]
     assert f"state: {step_report.steers[0].text}" in tell(step_report)
-    assert (step_report.steers[0].length > 0.1) is (words == RESTS)
+    assert (step_report.steers[0].length > 0.1) is (words == RESTING_TEXT)
     assert step_report.push == pytest.approx(step_report.steers[0].push)
 
 
 def test_the_ants_of_a_new_project_rest_where_they_are(tmp_path: Path) -> None:
-    for name in FILES:
+    for name in TEMPLATE_FILES:
         path = tmp_path / name
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_text(file_text(name))

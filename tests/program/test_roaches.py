@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from antdsl.pipeline import open_scene
-from antdsl.runtime import CrowdData, MeshData, Options, PlaceData, Setting, World, bind, step
+from antdsl.runtime import CrowdData, MeshData, Options, PlaceData, World, WorldSetting, bind, step
 
 SCENE = Path(__file__).resolve().parents[2] / "examples" / "roaches" / "scene.yaml"
 COUNT, FRAMES = 160, 150
@@ -73,7 +73,7 @@ def run_roaches(*points: tuple[float, float], frames: int) -> tuple[World, list[
     assert shot is not None
     crowd = CrowdData("roach", len(points), PlaceData(points=np.array([[x, 0.0, z] for x, z in points])))
     legs = {"legs": MeshData(*meshes.ball(10.0, (9000, 5, 9000), 2))}
-    world = bind(shot.plan, Setting(seed=3, crowds=(crowd,), obstacles=legs), Options(threads=1))
+    world = bind(shot.plan, WorldSetting(seed=3, crowds=(crowd,), obstacles=legs), Options(threads=1))
     roaches, snapshots = world.populations["roach"], []
     for frame in range(frames):
         if frame:

@@ -17,7 +17,7 @@ from antdsl.runtime import LimitStop, Options, World, bind, state_hash, step
 from antdsl.senses.neighbours import CellGrid, TooManyNeighbours
 
 MINIMAL = Path(__file__).resolve().parents[2] / "examples" / "minimal"
-CROWD = limits.WITHIN_RADIUS + 2
+CROWD = limits.MAX_CANDIDATES_IN_RADIUS + 2
 PROGRAM = """ant 1
 use steering
 world {{ surface ground }}
@@ -70,10 +70,10 @@ def test_neighbours_are_counted_within_the_radius_and_not_in_its_cells() -> None
     # a cap of 256 is where they begin to be counted, so the crowd is repeated
     many = CellGrid(*(np.tile(a, 10) for a in (x, x * 0, x * 0)), np.arange(10 * x.size), 300.0)
     assert grid.find_pairs(None, 1.0, limit=10).i.size == 30 * 29 + 50 * 49
-    assert many.find_pairs(None, 1.0, limit=499).i.size == 800 * limits.NEIGHBOURS
+    assert many.find_pairs(None, 1.0, limit=499).i.size == 800 * limits.MAX_QUERY_NEIGHBOURS
     with pytest.raises(TooManyNeighbours):
         many.find_pairs(None, 1.0, limit=498)
-    assert many.find_pairs(np.arange(30), 1.0, limit=299).i.size == 30 * limits.NEIGHBOURS
+    assert many.find_pairs(np.arange(30), 1.0, limit=299).i.size == 30 * limits.MAX_QUERY_NEIGHBOURS
 
 
 FEW, ENOUGH = 400, 300  # agents, and what the limit is lowered to: still more than count
@@ -111,8 +111,8 @@ def asking(folder: Path, expression: str, place: str = "{on: ground}") -> World:
 )
 def test_the_nearest_one_is_found_however_many_are_within(tmp_path: Path, query: str, monkeypatch: pytest.MonkeyPatch) -> None:
     hashes = []
-    for limit in (limits.WITHIN_RADIUS, ENOUGH):
-        monkeypatch.setattr(limits, "WITHIN_RADIUS", limit)
+    for limit in (limits.MAX_CANDIDATES_IN_RADIUS, ENOUGH):
+        monkeypatch.setattr(limits, "MAX_CANDIDATES_IN_RADIUS", limit)
         world = asking(tmp_path, query)
         for _ in range(6):
             step(world)
@@ -136,7 +136,7 @@ def test_the_nearest_one_is_found_however_many_are_within(tmp_path: Path, query:
 def test_what_is_refused_is_marked_itself(
     tmp_path: Path, query: str, place: str, marked: str, advice: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(limits, "WITHIN_RADIUS", ENOUGH)
+    monkeypatch.setattr(limits, "MAX_CANDIDATES_IN_RADIUS", ENOUGH)
     with pytest.raises(LimitStop) as stop:
         step(asking(tmp_path, query, place))
     fault = stop.value.fault

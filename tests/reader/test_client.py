@@ -16,7 +16,7 @@ from PIL import Image
 
 from antdsl import limits
 from antdsl.reader import client, private_folder
-from antdsl.reader.client import Reader, ReaderFailure
+from antdsl.reader.client import FileReader, ReaderFailure
 from antdsl.reader.image_request import ImageError, read_image_file
 from antdsl.reader.private_folder import PrivateFolder, remove_stale
 
@@ -39,9 +39,9 @@ GREY = np.arange(12, dtype=np.uint16).reshape(3, 4) * 5000
 
 
 @pytest.fixture
-def reader(monkeypatch: pytest.MonkeyPatch) -> Iterator[Reader]:
-    new_reader = Reader()
-    monkeypatch.setattr(client, "_reader", new_reader)
+def reader(monkeypatch: pytest.MonkeyPatch) -> Iterator[FileReader]:
+    new_reader = FileReader()
+    monkeypatch.setattr(client, "_file_reader", new_reader)
     yield new_reader
     new_reader.end()
 
@@ -50,7 +50,7 @@ def samples() -> np.ndarray | None:
     return read_image_file(png(GREY), "PNG", ("I;16",), 100).samples
 
 
-def test_it_is_started_once_and_again_after_it_died(reader: Reader) -> None:
+def test_it_is_started_once_and_again_after_it_died(reader: FileReader) -> None:
     assert np.array_equal(samples(), GREY)  # type: ignore[arg-type]
     assert reader._running is not None
     first = reader._running.process
@@ -65,7 +65,7 @@ def test_it_is_started_once_and_again_after_it_died(reader: Reader) -> None:
     assert second.poll() is not None and not folder.path.exists()
 
 
-def test_an_image_that_is_none_or_too_large_is_refused(reader: Reader) -> None:
+def test_an_image_that_is_none_or_too_large_is_refused(reader: FileReader) -> None:
     with pytest.raises(ImageError, match="cannot be read as PNG"):
         read_image_file(b"\x89PNG\r\n\x1a\n" + bytes(90), "PNG", ("RGB",), 100)
     for modes, pixels in ((("RGB",), 100), (("I;16",), 11)):
@@ -89,26 +89,26 @@ def test_an_image_that_is_none_or_too_large_is_refused(reader: Reader) -> None:
     ],
 )
 def test_whatever_the_process_does_is_an_error(
-    does: str, words: str, reader: Reader, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+    does: str, words: str, reader: FileReader, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     program = tmp_path / "child.py"
     program.write_text(f"{HELLO}{does}\n")
-    monkeypatch.setattr(client, "_PROGRAM", program)
+    monkeypatch.setattr(client, "_CHILD_PROGRAM", program)
     if "sleep" in does:
-        monkeypatch.setattr(limits, "READER_WALL_SECONDS", 1)
-        monkeypatch.setattr(limits, "READER_SECONDS", 0)
+        monkeypatch.setattr(limits, "READER_BASE_WALL_SECONDS", 1)
+        monkeypatch.setattr(limits, "READER_BASE_CPU_SECONDS", 0)
     with pytest.raises(ImageError, match=words):
         samples()
     monkeypatch.undo()
-    monkeypatch.setattr(client, "_reader", Reader())
+    monkeypatch.setattr(client, "_file_reader", FileReader())
     assert np.array_equal(samples(), GREY), "the next one answers"  # type: ignore[arg-type]
-    client._reader.end()
+    client._file_reader.end()
 
 
-def test_a_request_that_failed_is_not_made_again(reader: Reader, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+def test_a_request_that_failed_is_not_made_again(reader: FileReader, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     program = tmp_path / "child.py"
     program.write_text(f"{HELLO}os.abort()\n")
-    monkeypatch.setattr(client, "_PROGRAM", program)
+    monkeypatch.setattr(client, "_CHILD_PROGRAM", program)
     with pytest.raises(ReaderFailure):
         client.ask("image", {}, digest="a")
     monkeypatch.setattr(reader, "_start", lambda: pytest.fail("started again"))
@@ -116,7 +116,7 @@ def test_a_request_that_failed_is_not_made_again(reader: Reader, monkeypatch: py
         client.ask("image", {}, digest="a")
 
 
-def test_threads_take_turns(reader: Reader) -> None:
+def test_threads_take_turns(reader: FileReader) -> None:
     matches: list[bool] = []
     threads = [threading.Thread(target=lambda: matches.append(np.array_equal(samples(), GREY))) for _ in range(6)]  # type: ignore[arg-type]
     for thread in threads:
@@ -127,7 +127,7 @@ def test_threads_take_turns(reader: Reader) -> None:
 
 
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="a system without fork")
-def test_a_forked_process_has_a_reader_of_its_own(reader: Reader) -> None:
+def test_a_forked_process_has_a_reader_of_its_own(reader: FileReader) -> None:
     samples()
     assert reader._running is not None and reader._folder is not None
     process, folder = reader._running.process, reader._folder.path
@@ -135,9 +135,9 @@ def test_a_forked_process_has_a_reader_of_its_own(reader: Reader) -> None:
     if not forked:
         code = 1
         try:
-            is_new = client._reader is not reader
-            code = 0 if is_new and np.array_equal(samples(), GREY) and client._reader._folder.path != folder else 2  # type: ignore[union-attr,arg-type]
-            client._reader.end()
+            is_new = client._file_reader is not reader
+            code = 0 if is_new and np.array_equal(samples(), GREY) and client._file_reader._folder.path != folder else 2  # type: ignore[union-attr,arg-type]
+            client._file_reader.end()
         finally:
             os._exit(code)
     assert os.waitstatus_to_exitcode(os.waitpid(forked, 0)[1]) == 0
@@ -150,12 +150,12 @@ def test_folders_of_killed_processes_are_removed(monkeypatch: pytest.MonkeyPatch
     living = PrivateFolder()
     assert living.path.parent.stat().st_mode & 0o777 == 0o700
     (living.new_folder() / "a.usda").write_text("x")
-    dead, other = tmp_path / f"{private_folder._PREFIX}dead", tmp_path / "other"
+    dead, other = tmp_path / f"{private_folder._FOLDER_PREFIX}dead", tmp_path / "other"
     target = tmp_path / "target"
     for folder in (dead, other, target):
         (folder / "files").mkdir(parents=True)
         (folder / "lock").write_bytes(b"")
-    (tmp_path / f"{private_folder._PREFIX}link").symlink_to(target)
+    (tmp_path / f"{private_folder._FOLDER_PREFIX}link").symlink_to(target)
     remove_stale()
     assert not dead.exists() and other.exists() and target.exists() and (living.path / "1" / "a.usda").exists()
     living.remove()
@@ -166,11 +166,11 @@ def test_a_check_by_many_processes_leaves_no_folder(monkeypatch: pytest.MonkeyPa
     from cases.hostile.rows import PROJECT
 
     from antdsl.checking import check_all
-    from antdsl.pipeline import Choices
+    from antdsl.pipeline import RunChoices
 
     (tmp_path / "temporary").mkdir()
     monkeypatch.setattr(tempfile, "tempdir", str(tmp_path / "temporary"))
-    monkeypatch.setattr(client, "_reader", Reader())
+    monkeypatch.setattr(client, "_file_reader", FileReader())
     scenes = []
     for number in range(12):
         folder = tmp_path / str(number)
@@ -183,7 +183,7 @@ def test_a_check_by_many_processes_leaves_no_folder(monkeypatch: pytest.MonkeyPa
         assert "{mesh: ground.ply}" in text
         (folder / "scene.yaml").write_text(text.replace("{mesh: ground.ply}", height))
         scenes.append(folder / "scene.yaml")
-    result = check_all(scenes, Choices(), cores=2)
+    result = check_all(scenes, RunChoices(), cores=2)
     assert len(result.reports) == 12 and not any(report.errors for report in result.reports.values())
-    client._reader.end()
-    assert not list((tmp_path / "temporary").glob(f"{private_folder._PREFIX}*"))
+    client._file_reader.end()
+    assert not list((tmp_path / "temporary").glob(f"{private_folder._FOLDER_PREFIX}*"))

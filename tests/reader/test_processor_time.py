@@ -16,7 +16,7 @@ from cases.hostile.usd import GOOD, HEAD
 from antdsl import cpu_budget, limits
 from antdsl.cpu_budget import CpuBudgetSpent
 from antdsl.reader import client
-from antdsl.reader.client import Reader, ReaderFailure
+from antdsl.reader.client import FileReader, ReaderFailure
 from antdsl.scene import Roots
 from antdsl.scene.geometry import usd
 from antdsl.scene.geometry.usd.errors import pxr
@@ -36,9 +36,9 @@ while os.read(0, 1 << 20):
 
 
 @pytest.fixture
-def reader(monkeypatch: pytest.MonkeyPatch) -> Iterator[Reader]:
-    new_reader = Reader()
-    monkeypatch.setattr(client, "_reader", new_reader)
+def reader(monkeypatch: pytest.MonkeyPatch) -> Iterator[FileReader]:
+    new_reader = FileReader()
+    monkeypatch.setattr(client, "_file_reader", new_reader)
     yield new_reader
     new_reader.end()
 
@@ -46,7 +46,7 @@ def reader(monkeypatch: pytest.MonkeyPatch) -> Iterator[Reader]:
 def program(does: str, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     file = tmp_path / "child.py"
     file.write_text(f"{SPIN}    {does}\n")
-    monkeypatch.setattr(client, "_PROGRAM", file)
+    monkeypatch.setattr(client, "_CHILD_PROGRAM", file)
 
 
 def test_what_is_charged_ends_a_budget() -> None:
@@ -64,7 +64,9 @@ def test_what_is_charged_ends_a_budget() -> None:
 @pytest.mark.parametrize(
     "does", ["send({'answer': {}, 'cpu': 0.0})", "os.abort()", "send({'failure': 'exception'})", "send({'what': 1})"]
 )
-def test_the_time_of_the_reader_is_charged(does: str, reader: Reader, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+def test_the_time_of_the_reader_is_charged(
+    does: str, reader: FileReader, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
     program(does, monkeypatch, tmp_path)
     with pytest.raises(CpuBudgetSpent), cpu_budget.cpu_budget(1000):
         cpu_budget.charge(cpu_budget.remaining_seconds() - 100)
@@ -78,7 +80,9 @@ def test_the_time_of_the_reader_is_charged(does: str, reader: Reader, monkeypatc
         client.ask("image", {})
 
 
-def test_a_request_gets_no_more_time_than_the_budget_has(reader: Reader, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+def test_a_request_gets_no_more_time_than_the_budget_has(
+    reader: FileReader, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
     program("send({'answer': {}})", monkeypatch, tmp_path)
     said: list[dict[str, int]] = []
     write = client.write_message
@@ -90,11 +94,11 @@ def test_a_request_gets_no_more_time_than_the_budget_has(reader: Reader, monkeyp
         client.ask("image", {}, seconds=1000)
     seconds = [each["seconds"] for each in said]  # a thread of another test may ask too
     # The system counts a timer in ticks, one too many at first, and the request rounds up.
-    assert 1000 + limits.READER_SECONDS in seconds and min(seconds) <= 501, seconds
+    assert 1000 + limits.READER_BASE_CPU_SECONDS in seconds and min(seconds) <= 501, seconds
 
 
 def test_a_child_that_the_budget_ended_is_no_failure_of_the_file(
-    reader: Reader, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+    reader: FileReader, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     program("os.kill(os.getpid(), 24)", monkeypatch, tmp_path)  # SIGXCPU
     with pytest.raises(CpuBudgetSpent), cpu_budget.cpu_budget(4):
@@ -107,10 +111,10 @@ def test_a_child_that_the_budget_ended_is_no_failure_of_the_file(
     "does", ["os.kill(os.getpid(), 24)", "os.kill(os.getpid(), 9)", "send({'failure': 'memory'})", "spin(0.6), os.abort()"]
 )
 def test_files_that_took_too_much_are_not_tried_again(
-    does: str, reader: Reader, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+    does: str, reader: FileReader, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     program(does, monkeypatch, tmp_path)
-    monkeypatch.setattr(limits, "READER_SECONDS", 1)
+    monkeypatch.setattr(limits, "READER_BASE_CPU_SECONDS", 1)
     with pytest.raises(ReaderFailure) as first:
         client.ask("image", {}, digest="a", files="x")
     with monkeypatch.context() as patch:
@@ -128,7 +132,7 @@ def test_files_that_took_too_much_are_not_tried_again(
         client.ask("image", {}, digest="a", files="x")
 
 
-def test_a_crash_is_about_one_request_alone(reader: Reader, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+def test_a_crash_is_about_one_request_alone(reader: FileReader, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     program("os.abort()", monkeypatch, tmp_path)
     with pytest.raises(ReaderFailure):
         client.ask("image", {}, digest="a", files="x")
@@ -136,19 +140,23 @@ def test_a_crash_is_about_one_request_alone(reader: Reader, monkeypatch: pytest.
     client.ask("image", {}, digest="b", files="x")
 
 
-def test_a_scene_has_so_much_time_and_the_next_one_again(reader: Reader, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+def test_a_scene_has_so_much_time_and_the_next_one_again(
+    reader: FileReader, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
     program("send({'answer': {}})", monkeypatch, tmp_path)
-    monkeypatch.setattr(limits, "READER_SECONDS_A_SCENE", 0.05)
+    monkeypatch.setattr(limits, "READER_CPU_SECONDS_PER_SCENE", 0.05)
     client.begin_scene()
     client.ask("image", {}, digest="a", files="x")
     with pytest.raises(ReaderFailure, match="the files of this scene took more than"):
         client.ask("image", {}, digest="b", files="y")
     client.begin_scene()
-    client.ask("image", {}, digest="b", files="y", size=limits.READER_BYTES_A_SECOND * 1000)
+    client.ask("image", {}, digest="b", files="y", size=limits.READER_BYTES_PER_CPU_SECOND * 1000)
     client.ask("image", {}, digest="c", files="y")  # large files have more of it
 
 
-def test_a_dead_child_still_says_how_much_time_it_took(reader: Reader, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+def test_a_dead_child_still_says_how_much_time_it_took(
+    reader: FileReader, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
     program("os.abort()", monkeypatch, tmp_path)
     running = reader._start()
     running.requests.write(b"x")
@@ -168,9 +176,9 @@ def heavy(folder: Path, levels: int = 20) -> None:
     (folder / "heavy.usda").write_text(f'{text}def "r{levels}"\n{{\n}}\n')
 
 
-def test_prims_of_a_heavy_file_are_refused_at_once(reader: Reader, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_prims_of_a_heavy_file_are_refused_at_once(reader: FileReader, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     heavy(tmp_path)
-    monkeypatch.setattr(limits, "READER_SECONDS", 0)
+    monkeypatch.setattr(limits, "READER_BASE_CPU_SECONDS", 0)
     closures: dict[str, usd.Closure | usd.UsdError] = {}
 
     def read(prim: str) -> usd.UsdMesh:
@@ -190,7 +198,7 @@ def test_prims_of_a_heavy_file_are_refused_at_once(reader: Reader, tmp_path: Pat
 
 
 def test_a_file_that_cannot_be_collected_is_collected_once(
-    reader: Reader, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    reader: FileReader, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     pytest.importorskip("pxr")
     (tmp_path / "a.usda").write_text(HEAD.replace("(\n", "(\n    subLayers = [@gone.usda@]\n", 1))
@@ -206,7 +214,7 @@ def test_a_file_that_cannot_be_collected_is_collected_once(
 
 @pytest.mark.parametrize("does", ["os.abort()", "os.kill(os.getpid(), 9)", "send({'failure': 'memory'})"])
 def test_a_small_limit_of_the_person_is_out_of_memory_and_no_fault_of_the_file(
-    does: str, reader: Reader, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+    does: str, reader: FileReader, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     program(does, monkeypatch, tmp_path)
     monkeypatch.setattr(client, "address_space", lambda: 1 << 30)
@@ -218,9 +226,11 @@ def test_a_small_limit_of_the_person_is_out_of_memory_and_no_fault_of_the_file(
         client.ask("image", {}, digest="a", files="x")
 
 
-def test_a_reader_that_cannot_start_for_want_of_memory(reader: Reader, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+def test_a_reader_that_cannot_start_for_want_of_memory(
+    reader: FileReader, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
     (tmp_path / "child.py").write_text("")
-    monkeypatch.setattr(client, "_PROGRAM", tmp_path / "child.py")
+    monkeypatch.setattr(client, "_CHILD_PROGRAM", tmp_path / "child.py")
     with pytest.raises(ReaderFailure):
         client.active_layers()
     monkeypatch.setattr(client, "address_space", lambda: 1 << 28)

@@ -12,7 +12,15 @@ import numpy as np
 import pytest
 
 from antdsl import limits
-from antdsl.reader.protocol import MAGIC, Message, ProtocolError, Refusal, pack_texts, read_message, write_message
+from antdsl.reader.protocol import (
+    MESSAGE_MAGIC,
+    ProtocolError,
+    ReaderMessage,
+    ReadRefusal,
+    pack_texts,
+    read_message,
+    write_message,
+)
 
 ARRAYS = {"a": np.arange(12, dtype=np.float64).reshape(4, 3), "b": np.zeros((0, 3), np.int64), "c": np.array([7], ">u2")}
 
@@ -25,7 +33,7 @@ def written(document: dict[str, Any], arrays: dict[str, Any]) -> bytes:
 
 def framed(header: Any, body: bytes = b"") -> bytes:
     text = header if isinstance(header, bytes) else json.dumps(header).encode()
-    return struct.pack("<4sQ", MAGIC, len(text)) + text + body
+    return struct.pack("<4sQ", MESSAGE_MAGIC, len(text)) + text + body
 
 
 def test_a_message_is_read_as_it_was_written() -> None:
@@ -46,7 +54,7 @@ def test_a_message_is_read_as_it_was_written() -> None:
         b"",
         b"ant",
         b"GET / HTTP/1.1\r\n\r\n",
-        struct.pack("<4sQ", MAGIC, 1 << 62),
+        struct.pack("<4sQ", MESSAGE_MAGIC, 1 << 62),
         framed([]),
         framed({}),
         framed(b"[" * 100_000),
@@ -66,7 +74,7 @@ def test_a_message_is_read_as_it_was_written() -> None:
 )
 def test_what_is_no_message_is_refused(data: bytes) -> None:
     with pytest.raises(ProtocolError):
-        read_message(io.BytesIO(data), limits.READER_BYTES)
+        read_message(io.BytesIO(data), limits.MAX_READER_ARRAY_BYTES)
 
 
 def test_any_bytes_are_a_message_or_refused() -> None:
@@ -97,15 +105,15 @@ def test_any_bytes_are_a_message_or_refused() -> None:
 def test_values_are_checked_when_they_are_used(use: Any) -> None:
     texts = {"t:lengths": np.array([2, -1, 3]), "t:bytes": np.zeros(4, np.uint8)}
     texts |= {"u:lengths": np.array([1]), "u:bytes": np.array([255], np.uint8)}
-    message = Message({"x": True, "huge": 10**400, "many": ["a", "b"]}, {**ARRAYS, "i": np.array([-1, 5]), **texts})
+    message = ReaderMessage({"x": True, "huge": 10**400, "many": ["a", "b"]}, {**ARRAYS, "i": np.array([-1, 5]), **texts})
     with pytest.raises(ProtocolError):
         use(message)
 
 
 def test_a_refusal_has_a_known_code_and_printable_texts() -> None:
-    sent = Refusal("bad-usd", "a\x1b[31m" + "b" * 5000, None, "prim").as_document()
-    parsed_refusal = Refusal.of_document(sent, {"bad-usd"})
+    sent = ReadRefusal("bad-usd", "a\x1b[31m" + "b" * 5000, None, "prim").as_document()
+    parsed_refusal = ReadRefusal.of_document(sent, {"bad-usd"})
     assert parsed_refusal is not None and str(parsed_refusal).isprintable() and len(str(parsed_refusal)) <= 2000
-    assert Refusal.of_document(sent, {"bad-mesh"}) is None
+    assert ReadRefusal.of_document(sent, {"bad-mesh"}) is None
     for document in (None, [], {}, {**sent, "message": 3}, {**sent, "help": []}, {**sent, "key": None}):
-        assert Refusal.of_document(document, {"bad-usd"}) is None
+        assert ReadRefusal.of_document(document, {"bad-usd"}) is None

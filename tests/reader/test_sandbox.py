@@ -58,7 +58,7 @@ def test_only_the_private_folder_and_the_installation_are_readable(outcomes: dic
 
 def test_the_reader_itself_is_confined() -> None:
     active = client.active_layers()
-    running = client._reader._running
+    running = client._file_reader._running
     assert running is not None
     status = Path(f"/proc/{running.process.pid}/status").read_text()
     limits = Path(f"/proc/{running.process.pid}/limits").read_text()
@@ -66,7 +66,9 @@ def test_the_reader_itself_is_confined() -> None:
     assert [line.split()[-3:-1] for line in limits.splitlines() if line.startswith("Max file size")] == [["0", "0"]]
     environment = Path(f"/proc/{running.process.pid}/environ").read_bytes().split(b"\0")
     names = {each.partition(b"=")[0].decode() for each in environment if each}
-    assert names <= {*confinement._PASSED, *confinement._SET} | {name for name in names if name.startswith("NPY_")}
+    assert names <= {*confinement._PASSED_VARIABLES, *confinement._SET_VARIABLES} | {
+        name for name in names if name.startswith("NPY_")
+    }
 
 
 def test_modules_come_from_the_installation(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:

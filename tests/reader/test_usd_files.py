@@ -19,7 +19,7 @@ from cases.hostile.usd import GOOD, HEAD, MESH
 pytest.importorskip("pxr")
 
 from antdsl.reader import client
-from antdsl.reader.protocol import Message
+from antdsl.reader.protocol import ReaderMessage
 from antdsl.scene import Roots
 from antdsl.scene.geometry import usd
 from antdsl.scene.geometry.mesh_text import MeshError
@@ -209,7 +209,7 @@ def test_messages_of_usd_are_the_same_in_each_run(folder: Path, monkeypatch: pyt
     for name in ("inner.usda", "outer.usda", "text.usda"):
         messages = set()
         for _ in range(2):
-            monkeypatch.setattr(client, "_reader", client.Reader())  # another folder, and other addresses
+            monkeypatch.setattr(client, "_file_reader", client.FileReader())  # another folder, and other addresses
             messages.add(refused(folder, name))
             client.end_reader()
         assert len(messages) == 1, messages
@@ -231,7 +231,7 @@ def test_a_relative_folder_for_temporary_files(folder: Path, monkeypatch: pytest
     for place in (".", "temporary"):
         (folder / place).mkdir(exist_ok=True)
         monkeypatch.setattr(tempfile, "tempdir", place)
-        monkeypatch.setattr(client, "_reader", client.Reader())
+        monkeypatch.setattr(client, "_file_reader", client.FileReader())
         assert len(read(folder, "a.usda").raw.faces) == 2
         client.end_reader()
         assert not list((folder / place).glob("antdsl-reader-*"))
@@ -240,8 +240,8 @@ def test_a_relative_folder_for_temporary_files(folder: Path, monkeypatch: pytest
 # ---- answers
 
 
-def answer(arrays: dict[str, Any], **document: Any) -> Message:
-    return Message({"passed_over": [], **document}, arrays)
+def answer(arrays: dict[str, Any], **document: Any) -> ReaderMessage:
+    return ReaderMessage({"passed_over": [], **document}, arrays)
 
 
 MESH_ARRAYS = {"vertices": np.eye(3), "faces": np.array([[0, 1, 2]])}
@@ -273,7 +273,7 @@ POINTS = {"places": np.zeros((1, 2, 3)), "radius": np.zeros(2), "ahead": np.zero
     ],
 )
 def test_an_answer_that_makes_no_sense_is_an_error(
-    read_it: Callable[[usd.UsdStage], Any], message: Message, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    read_it: Callable[[usd.UsdStage], Any], message: ReaderMessage, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     (tmp_path / "a.usda").write_text(GOOD)
     stage = usd.open_stage(Roots(tmp_path, {}), "a.usda", "/ground", up="y", frames=range(1, 2), fps=Fraction(24))

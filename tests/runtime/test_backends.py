@@ -8,10 +8,10 @@ import numpy as np
 import plans
 import pytest
 
-from antdsl.cli.commands.run import Backend
+from antdsl.cli.commands.run import BackendName
 from antdsl.plan import ir
 from antdsl.plan.traverse import operands, placed, required_nodes
-from antdsl.program.tables.effects import EFFECTS
+from antdsl.program.tables.effects import EFFECT_BY_OPERATION
 from antdsl.runtime import Options, bind, state_hash, step
 from antdsl.runtime.backends import BACKENDS
 
@@ -50,7 +50,7 @@ def test_the_same_hash_at_every_frame(reference, options):
 
 def test_a_backend_can_be_chosen_by_its_name():
     names = set(BACKENDS)
-    assert {each.value for each in Backend} == names, "`Backend` in antdsl/cli/commands/run.py"
+    assert {each.value for each in BackendName} == names, "`Backend` in antdsl/cli/commands/run.py"
     assert set(get_args(get_type_hints(Options)["backend"])) == names, "`Options.backend` in antdsl/runtime/world.py"
 
 
@@ -97,8 +97,8 @@ def test_every_operation_is_covered():
         "clip.value",
         "flow.reachable",  # tests/fields/test_reachable.py
     }  # tests/specs/test_specs.py, tests/numerics/test_noise.py, tests/senses/test_clear_velocity.py,
-    required = set(ir.OPS) - elsewhere  # tests/runtime/test_meaning_others.py, tests/runtime/test_collisions.py
-    required |= {"If", "Store", "Claim", "Give", *EFFECTS} - {"carve"}  # tests/runtime/test_digging.py
+    required = set(ir.OPERATION_BY_NAME) - elsewhere  # tests/runtime/test_meaning_others.py, tests/runtime/test_collisions.py
+    required |= {"If", "Store", "Claim", "Give", *EFFECT_BY_OPERATION} - {"carve"}  # tests/runtime/test_digging.py
     lacking = required - operations(plans.rich()) - operations(surfaces_plan())
     assert not lacking, f"no plan here has {lacking}: put them into tests/plans.py, or name the test that they have above"
 
@@ -162,8 +162,8 @@ def test_a_crowd_on_one_spot_has_a_capped_number_of_neighbours():
 def test_sorting_rows_by_place_changes_nothing(reference, monkeypatch):
     from antdsl.runtime import phases
 
-    monkeypatch.setattr(phases, "_SORT_EVERY", 1)
-    monkeypatch.setattr(phases, "_SORT_FROM", 2)
+    monkeypatch.setattr(phases, "_SORT_INTERVAL_FRAMES", 1)
+    monkeypatch.setattr(phases, "_MIN_AGENTS_TO_SORT", 2)
     world = bind(plans.rich(), plans.setting(), Options(backend="numpy"))
     old_ids = world.populations["ant"].ids.copy()
     for k in range(STEPS):

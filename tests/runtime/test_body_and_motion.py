@@ -12,7 +12,7 @@ from plan_text import WORLD, plan_of
 
 from antdsl.bench.cases import case_of
 from antdsl.passes import optimise
-from antdsl.runtime import MeshData, Options, Setting, bind, step
+from antdsl.runtime import MeshData, Options, WorldSetting, bind, step
 from antdsl.runtime.moving.heads import find_heads_inside
 
 ALL = (*OPTION_SETS, Options(backend="native", wait_for_code=True))
@@ -175,7 +175,7 @@ def test_bodies_back_up_walls_without_a_jerk_and_with_their_heads_out() -> None:
         BACK.replace("-> aside", "-> go"), attributes="size 6 mm; max_speed 20 mm/s; max_turn 180 deg/s; min_speed 2 mm/s"
     )
     plan = optimise(plan_of(text, WORLD))
-    setting = Setting(fps=Fraction(24), crowds=(crowd(30, radius=25),), surfaces={"ground": box_room(30, 60)}, seed=4)
+    setting = WorldSetting(fps=Fraction(24), crowds=(crowd(30, radius=25),), surfaces={"ground": box_room(30, 60)}, seed=4)
     world = bind(plan, setting, Options(backend="native"))
     population, inside, most = world.populations["a"], 0, 0.0
     previous_directions = np.concatenate([population.vector("up"), population.vector("heading")])

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from antdsl.pipeline import Choices, open_scene
+from antdsl.pipeline import RunChoices, open_scene
 from antdsl.runtime import World, bind, step
 
 BRIDGE = Path(__file__).resolve().parents[2] / "examples" / "bridge"
@@ -25,7 +25,7 @@ def bridge_script() -> dict[str, Any]:
 
 
 def opened(name: str, **params: str) -> World:
-    shot, report = open_scene(BRIDGE / f"{name}.yaml", Choices(params={f"ant.{k}": v for k, v in params.items()}))
+    shot, report = open_scene(BRIDGE / f"{name}.yaml", RunChoices(params={f"ant.{k}": v for k, v in params.items()}))
     assert shot is not None and not report.diagnostics, [(d.code, d.message) for d in report.diagnostics]
     fewer = tuple(replace(crowd, count=12) for crowd in shot.setting.crowds)
     return bind(shot.plan, replace(shot.setting, crowds=fewer))

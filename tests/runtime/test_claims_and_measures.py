@@ -59,7 +59,14 @@ def claim(rng, count):
     """A population of so many agents and claims of two thirds of them on 40 things, of which some are not there."""
     rows = np.sort(rng.permutation(count)[: 2 * count // 3 + 1])
     statement = ir.Claim(
-        "food", "load", None, ir.Node("const", (), (1.0,), ir.Kind.F32, ir.Rate.CONST, None, 0), "won", "load", "site", None
+        "food",
+        "load",
+        None,
+        ir.PlanNode("const", (), (1.0,), ir.ValueKind.F32, ir.UpdateRate.CONST, None, 0),
+        "won",
+        "load",
+        "site",
+        None,
     )
     now = {"load": rng.random(count, np.float32) * 3, "won": np.zeros(count, np.bool_)}
     population = SimpleNamespace(name="a", ids=rng.permutation(count), now=now)
@@ -148,7 +155,7 @@ def observe(result, population, window, dt, steps):
 
 @pytest.mark.parametrize("threads", [1, 3])
 def test_measures_of_motion_are_those_of_plain_numpy(threads, monkeypatch):
-    monkeypatch.setattr(parallel, "LIGHT", 100)
+    monkeypatch.setattr(parallel, "MIN_LIGHT_ITEMS_PER_THREAD", 100)
     world, rng = flock(700), np.random.default_rng(8)
     world.options = Options(backend="numpy", threads=threads)
     population, window, result = world.populations["boid"], {}, {"turns": np.zeros(1801, int), "tilts": np.zeros(1801, int)}

@@ -10,7 +10,7 @@ from plan_text import plan_of
 from antdsl.passes import optimise
 from antdsl.reload import take_over
 from antdsl.runtime import Options, bind, checkpoint, restore, state_hash, step
-from antdsl.scene.setting import ClipData, Setting
+from antdsl.scene.setting import ClipData, WorldSetting
 
 EVERY_WAY = (*OPTION_SETS, Options(backend="native", wait_for_code=True, chunk=16, shuffle_rows=5))
 CLIPS = {
@@ -122,7 +122,7 @@ def test_machines_play_beside_each_other() -> None:
 def test_a_checkpoint_goes_on_where_clips_are() -> None:
     text = f"{HEAD}start one\nstate one {{ play walk; steer {GOES}; when chance 50 %/s -> two over 0.5 s }}"
     text += f"\nstate two {{ play wave; steer {GOES}; when clip done -> one }} }}"
-    setting = Setting(crowds=(crowd(30, radius=40.0),), seed=2, clips=CLIPS)
+    setting = WorldSetting(crowds=(crowd(30, radius=40.0),), seed=2, clips=CLIPS)
     original, again = (bind(optimise(plan_of(text)), setting, Options(backend=name)) for name in ("numpy", "reference"))
     for _ in range(20):
         step(original)
@@ -148,7 +148,7 @@ def test_an_edit_that_renumbers_clips_lets_them_go_on() -> None:
     wave = f"state one {{ play wave; steer {GOES}; when after 100 s -> two }}\n"
     rest = f"state two {{ play breathe; steer {GOES} }}\n}}"
     first = f"state nul {{ play breathe; steer {GOES}; when after 1 s -> one }}\n"
-    setting = Setting(crowds=(crowd(2, radius=20.0),), seed=2, clips={"a": {"wave": ClipData(5.0, 0.0, False)}})
+    setting = WorldSetting(crowds=(crowd(2, radius=20.0),), seed=2, clips={"a": {"wave": ClipData(5.0, 0.0, False)}})
     world = bind(optimise(plan_of(begin + wave + rest)), setting, Options(backend="numpy"))
     for _ in range(20):
         step(world)

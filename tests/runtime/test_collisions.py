@@ -9,7 +9,7 @@ from plan_text import plan_of, program_of
 
 from antdsl.passes import optimise
 from antdsl.runtime import Options, World, bind, checkpoint, restore, state_hash, step
-from antdsl.scene.setting import Setting
+from antdsl.scene.setting import WorldSetting
 
 EVERY_WAY = (*OPTION_SETS, Options(backend="native", wait_for_code=True, chunk=16, shuffle_rows=5))
 # Trunks of balls are as wide as they are long: two of 10 mm touch where their places are 10 mm apart.
@@ -101,7 +101,7 @@ def test_kinds_are_distinguished_and_the_dead_are_forgotten() -> None:
 
 def crowded(options: Options) -> World:
     text = MEETING.replace("steer match(way * 20 mm/s)", "steer match(rotate(way, about: up, by: id * 77 deg) * 20 mm/s)")
-    return bind(optimise(plan_of(text)), Setting(crowds=(crowd(60, "prey", radius=45.0),), seed=3, contacts="hard"), options)
+    return bind(optimise(plan_of(text)), WorldSetting(crowds=(crowd(60, "prey", radius=45.0),), seed=3, contacts="hard"), options)
 
 
 def test_a_checkpoint_goes_on_with_the_contacts_that_it_has() -> None:

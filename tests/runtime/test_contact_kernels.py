@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from antdsl.runtime.moving import capsule_distances, capsules, contacts, corrections, cutting, separation
-from antdsl.runtime.moving.capsules import Crowd, NearPairs, find_near_pairs, overlap_depths
+from antdsl.runtime.moving.capsules import CapsuleCrowd, NearbyPairs, find_near_pairs, overlap_depths
 from tests.runtime.test_contacts import CrowdData, cluster, world
 
 ROWS = 60
@@ -32,7 +32,7 @@ def closest(away: np.ndarray, a: np.ndarray, b: np.ndarray, reach: float, length
     return min(result, key=lambda each: float(np.linalg.norm(away + a * each[0] - b * each[1])))
 
 
-def gap_of(near: SimpleNamespace | NearPairs, middle: np.ndarray, p: int, q: int) -> tuple[float, np.ndarray]:
+def gap_of(near: SimpleNamespace | NearbyPairs, middle: np.ndarray, p: int, q: int) -> tuple[float, np.ndarray]:
     """The gap of two capsules and the way to part, across the direction between the two ways that they stand."""
     up, other = near.up[:, p], near.up[:, q]
     between = 0 * up if up @ other < -0.5 else unit(up + other)
@@ -64,10 +64,10 @@ def bodies(seed: int, spread: float = 6.0, tilt: float = 0.25) -> SimpleNamespac
     return SimpleNamespace(middle=middle, ahead=ahead, up=up, half=half, radius=radius, i=i, j=j)
 
 
-def near_of(built: SimpleNamespace) -> NearPairs:
+def near_of(built: SimpleNamespace) -> NearbyPairs:
     gap, path = np.empty(len(built.i)), np.empty((3, len(built.i)))
     stand = (built.middle.copy(), built.ahead, built.up, built.half, built.radius)
-    near = NearPairs(None, np.arange(ROWS), built.i, built.j, *stand, 0.6, gap, path)  # type: ignore[arg-type]
+    near = NearbyPairs(None, np.arange(ROWS), built.i, built.j, *stand, 0.6, gap, path)  # type: ignore[arg-type]
     near.measure(np.zeros_like(built.middle), np.ones(ROWS, np.bool_))
     return near
 
@@ -110,7 +110,7 @@ def crowds(spread: float):
 
 def test_capsules_lie_where_the_shape_of_a_body_puts_them() -> None:
     built = crowds(8.0)
-    crowd, k = Crowd(built), 0
+    crowd, k = CapsuleCrowd(built), 0
     for population in built.populations.values():
         shape = capsules.capsule_of(built, population.name)
         for row in range(len(population)):
@@ -129,15 +129,15 @@ def test_capsules_lie_where_the_shape_of_a_body_puts_them() -> None:
 @pytest.mark.parametrize("place", [np.nan, np.inf, -np.inf])
 def test_one_without_a_place_has_no_neighbours(place: float) -> None:
     built = crowds(8.0)
-    others = {(p, q) for p, q in pairs_of(find_near_pairs(Crowd(built))) if 70 not in (p, q)}
+    others = {(p, q) for p, q in pairs_of(find_near_pairs(CapsuleCrowd(built))) if 70 not in (p, q)}
     built.populations["ant"].position[70, 1] = place
     with np.errstate(invalid="ignore"):
-        crowd = Crowd(built)
+        crowd = CapsuleCrowd(built)
         near = find_near_pairs(crowd)
     assert not np.isfinite(sum(crowd.bounds[1])) and set(pairs_of(near)) == others and len(others) > 100
 
 
-def pairs_of(near: NearPairs) -> list[tuple[int, int]]:
+def pairs_of(near: NearbyPairs) -> list[tuple[int, int]]:
     return list(zip(near.rows[near.i].tolist(), near.rows[near.j].tolist(), strict=True))
 
 
@@ -149,7 +149,7 @@ def test_all_pairs_that_may_meet_are_found(dead: float | None) -> None:
         for name in ("up", "heading"):
             built.populations["ant"].now[f"{name}.{axis}"][5] = built.populations["ant"].now[f"{name}.{axis}"][4]
         built.populations["ant"].now["size"][5] = built.populations["ant"].now["size"][4]
-    crowd = Crowd(built)
+    crowd = CapsuleCrowd(built)
     near = find_near_pairs(crowd, dead)
     total = SimpleNamespace(half=crowd.half, radius=crowd.radius)
     total.ahead, total.up = (np.stack(crowd.vector(name)).astype(float) for name in ("heading", "up"))
@@ -217,7 +217,7 @@ def shares(near, pairs, depth, light, dense_share, normal) -> dict[tuple[int, in
     return result
 
 
-def part_bodies(near: NearPairs, agents, which, held, walked, depth, looks, sweeps, share, cut) -> np.ndarray:
+def part_bodies(near: NearbyPairs, agents, which, held, walked, depth, looks, sweeps, share, cut) -> np.ndarray:
     """As `contacts._apart` gives, from one pair after another."""
     size = np.linalg.norm(walked, axis=0)
     most = np.maximum(agents.reach, size)
@@ -277,7 +277,7 @@ def test_bodies_part_as_one_pair_after_another_says(looks: int, sweeps: int, sha
     near, again = near_of(built), near_of(built)
     which = np.random.default_rng(seed).random(len(near.i)) < (0.8 if looks > 1 else 1.1)
     which[near.gap == np.inf] = True
-    effort, work = contacts.Effort(looks, sweeps, 1), separation.arrays(ROWS, len(near.i))
+    effort, work = contacts.SolverEffort(looks, sweeps, 1), separation.arrays(ROWS, len(near.i))
     for each in (near, again):
         each.measure(stand["cut"], np.ones(ROWS, np.bool_))
     inputs = (stand["held"], stand["walked"], stand["deep"])
@@ -288,7 +288,7 @@ def test_bodies_part_as_one_pair_after_another_says(looks: int, sweeps: int, sha
     assert (np.abs(result - stand["cut"]).max(axis=0) > 1e-4).sum() > 20
 
 
-def cut_steps(near: NearPairs, approach, mass, walked, gap, path) -> np.ndarray:
+def cut_steps(near: NearbyPairs, approach, mass, walked, gap, path) -> np.ndarray:
     """Steps that are bent along what is in their way, and cut."""
     free = {}
     for n, (p, q) in enumerate(zip(near.i, near.j, strict=True)):
@@ -445,9 +445,9 @@ def test_who_is_stopped_faces_as_before_with_its_trunk() -> None:
 
 def test_rows_are_gathered() -> None:
     built, rows = bodies(4), np.array([3, 4, 50])
-    to = capsule_distances.Bodies(*np.empty((3, 3, 3)), *np.empty((2, 3)))
+    to = capsule_distances.CapsuleArrays(*np.empty((3, 3, 3)), *np.empty((2, 3)))
     single = [tuple(np.ascontiguousarray(each, np.float32)) for each in (built.ahead, built.up)]
-    crowd = capsule_distances.CrowdBodies(built.middle, *single, built.half, built.radius)
+    crowd = capsule_distances.CrowdCapsules(built.middle, *single, built.half, built.radius)
     capsule_distances.gather_bodies(rows, crowd, to)
     for result, expected in zip(to, (built.middle, *map(np.stack, single), built.half, built.radius), strict=True):
         assert np.array_equal(result, expected[..., rows])

@@ -12,8 +12,8 @@ from test_program import checked, complaints
 from antdsl import passes, plan
 from antdsl.runtime import Options, World, bind, checkpoint, restore, state_hash, step
 from antdsl.runtime.moving import capsules, contacts
-from antdsl.runtime.moving.capsules import Crowd, find_near_pairs, overlap_depths
-from antdsl.scene.setting import CrowdData, MeshData, PlaceData, Setting
+from antdsl.runtime.moving.capsules import CapsuleCrowd, find_near_pairs, overlap_depths
+from antdsl.scene.setting import CrowdData, MeshData, PlaceData, WorldSetting
 
 RESTING = """ant 1
 species ant {
@@ -53,7 +53,7 @@ def cluster(count: int, radius: float = 0.0) -> PlaceData:
 
 
 def world(*crowds: CrowdData, text: str = RESTING, options: Options | None = None, **setting_arguments: object) -> World:
-    setting = Setting(crowds=crowds, seed=3, **{"contacts": "hard", **setting_arguments})  # type: ignore[arg-type]
+    setting = WorldSetting(crowds=crowds, seed=3, **{"contacts": "hard", **setting_arguments})  # type: ignore[arg-type]
     return bind(plan_of(text), setting, options or Options(backend="numpy"))
 
 
@@ -193,7 +193,7 @@ def test_two_sides_of_a_thin_sheet_do_not_meet() -> None:
     for _ in range(30):
         step(bound_world)
     assert overlap_depths(bound_world).max() < 1e-3
-    crowd = Crowd(bound_world)
+    crowd = CapsuleCrowd(bound_world)
     middles = crowd.middle.T
     near = np.linalg.norm(middles[:, None] - middles[None], axis=2) < 1.5
     assert (
@@ -215,7 +215,7 @@ def test_who_is_frozen_by_a_fault_is_not_pushed() -> None:
 
 @pytest.mark.parametrize("n", [300, 600])
 def test_pairs_of_a_crowd_in_one_place_grow_with_it_and_not_with_its_square(n: int) -> None:
-    assert 40 * n < len(find_near_pairs(Crowd(world(CrowdData("ant", n, cluster(n))))).i) < 60 * n
+    assert 40 * n < len(find_near_pairs(CapsuleCrowd(world(CrowdData("ant", n, cluster(n))))).i) < 60 * n
 
 
 # --- crowds that want somewhere ---------------------------------------------------------------------------------------
@@ -255,13 +255,13 @@ def test_who_faces_as_before_has_its_trunk_where_that_puts_it(monkeypatch: pytes
     as_before: list[int] = []
     faced: list[float] = []
 
-    def counted(crowd: Crowd, near: capsules.NearPairs, stopped: np.ndarray, headings: object) -> None:
+    def counted(crowd: CapsuleCrowd, near: capsules.NearbyPairs, stopped: np.ndarray, headings: object) -> None:
         as_before.append(len(stopped))
         face(crowd, near, stopped, headings)  # type: ignore[arg-type]
 
-    def looked_at(near: capsules.NearPairs, *rest: object) -> np.ndarray:
+    def looked_at(near: capsules.NearbyPairs, *rest: object) -> np.ndarray:
         if len(faced) < len(as_before):  # before anybody is walked
-            faced.append(float(np.abs(near.middle - Crowd(bound_world).middle[:, near.rows]).max()))
+            faced.append(float(np.abs(near.middle - CapsuleCrowd(bound_world).middle[:, near.rows]).max()))
         return separate(near, *rest)  # type: ignore[arg-type]
 
     monkeypatch.setattr(contacts, "_restore_headings", counted)

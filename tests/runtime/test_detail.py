@@ -13,9 +13,9 @@ from typer.testing import CliRunner
 
 from antdsl.cli import app
 from antdsl.runtime import Options, bind, checkpoints, state_hash, step
-from antdsl.runtime.lod import Detail, Pieces, is_in_boxes
+from antdsl.runtime.lod import DetailLevels, MeshPieces, is_in_boxes
 from antdsl.scene.setting import DetailData, MeshData
-from antdsl.scene.staging.moves import MeshMoves, Moves
+from antdsl.scene.staging.moves import GeometryMoves, MeshMoves
 
 WORLD = "ant 1\nworld { obstacle stones }\n"
 FEELS = """species a { x = 0 mm
@@ -50,7 +50,7 @@ def test_pieces_hang_together_by_the_places_of_their_corners() -> None:
     corners = np.concatenate([v[f].reshape(-1, 3) for v, f in parts])  # no two faces share a corner's number
     lone = np.array([[99.0, 0, 0]])
     mesh = MeshData(np.concatenate([corners, lone]), np.arange(len(corners), dtype=np.int32).reshape(-1, 3))
-    low, high = Pieces(mesh).boxes(mesh.vertices)
+    low, high = MeshPieces(mesh).boxes(mesh.vertices)
     boxes = sorted(zip(low.round(3).tolist(), high.round(3).tolist(), strict=True))
     assert boxes[1] == ([10, 1, 2], [13, 4, 6]) and len(boxes) == 2  # boxes that touch in a corner are one piece
     assert boxes[0][1][1] == 5.0
@@ -60,7 +60,7 @@ def test_pieces_hang_together_by_the_places_of_their_corners() -> None:
 def test_boxes_go_with_their_obstacle() -> None:
     poses = np.repeat(np.eye(3, 4)[None], 4, axis=0)
     poses[:, 2, 3] = (0, 3, 6, 9)
-    moves = Moves(meshes={"stones": MeshMoves.rigid(poses, len(BALL["stones"].vertices))})
+    moves = GeometryMoves(meshes={"stones": MeshMoves.rigid(poses, len(BALL["stones"].vertices))})
     at = crowd(at=[(0, -9), (0, 9), (0, 18)])
     data = DetailData(np.array([[0.0, 100.0, 0.0]]), 50.0)
     history = play(FEELS, at, steps=4, world=WORLD, obstacles=BALL, detail=data, moves=moves)
@@ -193,7 +193,7 @@ def test_the_camera_is_part_of_the_result_only_where_it_counts(folder: Path) -> 
 def test_levels_go_by_the_scene_moved_to_its_middle() -> None:
     """Far from zero a scene is bound about its own middle; the camera with it."""
     middle = np.array([1e6, 0, 0])
-    detail = Detail(DetailData(np.add(middle, [[0, 0, 0], [0, 0, 9], [0, 0, 20]]), 10.0, first=5), middle, {})
+    detail = DetailLevels(DetailData(np.add(middle, [[0, 0, 0], [0, 0, 9], [0, 0, 20]]), 10.0, first=5), middle, {})
     positions = np.array([[0, 0, 5], [0, 0, 15]], np.float32)
     levels = [detail._find_levels_at(positions, frame).tolist() for frame in (0, 5, 6, 7, 99)]
     assert levels == [[0, 1], [0, 1], [0, 0], [1, 0], [1, 0]]  # a camera that moves; before and after it stands

@@ -13,14 +13,14 @@ from test_cli import antdsl
 from antdsl.bodies.shapes import sphere
 from antdsl.fields.cells import SurfaceCells
 from antdsl.fields.growing import GrowingCells
-from antdsl.ground.combined import Terrain
+from antdsl.ground.combined import CombinedGround
 from antdsl.ground.mesh.topology import facing_sides
 from antdsl.ground.protocol import Footing
 from antdsl.ground.solid import Volume
 from antdsl.ground.solid_feelers import SolidFeelers
 from antdsl.outputs.cache.cache_reader import open_cache
 from antdsl.outputs.cache.dug_solids import DugSolids
-from antdsl.outputs.cutting import Cut
+from antdsl.outputs.cutting import CutPlane
 from antdsl.pipeline import Shot
 from antdsl.runtime import CheckpointError, Options, World, bind, checkpoint, restore, state_hash, step
 
@@ -257,7 +257,7 @@ def test_cells_are_found_alike_however_many_are_looked_up(dense, monkeypatch):
     """Rows of the nearest and cells near a place, one by one and all at once, in a box that is listed and in one that is not."""
     from antdsl.fields import cells as cell_tables
 
-    monkeypatch.setattr(cell_tables, "_DENSE", dense)
+    monkeypatch.setattr(cell_tables, "_MAX_DENSE_VOXELS", dense)
     cells, draw = GrowingCells([digging_shots.hill()], 3.0), np.random.default_rng(3)
     cells.nearest(5)
     for _ in range(6):
@@ -328,7 +328,7 @@ def test_who_hangs_from_a_ceiling_that_is_dug_away_falls_to_the_floor(shot):
 def test_one_solid_is_hard_for_who_walks_on_another(shot):
     ball, faces = sphere(3)
     solids = {name: Volume.from_mesh(ball * 10 + [at, 0, 0], faces, 1.0) for name, at in (("one", 0.0), ("two", 12.0))}
-    ground = Terrain(None, solids, np.array([0.0, 1.0, 0.0]))
+    ground = CombinedGround(None, solids, np.array([0.0, 1.0, 0.0]))
     place, is_placed = ground.place(np.array([[0.0, 20.0, 0.0]]), np.array([0.0, 1.0, 0.0]))
     assert is_placed[0] and place.mesh[0] == 0
     up, direction = np.array([[0.0, 1.0, 0.0]]), np.array([[1.0, 0.0, 0.0]])
@@ -345,8 +345,8 @@ def test_a_cut_shows_the_inside(scene, shot):
     world = bound(shot)
     hill = world.solids["hill"]
     hill.carve(np.array([[0.0, 6.0, 0.0]]), np.array([4.0]), np.zeros(1, np.int64))
-    cut = Cut.of("z > 0.5")
-    assert cut is not None and Cut.of("z = 3") is None and Cut.of("z > 0; x") is None
+    cut = CutPlane.of("z > 0.5")
+    assert cut is not None and CutPlane.of("z = 3") is None and CutPlane.of("z > 0; x") is None
     opened = cut.cut_volume(hill, np.zeros(3), 1.0)
     vertices = np.concatenate([v for _, v, f in opened.surface(changed_only=False)])
     assert vertices[:, 2].max() == pytest.approx(0.5, abs=0.01)

@@ -14,10 +14,10 @@ from sampling import sampled
 
 from antdsl.plan import ir
 from antdsl.plan.traverse import blocks, statements
-from antdsl.program.tables.effects import EFFECTS
-from antdsl.program.tables.set_senses import GIVES_SET
-from antdsl.program.tables.vocabulary import REDUCERS
-from antdsl.runtime import BindingCache, Options, Setting, World, bind, state_hash, step
+from antdsl.program.tables.effects import EFFECT_BY_OPERATION
+from antdsl.program.tables.set_senses import SET_RESULT_OPERATIONS
+from antdsl.program.tables.vocabulary import REDUCER_HELP
+from antdsl.runtime import BindingCache, Options, World, WorldSetting, bind, state_hash, step
 from antdsl.runtime.backends import BACKENDS
 
 # How each backend is run: with parts larger and smaller than the crowd, and more threads than it has agents.
@@ -30,7 +30,7 @@ CONTACTS = ("off", "soft", "hard")  # as `empty_crowds.setting` has them by its 
 COMBINATIONS = [f"{who} {life.name}" for who in WHO for life in LIVES]
 
 
-def run(setting: Setting, options: Options, built: BindingCache, size: Size) -> tuple[list[str], World]:
+def run(setting: WorldSetting, options: Options, built: BindingCache, size: Size) -> tuple[list[str], World]:
     world = bind(empty_crowds.plan(size), setting, options, built=built)
     hashes = [state_hash(world)]
     for _ in range(FRAMES):
@@ -58,12 +58,14 @@ def held_against_each_other(case: str, kind: str, seed: int, size: Size, backend
 def test_the_program_has_every_sense_set_reduction_and_effect() -> None:
     assert set(OPTIONS_BY_BACKEND) == set(BACKENDS)
     assert empty_crowds.words() <= {word for word, _ in empty_crowds.samples()}
-    assert set(empty_crowds.REDUCTIONS) == set(OF_NONE) == set(REDUCERS)
-    assert {each.partition("(")[0] for each in empty_crowds.sets()} == GIVES_SET
+    assert set(empty_crowds.REDUCTIONS) == set(OF_NONE) == set(REDUCER_HELP)
+    assert {each.partition("(")[0] for each in empty_crowds.sets()} == SET_RESULT_OPERATIONS
     plan = empty_crowds.plan()
     all_statements = [each for species in plan.species.values() for _, block in blocks(species) for _, each in statements(block)]
-    assert {each.op for each in all_statements if isinstance(each, ir.Request)} == set(EFFECTS)
-    assert {node.op for node in plan.nodes} >= {op for op in ir.OPS if op.startswith(("set.", "reduce."))} - {"reduce.nth_item"}
+    assert {each.op for each in all_statements if isinstance(each, ir.Request)} == set(EFFECT_BY_OPERATION)
+    assert {node.op for node in plan.nodes} >= {op for op in ir.OPERATION_BY_NAME if op.startswith(("set.", "reduce."))} - {
+        "reduce.nth_item"
+    }
 
 
 SAMPLE = ("asker not_in_the_middle", "rabbit not_in_the_middle", "everybody not_at_the_end")

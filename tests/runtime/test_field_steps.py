@@ -9,7 +9,7 @@ from scipy.sparse import csr_array
 from antdsl.fields import cells as cell_tables
 from antdsl.fields.cells import SurfaceCells
 from antdsl.fields.growing import GrowingCells
-from antdsl.fields.pheromone import FLUSH, LARGEST_DEPOSIT, UNIT, PheromoneField
+from antdsl.fields.pheromone import DEPOSIT_UNIT, FLUSH_THRESHOLD, MAX_DEPOSIT, PheromoneField
 
 SLOPE = (np.array([[0, 0, 0], [60, 0, 0], [60, 60, 12], [0, 60, 0]], float), np.array([[0, 1, 2], [0, 2, 3]]))
 
@@ -21,7 +21,7 @@ class Plainly:
         self.field, self.values, self.pending = field, np.zeros(len(field.cells)), np.zeros(len(field.cells))
 
     def deposit(self, cells: np.ndarray, amounts: np.ndarray) -> None:
-        rounded_amounts = np.rint(np.minimum(amounts.astype(np.float64), LARGEST_DEPOSIT) / UNIT) * UNIT
+        rounded_amounts = np.rint(np.minimum(amounts.astype(np.float64), MAX_DEPOSIT) / DEPOSIT_UNIT) * DEPOSIT_UNIT
         (np.add if self.field.combine == "add" else np.maximum).at(self.pending, cells, rounded_amounts)
 
     def land(self) -> None:
@@ -39,7 +39,7 @@ class Plainly:
         self.values = self.values * float(np.float32(keep))
         if not self.field.deposits_first:
             self.land()
-        self.values[self.values < FLUSH] = 0.0
+        self.values[self.values < FLUSH_THRESHOLD] = 0.0
 
 
 def bits(array):
@@ -81,7 +81,7 @@ def test_a_field_that_is_full_everywhere_spreads_as_arrays_do(first):
 
 @pytest.mark.parametrize("kind, dense", [*product((SurfaceCells, GrowingCells), (8_000_000, 0))])
 def test_cells_of_agents_are_those_of_their_voxel_and_side(monkeypatch, kind, dense):
-    monkeypatch.setattr(cell_tables, "_DENSE", dense)
+    monkeypatch.setattr(cell_tables, "_MAX_DENSE_VOXELS", dense)
     cells, rng, known, buffer = kind([SLOPE], 2.0), np.random.default_rng(1), None, None
     points = rng.random((3, 1500)).T * [60, 60, 12]
     points[:, 2] = points[:, 0] * points[:, 1] / 300

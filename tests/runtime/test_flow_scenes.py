@@ -15,9 +15,9 @@ from antdsl.outputs.cache.cache_reader import open_cache
 from antdsl.outputs.gallery import Gallery
 from antdsl.outputs.pictures import Camera, render_frame
 from antdsl.outputs.recording import begin, record
-from antdsl.pipeline import Choices, Shot, open_scene, simulate
+from antdsl.pipeline import RunChoices, Shot, open_scene, simulate
 from antdsl.runtime import Options, state_hash
-from antdsl.scene.setting import BorderFlow, Painted, SolvedFlow, SpreadFlow
+from antdsl.scene.setting import BorderFlow, PaintedValues, SolvedFlow, SpreadFlow
 
 PROGRAM = """ant 1
 use steering
@@ -76,7 +76,7 @@ def folder(tmp_path: Path) -> Path:
 
 def opened(folder: Path, scene: str = SCENE, **choices: object) -> tuple[Shot | None, Report]:
     (folder / "scene.yaml").write_text(scene)
-    return open_scene(folder / "scene.yaml", Choices(**choices))  # type: ignore[arg-type]
+    return open_scene(folder / "scene.yaml", RunChoices(**choices))  # type: ignore[arg-type]
 
 
 def drift(folder: Path, text: str) -> object:
@@ -110,7 +110,7 @@ def test_every_form_of_a_flow(folder: Path) -> None:
     assert isinstance(flow, SolvedFlow) and flow.maps == {"damp": 4} and flow.every == pytest.approx(2 / 24)
     assert (flow.slope, flow.clearance, flow.crowding) == (2, 5, 1.5)
     flow = drift(folder, "{painted: damp.npz, attribute: comb, strength: 0.25}")
-    assert isinstance(flow, Painted) and flow.surface == "ground" and np.allclose(flow.values, 0.25)
+    assert isinstance(flow, PaintedValues) and flow.surface == "ground" and np.allclose(flow.values, 0.25)
 
 
 def test_the_file_of_a_flow_is_an_input_of_the_cache(folder: Path) -> None:
@@ -142,7 +142,7 @@ def test_attributes_of_ply_files_turn_with_their_mesh(folder: Path, text: bool) 
     shot, report = opened(folder, scene)
     assert shot is not None, report.errors
     flow, damp = shot.setting.flows["drift"], shot.setting.maps["damp"]
-    assert isinstance(flow, Painted) and flow.values.shape == (n - 1, 3)
+    assert isinstance(flow, PaintedValues) and flow.values.shape == (n - 1, 3)
     # z of a file with z as its up is the scene's y; turned about x to z, then about z it stays; the mirror turns it back
     assert np.allclose(flow.values, [[0, 0, -0.5]]) and np.allclose(damp.values, 0.2)
     shot, report = opened(folder, scene.replace("attribute: wind", "attribute: [wind_z, wind_x, moss]"))

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from antdsl.pipeline import Choices, Shot, open_scene
+from antdsl.pipeline import RunChoices, Shot, open_scene
 from antdsl.program.types.folding import constant_behind
 from antdsl.runtime import bind, step
 
@@ -19,7 +19,7 @@ RUNS = ("default", "reward_0", "no_decay", "reward_50", "ants_100", "fields", "s
 
 
 def opened(name: str) -> Shot:
-    shot, report = open_scene(STUDY / f"{name}.yaml", Choices(seed=3))
+    shot, report = open_scene(STUDY / f"{name}.yaml", RunChoices(seed=3))
     assert shot is not None and not report.diagnostics, [(d.code, d.message) for d in report.diagnostics]
     return shot
 

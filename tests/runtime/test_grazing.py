@@ -12,12 +12,12 @@ from plan_text import plan_of
 from test_program import checked, complaints
 
 from antdsl import passes, plan
-from antdsl.fields.pheromone import UNIT
+from antdsl.fields.pheromone import DEPOSIT_UNIT
 from antdsl.machine_code import machine
 from antdsl.plan.registers import statement_numbers
-from antdsl.runtime import FieldStart, MeshData, Options, Setting, World, bind, state_hash, step
+from antdsl.runtime import FieldStart, MeshData, Options, World, WorldSetting, bind, state_hash, step
 from antdsl.runtime.backends.reference import AgentRun, apply_claims
-from antdsl.runtime.requests import Effects
+from antdsl.runtime.requests import EffectRequests
 
 SHEEP = Path(__file__).parents[1] / "programs" / "sheep.ant"
 NATIVE = Options(backend="native", chunk=8, threads=2, shuffle_rows=5, wait_for_code=True)
@@ -25,13 +25,13 @@ EVERY = (*OPTION_SETS, NATIVE) if machine.is_available() else OPTION_SETS
 WORLD = "ant 1\nworld { surface ground; items food { load = 10 } }\nfield grass on ground { cell 10 mm }\n"
 
 
-def pasture(sheep: int, tufts: int = 0, growth: float = 0.0, seed: int = 1) -> tuple[object, Setting]:
+def pasture(sheep: int, tufts: int = 0, growth: float = 0.0, seed: int = 1) -> tuple[object, WorldSetting]:
     """The test program, on a meadow of 15 by 15 cells with 3 in each."""
     program, report = checked(SHEEP.read_text(encoding="utf-8"))
     assert report.ok, complaints(report)
     lowered, report = plan.lower(program)
     assert report.ok
-    setting = Setting(
+    setting = WorldSetting(
         seed=seed,
         surfaces={"meadow": MeshData(*meshes.grid(290.0, 6))},
         crowds=(crowd(sheep, "sheep", radius=60), crowd(tufts, "tuft", radius=120)),
@@ -43,7 +43,7 @@ def pasture(sheep: int, tufts: int = 0, growth: float = 0.0, seed: int = 1) -> t
 
 def units(values: np.ndarray) -> int:
     """Their sum in units of a deposit, each of which has to be whole."""
-    deposit_units = np.asarray(values, np.float64) / UNIT
+    deposit_units = np.asarray(values, np.float64) / DEPOSIT_UNIT
     assert np.array_equal(deposit_units, np.rint(deposit_units))
     return int(deposit_units.astype(np.int64).sum())
 
@@ -70,9 +70,9 @@ def test_grass_and_what_was_eaten_are_together_what_was_there(frames: int) -> No
         assert mass(world) == start_mass
         crowded += shared(world) > 1
         lost += int(np.count_nonzero(waiting & (sheep.now["main.state"] == graze)))
-    eaten = units(world.populations["sheep"].now["load"]) * UNIT
+    eaten = units(world.populations["sheep"].now["load"]) * DEPOSIT_UNIT
     assert crowded == frames and lost > 5, "several stood on one cell, and some came too late"
-    assert start_mass * UNIT > 600 and eaten > 60
+    assert start_mass * DEPOSIT_UNIT > 600 and eaten > 60
     assert world.fields["grass"].values.min() == 0.0
 
 
@@ -82,7 +82,7 @@ def test_grass_that_grows_is_what_was_laid_and_nothing_else() -> None:
     start_mass = mass(world)
     for frame in range(1, 101):
         step(world)
-        assert mass(world) == start_mass + frame * 30 * round(1 / 32 / UNIT)
+        assert mass(world) == start_mass + frame * 30 * round(1 / 32 / DEPOSIT_UNIT)
 
 
 def test_all_backends_graze_alike() -> None:
@@ -104,7 +104,7 @@ def play(lines: str, at: list[tuple[float, float]], steps: int, start: float, de
     text = f"species a {{ {declared}\nstart p\nstate p {{ {lines} }}\nstate q {{ when false -> p }} }}"
     optimised_plan = passes.optimise(plan_of(text, WORLD))
     ground = {"ground": MeshData(*meshes.grid(60.0, 4))}
-    setting = Setting(seed=7, surfaces=ground, crowds=(crowd(at=at),), field_start={"grass": FieldStart(start, None, None)},
+    setting = WorldSetting(seed=7, surfaces=ground, crowds=(crowd(at=at),), field_start={"grass": FieldStart(start, None, None)},
                       items={"food": ()})  # fmt: skip
     hashes, world = set(), None
     for options in OPTION_SETS:
@@ -164,7 +164,7 @@ def test_all_that_an_item_has_can_be_taken_too() -> None:
     text = "species a { load = 0\nstart p\nstate p { when true take all load from nearest(food) -> q }\n"
     text += "state q { when false -> p } }"
     optimised_plan = passes.optimise(plan_of(text, WORLD))
-    setting = Setting(seed=7, surfaces={"ground": MeshData(*meshes.grid(60.0, 4))}, crowds=(crowd(at=[(0, 0)] * 3),),
+    setting = WorldSetting(seed=7, surfaces={"ground": MeshData(*meshes.grid(60.0, 4))}, crowds=(crowd(at=[(0, 0)] * 3),),
                       items={"food": (item("f", 0, 0, load=6.5),)})  # fmt: skip
     for options in OPTION_SETS:
         world = bind(optimised_plan, setting, options)
@@ -193,7 +193,7 @@ def test_an_agent_that_is_run_again_gets_all_that_it_was_given() -> None:
     """As `explain` does: the reference takes one agent through the step, with what the world has settled."""
     text = "species a { load = 0.1; seen = 0\nstart p\nstate p { when true take all load from grass -> q { seen = load } }\n"
     optimised_plan = passes.optimise(plan_of(text + "state q { when false -> p } }", WORLD))
-    setting = Setting(seed=7, surfaces={"ground": MeshData(*meshes.grid(60.0, 4))}, crowds=(crowd(at=[(0, 0)] * 2),),
+    setting = WorldSetting(seed=7, surfaces={"ground": MeshData(*meshes.grid(60.0, 4))}, crowds=(crowd(at=[(0, 0)] * 2),),
                       field_start={"grass": FieldStart(1.3, None, None)}, items={"food": ()})  # fmt: skip
     world, again = bind(optimised_plan, setting), []
 
@@ -201,7 +201,7 @@ def test_an_agent_that_is_run_again_gets_all_that_it_was_given() -> None:
         ants = world.populations["a"]
         for row in range(len(ants)):
             now = {name: array[row : row + 1].copy() for name, array in ants.start.items()}
-            agent = AgentRun(world, ants, row, now, 0, Effects(), statement_numbers(ants.plan))
+            agent = AgentRun(world, ants, row, now, 0, EffectRequests(), statement_numbers(ants.plan))
             agent.run("decide")
             apply_claims(agent, ants)
             agent.run("act")

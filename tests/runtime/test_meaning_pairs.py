@@ -11,7 +11,7 @@ from plan_text import plan_of
 
 from antdsl.passes import optimise
 from antdsl.plan.registers import slot_names
-from antdsl.runtime import FaultStop, Options, Setting, World, bind, checkpoint, restore, state_hash, step
+from antdsl.runtime import FaultStop, Options, World, WorldSetting, bind, checkpoint, restore, state_hash, step
 
 NATIVE = Options(backend="native", wait_for_code=True, chunk=16, shuffle_rows=5)
 EVERY_WAY = (*OPTION_SETS, NATIVE)
@@ -155,7 +155,7 @@ def test_what_is_no_number_is_refused_by_its_name() -> None:
 
 def test_a_checkpoint_goes_on_to_the_same_values() -> None:
     plan = optimise(plan_of(CROWD))
-    setting = Setting(fps=Fraction(10), crowds=(crowd(at=TEN.tolist()),))
+    setting = WorldSetting(fps=Fraction(10), crowds=(crowd(at=TEN.tolist()),))
     world, hashes = bind(plan, setting, Options(backend="numpy")), []
     for number in range(14):
         if number == 7:

@@ -14,7 +14,7 @@ from antdsl import plan
 from antdsl.passes import optimise
 from antdsl.pipeline import compile_files
 from antdsl.plan import ir
-from antdsl.runtime import MeshData, Setting, World
+from antdsl.runtime import MeshData, World, WorldSetting
 
 PROGRAMS = Path(__file__).parents[1] / "programs"
 
@@ -34,7 +34,7 @@ def ring(radius: float) -> np.ndarray:
 
 def test_hunters_chase_rabbits_and_rabbits_run() -> None:
     ground = MeshData(*meshes.grid(260.0, 10))
-    setting = Setting(
+    setting = WorldSetting(
         fps=Fraction(24), surfaces={"ground": ground}, curves={"arena": ring(100.0)}, seed=4,
         crowds=(crowd(4, "hunter", radius=60), crowd(12, "rabbit", radius=60)),
     )  # fmt: skip
@@ -64,7 +64,7 @@ def test_all_people_leave_the_building_by_an_open_exit() -> None:
     vertices = np.concatenate([w[0] for w in walls])
     faces = np.concatenate([w[1] + 8 * k for k, w in enumerate(walls)])
     exits = (item("east", 5000, 0, 600, open=1), item("west", -2000, 0, 600, open=0))
-    setting = Setting(
+    setting = WorldSetting(
         fps=Fraction(12), seed=2, surfaces={"floor": MeshData(*meshes.grid(14000.0, 6))},
         obstacles={"walls": MeshData(vertices, faces)}, items={"exits": exits}, crowds=(crowd(16, "person", radius=1300),),
     )  # fmt: skip

@@ -311,7 +311,7 @@ state rest { when nearest(a) -> hunt } }"""
 
 
 def test_a_spawn_in_each_step_stops_at_the_cap(monkeypatch):
-    monkeypatch.setattr(limits, "AGENTS", 20)
+    monkeypatch.setattr(limits, "MAX_AGENTS", 20)
     text = "species a { start p\nstate p { when true -> q { spawn a } }\nstate q { when true -> p { spawn a } } }"
     history = play(text, crowd(1), steps=7)
     assert [len(frame["a"]["id"]) for frame in history.frames] == [1, 2, 4, 8, 16, 20, 20, 20]

@@ -11,7 +11,7 @@ from antdsl.passes import optimise
 from antdsl.plan import lower
 from antdsl.reload import take_over
 from antdsl.runtime import Options, World, bind, checkpoint, restore, state_hash, step
-from antdsl.scene.setting import Setting
+from antdsl.scene.setting import WorldSetting
 
 EVERY_WAY = (*OPTION_SETS, Options(backend="native", wait_for_code=True, chunk=16, shuffle_rows=5))
 # Trunks of balls are as wide as they are long: two of 10 mm touch where their places are 10 mm apart.
@@ -97,7 +97,7 @@ def test_only_who_was_pushed_turns_away_at_once() -> None:
 
 
 def pressed(options: Options, text: str = RESTING) -> World:
-    setting = Setting(crowds=(crowd(60, "prey", radius=30.0),), seed=3, contacts="hard")
+    setting = WorldSetting(crowds=(crowd(60, "prey", radius=30.0),), seed=3, contacts="hard")
     text = text.replace(
         "steer 0 * heading", "steer rotate(heading, about: up, by: id * 77 deg) * (if far > 1 mm then 0.2 else 1)"
     )

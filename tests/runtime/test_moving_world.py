@@ -16,7 +16,7 @@ from antdsl.ground.moving import MovingGround
 from antdsl.outputs.cache.cache_reader import open_cache
 from antdsl.outputs.gallery import Gallery
 from antdsl.outputs.recording import begin, record
-from antdsl.pipeline import Choices, Shot, open_scene, simulate
+from antdsl.pipeline import RunChoices, Shot, open_scene, simulate
 from antdsl.runtime import Options, World, checkpoint, restore, state_hash, step
 from antdsl.scene import PathRefused, Roots
 from antdsl.scene.geometry.matrices import apply_transforms, still
@@ -187,7 +187,7 @@ def test_more_frames_than_memory_are_refused_before_they_are_read(folder: Path, 
     from antdsl import limits
 
     sequence(folder, "wall", range(1, 14), lambda f: meshes.box((-10, -10 + f, -10), (10, 10 + f, 10)))
-    monkeypatch.setattr(limits, "MOVES_BYTES", 3000)
+    monkeypatch.setattr(limits, "MAX_MOTION_BYTES", 3000)
     _, report = open_with(folder, scene=SCENE.replace("wall.obj", "wall.###.obj"))
     assert [d.code for d in report.errors] == ["too-large"]
 
@@ -451,7 +451,7 @@ def test_a_camera_of_a_usd_file_moves_in_pictures(tmp_path: Path) -> None:
     import usd_sets
 
     path = usd_sets.write_usd(tmp_path / "assets", tmp_path / "usd")
-    opened_shot, report = open_scene(path, Choices({"assets": tmp_path / "assets"}))
+    opened_shot, report = open_scene(path, RunChoices({"assets": tmp_path / "assets"}))
     assert opened_shot is not None, report.errors
     run = begin(opened_shot, tmp_path / "cache", Options(), resume=False, force=False)
     for state in record(run):

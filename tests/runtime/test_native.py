@@ -13,17 +13,17 @@ from meaning import crowd, item, play
 
 from antdsl import limits
 from antdsl.machine_code import machine
-from antdsl.machine_code.kinds import BOOL, F32, I32, WIDTH
+from antdsl.machine_code.kinds import BOOL, F32, I32, LANE_COUNT
 from antdsl.machine_code.lanes import elementwise
-from antdsl.machine_code.module import Module
-from antdsl.numerics.elementwise import ELEMENTWISE
+from antdsl.machine_code.module import LlvmModule
+from antdsl.numerics.elementwise import FUNCTION_BY_NAME
 from antdsl.pipeline import open_scene
 from antdsl.plan import ir
 from antdsl.runtime import FaultStop, Options, World, bind, state_hash, step
 from antdsl.runtime.backends.native import backend as native_backend
 from antdsl.runtime.backends.native import listing, ready, runner, stored
 from antdsl.runtime.backends.native.block import FunctionWriter
-from antdsl.runtime.backends.native.layout import Layout
+from antdsl.runtime.backends.native.layout import AddressLayout
 
 pytestmark = pytest.mark.skipif(not machine.is_available(), reason="llvmlite is not installed")
 
@@ -39,12 +39,12 @@ SPECIAL = (0.0, -0.0, np.inf, -np.inf, np.nan, 1e30, -1e30, 1e-40, 1.0, -1.0, 0.
 
 def loop(op: str) -> tuple[str, tuple[str, ...], str]:
     """A module that applies an operation to arrays: its text, the kinds of its operands and of its result."""
-    kinds = (I32,) if op == "number" else tuple(KINDS[letter] for letter in ir.OPS[op].args)
-    module = Module(machine.host())
-    w = FunctionWriter(module, Layout({(k,): k for k in range(len(kinds) + 1)}))
-    name = elementwise(module, "of_lanes", kinds, ELEMENTWISE[op])
+    kinds = (I32,) if op == "number" else tuple(KINDS[letter] for letter in ir.OPERATION_BY_NAME[op].args)
+    module = LlvmModule(machine.host())
+    w = FunctionWriter(module, AddressLayout({(k,): k for k in range(len(kinds) + 1)}))
+    name = elementwise(module, "of_lanes", kinds, FUNCTION_BY_NAME[op])
     kind = F32 if module.functions[name].startswith("define internal <8 x float>") else BOOL
-    with w.e.loop(w.end, WIDTH) as at:
+    with w.e.loop(w.end, LANE_COUNT) as at:
         value = w.e.call(name, kind, *(w.e.read(w.base(k), at, each) for k, each in enumerate(kinds)))
         w.e.write(w.base(len(kinds)), at, value)
     w.add("of_arrays")
@@ -63,7 +63,7 @@ def random_values(kind: str, seed: int, count: int) -> Any:
     return values
 
 
-@pytest.mark.parametrize("op", sorted(ELEMENTWISE))
+@pytest.mark.parametrize("op", sorted(FUNCTION_BY_NAME))
 def test_an_operation_gives_the_bits_of_numpy(op: str) -> None:
     text, kinds, kind = loop(op)
     code = machine.load(machine.object_code(text, machine.host()))
@@ -73,7 +73,7 @@ def test_an_operation_gives_the_bits_of_numpy(op: str) -> None:
     table = np.array([each.ctypes.data for each in (*operands, results)], np.int64)
     code.function("of_arrays")(table.ctypes.data, 0, count)
     with np.errstate(all="ignore"):
-        expected = ELEMENTWISE[op](*operands)
+        expected = FUNCTION_BY_NAME[op](*operands)
     if kind == F32:
         nan = np.isnan(expected)
         assert np.array_equal(nan, np.isnan(results)) and nan.sum() < count
@@ -151,7 +151,7 @@ def test_of_many_neighbours_the_nearest_count(radius: float) -> None:
         DENSE, crowd(700, radius=radius), steps=2, option_sets=(*OPTION_SETS[:2], replace(NATIVE, chunk=200, shuffle_rows=3))
     )
     counts = np.array(history["near_by"])
-    assert counts.max() == limits.NEIGHBOURS and (radius == 0 or len(set(history["mood"])) > 1)
+    assert counts.max() == limits.MAX_QUERY_NEIGHBOURS and (radius == 0 or len(set(history["mood"])) > 1)
 
 
 def test_a_crowd_in_one_sheet_that_comes_to_lie_level_is_searched_as_before() -> None:
@@ -170,7 +170,7 @@ def test_a_crowd_in_one_sheet_that_comes_to_lie_level_is_searched_as_before() ->
 
 
 def test_too_many_in_a_radius_are_reported_as_by_numpy(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(limits, "WITHIN_RADIUS", 300)
+    monkeypatch.setattr(limits, "MAX_CANDIDATES_IN_RADIUS", 300)
     monkeypatch.setattr(stored, "subject", lambda *plan: None)  # what is stored is for the limit of the sources
     messages = []
     for options in (NUMPY, NATIVE):
@@ -245,15 +245,15 @@ def test_code_that_becomes_ready_in_mid_run_changes_nothing(monkeypatch: pytest.
 @pytest.mark.parametrize("options", [NUMPY, NATIVE])
 def test_without_llvmlite_binding_names_the_package(options: Options, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(machine, "unavailable", lambda: "llvmlite is not installed: pip install it")
-    with pytest.raises(machine.NoMachineCode, match="llvmlite is not installed: pip install it"):
+    with pytest.raises(machine.MachineCodeUnavailable, match="llvmlite is not installed: pip install it"):
         rich(options)
 
 
 WIDE = dict.fromkeys(("avx2", "fma", "fma4", "avx512f", "avx512vl", "avx512dq", "avx512bw", "avx512vbmi2"), True)
 TARGETS = {
     "host": machine.host,
-    "with fma": lambda: replace(machine.ANY, features="+avx2,+fma"),
-    "of 512 bits": lambda: machine.Target(machine.ANY.triple, "icelake-server", machine.format_features(WIDE)),
+    "with fma": lambda: replace(machine.PORTABLE_TARGET, features="+avx2,+fma"),
+    "of 512 bits": lambda: machine.Target(machine.PORTABLE_TARGET.triple, "icelake-server", machine.format_features(WIDE)),
     "arm": lambda: machine.Target("aarch64-unknown-linux-gnu", "cortex-a72", "+neon"),
 }
 FUSED = ("fmadd", "fmsub", "fnmadd", "fnmsub", "fmla", "fmls")
@@ -294,7 +294,7 @@ def reference_operations(program: str, monkeypatch: pytest.MonkeyPatch) -> list[
         [],
     )
 
-    def value(agent: native_backend.AgentRun, node: ir.Node) -> Any:
+    def value(agent: native_backend.AgentRun, node: ir.PlanNode) -> Any:
         node_names.append(node.op)
         return plain(agent, node)
 
@@ -352,7 +352,7 @@ def test_rows_are_shared_out_among_threads_in_whole_eights() -> None:
         (100_000, 16_384, 2, 25),
     ):
         size = runner._part_size(count, chunk, threads)
-        assert size % WIDTH == 0 and -(-count // size) == parts, (count, chunk, threads)
+        assert size % LANE_COUNT == 0 and -(-count // size) == parts, (count, chunk, threads)
 
 
 def test_what_is_machine_code_is_listed() -> None:

@@ -43,15 +43,15 @@ def afresh(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Callable[[], list
         return make(text, target)
 
     def begin() -> list[str]:
-        while ready._requests:  # by worlds of other tests, which did not wait
+        while ready._pending_requests:  # by worlds of other tests, which did not wait
             ready._worker().submit(int).result()
         compiled.clear()
         cache = object_cache.ObjectCache(tmp_path / "code")
         objects = functools.cache(lambda: cache)
         objects()
         monkeypatch.setattr(codes, "_objects", objects)
-        monkeypatch.setattr(codes, "_known", OrderedDict())
-        monkeypatch.setattr(ready, "_plans", WeakKeyDictionary())
+        monkeypatch.setattr(codes, "_code_by_key", OrderedDict())
+        monkeypatch.setattr(ready, "_code_by_plan", WeakKeyDictionary())
         monkeypatch.setattr(machine, "object_code", noted)
         return compiled
 
@@ -138,7 +138,7 @@ def test_whatever_a_text_depends_on_changes_the_key_of_its_plan(monkeypatch: pyt
         key(other),
         key(facts=ready.WorldFacts(True, False)),
         key(facts=ready.WorldFacts(False, True)),
-        key(target=machine.ANY),
+        key(target=machine.PORTABLE_TARGET),
     ]
     keys.append(key(facts=ready.WorldFacts(False, False, timed=True)))
     assert key() == key(edited())
@@ -177,7 +177,7 @@ def test_the_latest_request_is_compiled_first_and_one_without_a_waiter_is_not_co
     texts = [ready.program(each.plan, each.backend.blocks, still, machine.host()) for each in worlds[::2]]  # type: ignore[attr-defined]
     assert blocks == [each.units["a.act.0"] for each in reversed(texts)] and len(blocks) == 4
     ready._worker().submit(int).result()
-    assert not ready._requests
+    assert not ready._pending_requests
 
 
 def test_however_many_programs_step_in_turn_each_gets_its_code_and_asks_once(
@@ -191,7 +191,7 @@ def test_however_many_programs_step_in_turn_each_gets_its_code_and_asks_once(
         return requests[-1]
 
     monkeypatch.setattr(native_backend, "start_building", beside)
-    monkeypatch.setattr(native_backend, "_LOADING", 0.0)
+    monkeypatch.setattr(native_backend, "_MIN_STEP_SECONDS", 0.0)
     worlds = [bind(each.plan, each.setting, Options(backend="native")) for each in programs_saved(7)]
     go = Event()
     ready._worker().submit(go.wait)
@@ -208,17 +208,17 @@ def test_however_many_programs_step_in_turn_each_gets_its_code_and_asks_once(
 
 def test_a_world_that_is_gone_has_no_code_made(afresh: Callable[[], list[str]], monkeypatch: pytest.MonkeyPatch) -> None:
     compiled, go = afresh(), Event()
-    monkeypatch.setattr(native_backend, "_LOADING", 0.0)
+    monkeypatch.setattr(native_backend, "_MIN_STEP_SECONDS", 0.0)
     (saved,) = programs_saved(1)
     world = bind(saved.plan, saved.setting, Options(backend="native"))
     ready._worker().submit(go.wait)
     for _ in range(2):
         step(world)
-    assert len(ready._requests) == 1
+    assert len(ready._pending_requests) == 1
     del world
     gc.collect()
     go.set()
-    while ready._requests:
+    while ready._pending_requests:
         ready._worker().submit(int).result()
     assert compiled == []
 
@@ -229,10 +229,10 @@ def test_a_plan_that_is_gone_leaves_no_code_behind(afresh: Callable[[], list[str
     same = bind(world.plan, world.setting, Options())
     step(same)
     assert same.backend.ready is world.backend.ready is not None  # type: ignore[attr-defined]
-    assert len(ready._plans) == 1
+    assert len(ready._code_by_plan) == 1
     del world, same
     gc.collect()
-    assert len(ready._plans) == 0
+    assert len(ready._code_by_plan) == 0
 
 
 def test_who_asks_with_other_arrays_each_time_is_answered_of_those_and_leaves_nothing_behind() -> None:

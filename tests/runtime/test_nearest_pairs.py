@@ -11,7 +11,7 @@ from antdsl.passes import optimise
 from antdsl.runtime import Options, World, bind, nearest_pairs, pairs, step
 from antdsl.runtime.nearest_pairs import nearest_of_all
 from antdsl.runtime.world import AXES, Population
-from antdsl.scene.setting import Setting
+from antdsl.scene.setting import WorldSetting
 
 EVERY_WAY = (*OPTION_SETS, Options(backend="native", wait_for_code=True, chunk=16, shuffle_rows=5))
 STILL = "on spawn { velocity = 0 * velocity }"
@@ -20,7 +20,9 @@ STILL = "on spawn { velocity = 0 * velocity }"
 def standing(positions: np.ndarray, seed: int = 3) -> tuple[World, Population]:
     """A world with agents in these places (n, 3), rows and ids in no order."""
     text = f"species a {{ {STILL}\nstart s\nstate s {{ steer heading }} }}"
-    world = bind(optimise(plan_of(text)), Setting(crowds=(crowd(len(positions), "a", radius=50.0),)), Options(shuffle_rows=seed))
+    world = bind(
+        optimise(plan_of(text)), WorldSetting(crowds=(crowd(len(positions), "a", radius=50.0),)), Options(shuffle_rows=seed)
+    )
     population = world.populations["a"]
     for axis, column in zip(AXES, positions.T, strict=True):
         population.start[f"position.{axis}"] = column.astype(np.float32)[population.ids]
@@ -70,9 +72,9 @@ def test_the_nearest_is_the_same_as_where_all_pairs_are_measured(name: str, monk
     assert by_tree(world, population, own, population.ids) == by_pairs(population, own, population.ids)
     strangers = tuple(RNG.uniform(-40, 40, (50, 3)).astype(np.float32).T)
     assert by_tree(world, population, strangers, None) == by_pairs(population, strangers, None)
-    monkeypatch.setattr(nearest_pairs, "_ALIKE", 1)
+    monkeypatch.setattr(nearest_pairs, "_MAX_EQUAL_DISTANCES", 1)
     assert by_tree(world, population, own, population.ids) == by_pairs(population, own, population.ids), "all of them measured"
-    monkeypatch.setattr(nearest_pairs, "_AT_ONCE", 50)
+    monkeypatch.setattr(nearest_pairs, "_PAIRS_PER_CHUNK", 50)
     assert by_tree(world, population, own, population.ids) == by_pairs(population, own, population.ids), "bit by bit"
 
 
@@ -123,7 +125,7 @@ def test_no_full_pairs_are_built_where_only_the_nearest_is_needed(monkeypatch: p
         "_all_pairs",
         lambda *arguments, every=pairs._all_pairs: (measured.append(len(arguments[1][0])), every(*arguments))[1],
     )
-    again = Setting(crowds=(crowd(300, "a", radius=200.0), crowd(20, "b", radius=200.0, group=1)))
+    again = WorldSetting(crowds=(crowd(300, "a", radius=200.0), crowd(20, "b", radius=200.0, group=1)))
     for backend in ("numpy", "native"):
         world = bind(optimise(plan_of(NEAREST)), again, Options(backend=backend, wait_for_code=True, chunk=64))
         for _ in range(3):

@@ -98,7 +98,7 @@ def test_steps_past_an_obstacle_keep_their_margin_and_slide(
     calls: list[object] = []
     touching = obstacles.select_touching
     monkeypatch.setattr(obstacles, "select_touching", lambda *arguments: calls.append(arguments) or touching(*arguments))
-    monkeypatch.setattr(parallel, "LIGHT", n // 4)
+    monkeypatch.setattr(parallel, "MIN_LIGHT_ITEMS_PER_THREAD", n // 4)
     if not by_grid:
         monkeypatch.setattr(scene, "tables", lambda: None)
     new_steps = np.stack(obstacles._slide_along(scene, (x, y, z), tuple(steps), tuple(up), radius, clear, threads))  # type: ignore[arg-type]

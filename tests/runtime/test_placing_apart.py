@@ -18,14 +18,14 @@ from test_scene_files import folder  # noqa: F401
 from antdsl import passes, plan
 from antdsl.cli.commands.new import ground
 from antdsl.ground.protocol import Footing
-from antdsl.pipeline import Choices, Shot, open_scene
+from antdsl.pipeline import RunChoices, Shot, open_scene
 from antdsl.reload import take_over
 from antdsl.runtime import Options, bind, step
 from antdsl.runtime.binding import spacing
-from antdsl.runtime.binding.spacing import Draw, DrawnPlaces, Occupancy, spread_agents
+from antdsl.runtime.binding.spacing import Occupancy, PositionDrawer, StartPositionDraws, spread_agents
 from antdsl.runtime.binding.start_findings import crowding_warnings
 from antdsl.runtime.world import World
-from antdsl.scene.setting import CrowdData, MeshData, Painted, PlaceData, Setting, SolidData
+from antdsl.scene.setting import CrowdData, MeshData, PaintedValues, PlaceData, SolidData, WorldSetting
 
 EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
 PROGRAM = """ant 1
@@ -49,11 +49,11 @@ def world(*crowds: CrowdData, text: str = PROGRAM, options: Options | None = Non
         surfaces={"hill": MeshData(*hills), "plate": MeshData(*meshes.box((-40, 40, -40), (40, 44, 40)))},
         solids={"block": SolidData(MeshData(*meshes.box((90, -40, 90), (150, 30, 150))), 2.0)} if text == BLOCK else {},
         obstacles={"rock": MeshData(*meshes.ball(30.0))},
-        maps={"damp": Painted("hill", np.maximum(hills[0][:, 0], 0) / 200)},
+        maps={"damp": PaintedValues("hill", np.maximum(hills[0][:, 0], 0) / 200)},
         crowds=crowds,
         seed=4,
     )
-    return bind(_PLANS[text], Setting(**{**default_setting, **setting_arguments}), options or Options())  # type: ignore[arg-type]
+    return bind(_PLANS[text], WorldSetting(**{**default_setting, **setting_arguments}), options or Options())  # type: ignore[arg-type]
 
 
 def discs(bound_world: World) -> tuple[np.ndarray, np.ndarray]:
@@ -178,14 +178,14 @@ def test_who_joins_keeps_clear_of_those_who_walk() -> None:
     old = world(CrowdData("ant", 150, DISC))
     for _ in range(5):
         step(old)
-    new, taken = take_over(old, old.plan, Setting(**{**_fields(old.setting), "crowds": (CrowdData("ant", 250, DISC),)}))
+    new, taken = take_over(old, old.plan, WorldSetting(**{**_fields(old.setting), "crowds": (CrowdData("ant", 250, DISC),)}))
     assert taken.joined == {"ant": 100}
     place, radius = discs(new)
     ids = new.populations["ant"].ids
     assert not overlapping(place, radius)[ids >= 150].any()
 
 
-def _fields(setting: Setting) -> dict:
+def _fields(setting: WorldSetting) -> dict:
     return {name: getattr(setting, name) for name in type(setting).__dataclass_fields__}
 
 
@@ -232,7 +232,7 @@ crowd:
   - {{species: ant, from: ant.ant, count: {count}, place: {place}}}
 """
     (folder / "scene.yaml").write_text(scene)
-    return open_scene(folder / "scene.yaml", Choices())
+    return open_scene(folder / "scene.yaml", RunChoices())
 
 
 @pytest.mark.parametrize(("share", "all_fit"), [(0.2, True), (0.42, True), (0.5, False), (40.0, False)])
@@ -241,12 +241,12 @@ def test_tries_are_few_however_full_it_is(share: float, all_fit: bool) -> None:
     wide = 2.0 * np.sqrt(n / share)
     random = np.random.default_rng(1).random((n, 400, 2))
 
-    def draw(ids: np.ndarray, tries: range) -> DrawnPlaces:
+    def draw(ids: np.ndarray, tries: range) -> StartPositionDraws:
         draw_count[0] += len(ids) * len(tries)
         u, v = np.concatenate([random[ids, k] for k in tries]).T
         away, angle = np.sqrt(u) * wide, 2 * np.pi * v
         place = np.stack([away * np.cos(angle), 0 * away, away * np.sin(angle)], axis=1)
-        return DrawnPlaces(Footing.nowhere(len(u)), place, np.zeros_like(place), np.ones(len(u), np.bool_))
+        return StartPositionDraws(Footing.nowhere(len(u)), place, np.zeros_like(place), np.ones(len(u), np.bool_))
 
     drawn, fits = spread_agents(Occupancy(), draw, np.arange(n), np.full(n, 2.0), 0)
     assert fits.all() == all_fit
@@ -268,9 +268,9 @@ def test_pairs_are_few_where_thousands_want_one_place(monkeypatch: pytest.Monkey
     monkeypatch.setattr(spacing.Occupancy, "find_overlaps", counted)
     n = 10_000
 
-    def draw(ids: np.ndarray, tries: range) -> DrawnPlaces:
+    def draw(ids: np.ndarray, tries: range) -> StartPositionDraws:
         place = np.zeros((len(ids) * len(tries), 3))
-        return DrawnPlaces(Footing.nowhere(len(place)), place, place.copy(), np.ones(len(place), np.bool_))
+        return StartPositionDraws(Footing.nowhere(len(place)), place, place.copy(), np.ones(len(place), np.bool_))
 
     _, fits = spread_agents(Occupancy(), draw, np.arange(n), np.full(n, 2.0), 0)
     assert fits.tolist() == [True] + [False] * (n - 1)
@@ -310,13 +310,13 @@ def test_nothing_is_said_of_room_beside_all_surfaces(folder: Path, by: str) -> N
     assert shot is not None and crowding_warnings(shot.scene, bind(shot.plan, shot.setting)).diagnostics == []
 
 
-def _square(wide: float, seed: int) -> Draw:
+def _square(wide: float, seed: int) -> PositionDrawer:
     """Draws places on a square."""
 
-    def draw(ids: np.ndarray, tries: range) -> DrawnPlaces:
+    def draw(ids: np.ndarray, tries: range) -> StartPositionDraws:
         place = np.concatenate([np.random.default_rng((seed, k)).random((ids.max() + 1, 3))[ids] for k in tries]) * wide
         place[:, 1] = 0.0
-        return DrawnPlaces(Footing.nowhere(len(place)), place, np.zeros_like(place), np.ones(len(place), np.bool_))
+        return StartPositionDraws(Footing.nowhere(len(place)), place, np.zeros_like(place), np.ones(len(place), np.bool_))
 
     return draw
 
@@ -405,7 +405,7 @@ def test_a_density_goes_by_the_map_on_the_underside_too() -> None:
     ball = meshes.ball(100.0, rings=24)
     text = "ant 1\nuse steering\nworld { surface ball; map damp }\nspecies ant { size 2 mm; state go { steer wander() } }\n"
     crowd = CrowdData("ant", 1000, PlaceData(density="damp", by_area=True))
-    damp = {"damp": Painted("ball", np.where(ball[0][:, 1] < 0, 1.0, 0.0))}
+    damp = {"damp": PaintedValues("ball", np.where(ball[0][:, 1] < 0, 1.0, 0.0))}
     bound_world = world(crowd, text=text, surfaces={"ball": MeshData(*ball)}, solids={}, obstacles={}, maps=damp)
     assert bound_world.populations["ant"].position[:, 1].max() <= 8
 

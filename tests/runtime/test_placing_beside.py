@@ -15,7 +15,7 @@ from test_scene_files import SCENE, folder, opened  # noqa: F401
 from antdsl.outputs.surface_error import surface_error
 from antdsl.preview.session import Session
 from antdsl.runtime import bind
-from antdsl.scene.setting import CrowdData, MeshData, PlaceData, Setting, SolidData
+from antdsl.scene.setting import CrowdData, MeshData, PlaceData, SolidData, WorldSetting
 from antdsl.scene.staging.item_placement import is_off_surface
 
 MINIMAL = Path(__file__).resolve().parents[2] / "examples" / "minimal"
@@ -56,7 +56,7 @@ def test_a_disc_beside_all_surfaces(folder: Path, place: str, beside: bool) -> N
 def test_a_ball_inside_or_outside_of_what_is_closed(middle: float, radius: float, is_beside: bool) -> None:
     block = MeshData(*meshes.box((-20, -20, -20), (20, 20, 20)))
     place = PlaceData(on=("block",), around=(middle, 0.0, 1.0), radius=float(radius), by_area=True)
-    assert is_off_surface(place, Setting(solids={"block": SolidData(block, 2.0)}), "y") == is_beside
+    assert is_off_surface(place, WorldSetting(solids={"block": SolidData(block, 2.0)}), "y") == is_beside
     text = "ant 1\nuse steering\nworld { solid block }\nspecies ant { size 2 mm; state go { steer wander() } }\n"
     solids = {"block": SolidData(block, 2.0)}
     bound_world = world(CrowdData("ant", 9, place), text=text, surfaces={}, solids=solids, obstacles={}, maps={})
@@ -70,8 +70,8 @@ def test_a_hole_in_the_ground_is_beside_it() -> None:
     middle = vertices[faces].mean(axis=1)
     rim = MeshData(vertices, faces[np.abs(middle).max(axis=1) > 20])
     disc = PlaceData(around=(0.0, 0.0, 0.0), radius=15.0)
-    assert is_off_surface(disc, Setting(surfaces={"rim": rim}), "y")
-    assert not is_off_surface(replace(disc, radius=25.0), Setting(surfaces={"rim": rim}), "y")
+    assert is_off_surface(disc, WorldSetting(surfaces={"rim": rim}), "y")
+    assert not is_off_surface(replace(disc, radius=25.0), WorldSetting(surfaces={"rim": rim}), "y")
 
 
 def test_a_restart_tells_of_a_ball_that_meets_nothing(tmp_path: Path) -> None:

@@ -12,7 +12,7 @@ from plan_text import plan_of
 from scipy.spatial import cKDTree
 
 from antdsl.passes import optimise
-from antdsl.runtime import CrowdData, MeshData, Options, PlaceData, Setting, World, bind
+from antdsl.runtime import CrowdData, MeshData, Options, PlaceData, World, WorldSetting, bind
 
 TEXT = """species hunter { size 4 mm }
 species prey { size 2 mm }"""
@@ -22,7 +22,7 @@ FLOOR = {"ground": MeshData(*meshes.grid(200.0, 8))}
 
 def bind_crowds(hunters: PlaceData, prey: PlaceData, counts: tuple[int, int] = (10, 200), **setting_arguments: object) -> World:
     crowds = (CrowdData("hunter", counts[0], hunters, 0), CrowdData("prey", counts[1], prey, 1))
-    return bind(PLAN, Setting(**{**dict(crowds=crowds, surfaces=FLOOR, seed=5), **setting_arguments}), Options())  # type: ignore[arg-type]
+    return bind(PLAN, WorldSetting(**{**dict(crowds=crowds, surfaces=FLOOR, seed=5), **setting_arguments}), Options())  # type: ignore[arg-type]
 
 
 def positions_by_id(world: World, species: str) -> np.ndarray:

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from torture_long import SHAPES, Rooms
 
-from antdsl.pipeline import Choices, open_scene
+from antdsl.pipeline import RunChoices, open_scene
 from antdsl.runtime import Options, World, bind, step
 
 EXAMPLE = Path(__file__).resolve().parents[2] / "examples" / "torture"
@@ -30,7 +30,7 @@ def bind_crowd(folder: Path, place: str, count: int = 300) -> World:
         "  crumb: {one: {at: [0, 20, 0]}}\n"
         f"crowd:\n  - {{species: ant, from: ant.ant, count: {count}, place: {place}}}\n"
     )
-    shot, report = open_scene(scene, Choices())
+    shot, report = open_scene(scene, RunChoices())
     assert shot is not None, report.sorted()
     return bind(shot.plan, shot.setting, Options())
 

@@ -28,7 +28,7 @@ def vectors(rng: np.random.Generator, size: float) -> np.ndarray:
 
 @pytest.mark.parametrize("threads", [1, 3])
 def test_planes_and_moves_are_those_of_the_ground(threads: int, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(parallel, "LIGHT", 100)
+    monkeypatch.setattr(parallel, "MIN_LIGHT_ITEMS_PER_THREAD", 100)
     rng = np.random.default_rng(4)
     up = vectors(rng, 1.0)
     with np.errstate(all="ignore"):
@@ -42,7 +42,7 @@ def test_planes_and_moves_are_those_of_the_ground(threads: int, monkeypatch: pyt
     grid = CellGrid(*rng.normal(0, 9, (3, N)).astype(np.float32), np.arange(N), 1.0)
     fours, motion = np.empty((2, 4 * N + 32), np.float32)
     work = partial(store_sensed, grid.order.at, tuple(up), tuple(velocity), radius, np.arange(N, dtype=np.int32), fours, motion)
-    parallel.in_parts(work, N, threads, parallel.LIGHT)
+    parallel.in_parts(work, N, threads, parallel.MIN_LIGHT_ITEMS_PER_THREAD)
     crowd = Crowd(grid.table(), fours, motion, np.empty(0, np.int32))
     alone, one = np.zeros(n), np.ones(n)
     requesters = Requesters(grid.order.at.take(rows), rows, alone, one, tuple(heading))

@@ -17,16 +17,16 @@ from children import child_environment
 from meaning import crowd, play
 from sampling import sampled
 
-from antdsl.cli.printing.profile_table import MOST, show
+from antdsl.cli.printing.profile_table import MAX_LISTED_LINES, show
 from antdsl.machine_code import machine
-from antdsl.pipeline import Choices, Shot, open_scene
+from antdsl.pipeline import RunChoices, Shot, open_scene
 from antdsl.preview import Session
 from antdsl.runtime import Options, World, bind, phases, state_hash, step
 from antdsl.runtime.backends import metering, numpy_backend, numpy_calls
 from antdsl.runtime.backends.native import backend as native_backend
 from antdsl.runtime.backends.native import programs, ready, runner
-from antdsl.runtime.motion_measures import Motion
-from antdsl.runtime.profiling import Meter, Profile
+from antdsl.runtime.motion_measures import MotionMeasures
+from antdsl.runtime.profiling import StepMeter, StepProfile
 
 ROOT = Path(__file__).parents[2]
 NUMPY, NATIVE = Options(backend="numpy"), Options(backend="native", wait_for_code=True)
@@ -79,7 +79,7 @@ def shot(tmp_path: Path) -> Shot:
 
 
 def opened(scene: Path, count: int | None = None) -> Shot:
-    shot, report = open_scene(scene, Choices())
+    shot, report = open_scene(scene, RunChoices())
     assert shot is not None, [d.message for d in report.errors]
     if count is None:
         return shot
@@ -87,8 +87,8 @@ def opened(scene: Path, count: int | None = None) -> Shot:
     return replace(shot, setting=replace(shot.setting, crowds=crowds))
 
 
-def measured(world: World, frames: int, meter: Meter | None = None) -> Profile:
-    meter = meter or Meter(None)
+def measured(world: World, frames: int, meter: StepMeter | None = None) -> StepProfile:
+    meter = meter or StepMeter(None)
     for _ in range(frames):
         meter.begin(world)
         step(world)
@@ -123,8 +123,8 @@ def clock(monkeypatch: pytest.MonkeyPatch) -> Clock:
 def test_time_of_a_behaviour_counts_for_its_own_line_and_for_the_layer_that_calls_it(
     shot: Shot, clock: Clock, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setitem(numpy_calls.SENSES, "ray", clock.slow(numpy_calls.SENSES["ray"], 0.25))
-    monkeypatch.setitem(numpy_calls.SENSES, "field.value", clock.slow(numpy_calls.SENSES["field.value"], 0.05))
+    monkeypatch.setitem(numpy_calls.SENSE_FUNCTIONS, "ray", clock.slow(numpy_calls.SENSE_FUNCTIONS["ray"], 0.25))
+    monkeypatch.setitem(numpy_calls.SENSE_FUNCTIONS, "field.value", clock.slow(numpy_calls.SENSE_FUNCTIONS["field.value"], 0.05))
     profile = measured(bind(shot.plan, shot.setting, NUMPY), 4)
     assert profile.frames == 4
     assert [(each.line, each.text, round(each.ms, 6)) for each in profile.lines] == [
@@ -145,7 +145,7 @@ def test_where_threads_go_side_by_side_lines_share_the_time_that_passed(
 ) -> None:
     """Each chunk takes a quarter second of its thread's own time; by the clock of all, they take half a second together."""
     monkeypatch.setattr(numpy_backend, "perf_counter", lambda: 2.0 * clock.now / 4)
-    monkeypatch.setitem(numpy_calls.SENSES, "field.value", clock.slow(numpy_calls.SENSES["field.value"], 0.25))
+    monkeypatch.setitem(numpy_calls.SENSE_FUNCTIONS, "field.value", clock.slow(numpy_calls.SENSE_FUNCTIONS["field.value"], 0.25))
     profile = measured(bind(shot.plan, shot.setting, Options(chunk=15, backend="numpy")), 3)
     assert [round(each.ms, 6) for each in profile.lines] == [500.0]
 
@@ -170,7 +170,7 @@ def test_the_lines_add_up_to_nearly_all_of_the_blocks(options: Options) -> None:
 def test_a_run_is_the_same_to_the_bit_while_it_is_measured(options: Options) -> None:
     shot = opened(FORAGING, 120)
     plain, watched = (bind(shot.plan, shot.setting, options) for _ in range(2))
-    meter = Meter()
+    meter = StepMeter()
     for frame in range(16):
         step(plain)
         if frame // 5 % 2:  # on and off again
@@ -188,7 +188,7 @@ def test_a_world_that_is_not_measured_any_more_has_its_own_calls_again() -> None
     world = bind(shot.plan, shot.setting)
     compilers = world.backend._blocks.values()
     own_calls = [list(compiler.root.calls) for compiler in compilers]
-    meter = Meter()
+    meter = StepMeter()
     measured(world, 1, meter)
     assert [list(compiler.root.calls) for compiler in compilers] != own_calls
     meter.stop()
@@ -198,7 +198,7 @@ def test_a_world_that_is_not_measured_any_more_has_its_own_calls_again() -> None
 
 
 def test_a_profile_is_of_the_last_second(shot: Shot, clock: Clock) -> None:
-    meter = Meter(1.0, clock=clock)
+    meter = StepMeter(1.0, clock=clock)
     world = bind(shot.plan, shot.setting)
     frames = []
     for _ in range(8):
@@ -222,7 +222,7 @@ def test_a_session_is_measured_across_edits_and_back_in_time(shot: Shot) -> None
     assert session is not None and plain is not None
     session.measure(True)
     assert session.meter is not None
-    session.meter = Meter(None)  # however slow the machine is
+    session.meter = StepMeter(None)  # however slow the machine is
     for _ in range(3):
         session.step()
     assert session.meter.profile().frames == 3
@@ -266,7 +266,7 @@ def test_run_tells_where_the_time_went(shot: Shot, tmp_path: Path) -> None:
     headings = [re.split(r"  +", part.splitlines()[0].strip()) for part in parts[1:]]
     assert headings == [["ms", "cpu ms", "%", "phase"], ["ms", "%", "of", "layer"], ["ms", "%", "in", "line"]]
     assert "mine.keep_off(stones, reach: 8 mm)" in parts[2] and "ant" in parts[2]
-    assert len(parts[3].strip().splitlines()) == MOST + 1
+    assert len(parts[3].strip().splitlines()) == MAX_LISTED_LINES + 1
 
 
 def test_a_profile_tells_processor_time_and_keeps_its_figures_at_eighty_columns(
@@ -285,7 +285,7 @@ def test_a_profile_tells_processor_time_and_keeps_its_figures_at_eighty_columns(
 
 def test_measuring_motion_is_no_part_of_births(shot: Shot, clock: Clock, monkeypatch: pytest.MonkeyPatch) -> None:
     world = bind(shot.plan, shot.setting)
-    monkeypatch.setattr(Motion, "observe", clock.slow(Motion.observe, 0.5))
+    monkeypatch.setattr(MotionMeasures, "observe", clock.slow(MotionMeasures.observe, 0.5))
     profile = measured(world, 2)
     assert {name: round(ms) for name, ms in profile.phases.items() if ms} == {"motion": 500}
 
@@ -315,7 +315,7 @@ species a {{
 """
 
 
-def lines_of(world: World, meter: Meter) -> dict[str, float]:
+def lines_of(world: World, meter: StepMeter) -> dict[str, float]:
     """A step's lines by their text."""
     meter.begin(world)
     step(world)
@@ -328,7 +328,7 @@ def test_lines_of_machine_code_have_the_time_that_they_take() -> None:
     world = play(WEIGHED, crowd(2000, radius=300), option_sets=(NATIVE,)).world
     least: dict[str, float] = {}
     for _ in range(12):  # what else the machine does is not in the least of them
-        meter = Meter(None)
+        meter = StepMeter(None)
         line_times = lines_of(world, meter)
         least = {name: min(ms, least.get(name, ms)) for name, ms in line_times.items()}
         profile = meter.profile()
@@ -371,7 +371,9 @@ def between(lines: list[str], mark: str, word: str) -> list[int]:
 
 
 @in_code
-@pytest.mark.parametrize("target", [machine.ANY, replace(machine.ANY, cpu="x86-64", features="-avx2,-fma")])
+@pytest.mark.parametrize(
+    "target", [machine.PORTABLE_TARGET, replace(machine.PORTABLE_TARGET, cpu="x86-64", features="-avx2,-fma")]
+)
 def test_what_a_line_works_out_is_worked_out_between_its_marks(target: machine.Target) -> None:
     """Though all of it is read in another line, and LLVM would work it out there, or beside what another line works out."""
     world = play(ROOTS, crowd(3, radius=3), option_sets=(NUMPY,)).world
@@ -391,12 +393,12 @@ def test_machine_code_is_the_same_to_the_bit_while_it_is_measured_and_has_marks_
     """What is called between its stages is reported on its own line, and functions share what they take among theirs."""
     clock = Clock()
     monkeypatch.setattr(runner, "perf_counter", clock)
-    answer, nothing = runner.IN_PLACE["ray"]
-    monkeypatch.setitem(runner.IN_PLACE, "ray", (clock.slow(answer, 0.25), nothing))  # type: ignore[arg-type]
+    answer, nothing = runner.BATCHED_SENSES["ray"]
+    monkeypatch.setitem(runner.BATCHED_SENSES, "ray", (clock.slow(answer, 0.25), nothing))  # type: ignore[arg-type]
     function = ready.ReadyCode.function
     monkeypatch.setattr(ready.ReadyCode, "function", lambda self, name: clock.slow(function(self, name), 0.01))
     plain, watched = (bind(shot.plan, shot.setting, options) for options in (Options(backend="numpy"), NATIVE))
-    meter = Meter(None)
+    meter = StepMeter(None)
     codes = []
     for frame in range(15):
         step(plain)
@@ -436,9 +438,9 @@ def test_until_code_with_marks_has_come_numpy_is_measured(monkeypatch: pytest.Mo
         return coming[-1][0]
 
     monkeypatch.setattr(native_backend, "start_building", later)
-    monkeypatch.setattr(native_backend, "_LOADING", 0.0)
+    monkeypatch.setattr(native_backend, "_MIN_STEP_SECONDS", 0.0)
     monkeypatch.setattr(native_backend, "find_ready", lambda plan, facts: None)
-    meter, times_by_frame = Meter(None), []
+    meter, times_by_frame = StepMeter(None), []
     for frame in range(5):
         if frame == 3:
             coming[0][0].set_result(coming[0][1].result())
@@ -454,7 +456,7 @@ def test_until_code_with_marks_has_come_numpy_is_measured(monkeypatch: pytest.Mo
 def test_where_no_counter_can_be_read_numpy_is_measured(monkeypatch: pytest.MonkeyPatch) -> None:
     world = play(WEIGHED, crowd(20, radius=30), option_sets=(NATIVE,)).world
     monkeypatch.setattr(machine.Target, "x86", False)
-    meter = Meter(None)
+    meter = StepMeter(None)
     assert lines_of(world, meter)[f"many = {WEIGHTS}"] > 0 and meter.profile().by == {"NumPy": 1}
     meter.stop()
     step(world)
@@ -471,5 +473,5 @@ def test_where_no_counter_can_be_read_numpy_is_measured(monkeypatch: pytest.Monk
     ],
 )
 def test_a_profile_says_what_ran_the_lines(by: dict[str, int], expected: str, capsys: pytest.CaptureFixture[str]) -> None:
-    show(Profile(frames=4, phases={"act": 1.0}, total=1.0, by=by), lines=True)
+    show(StepProfile(frames=4, phases={"act": 1.0}, total=1.0, by=by), lines=True)
     assert capsys.readouterr().out.splitlines()[0] == f"1.00 ms a frame, 0.00 ms of processors, over 4 frames{expected}"

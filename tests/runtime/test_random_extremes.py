@@ -10,7 +10,7 @@ from sampling import sampled
 
 from antdsl.machine_code import machine
 from antdsl.plan import ir
-from antdsl.runtime import BindingCache, Options, Setting, bind, state_hash, step
+from antdsl.runtime import BindingCache, Options, WorldSetting, bind, state_hash, step
 
 PROGRAMS, FRAMES, BY_REFERENCE = 300, 50, 3
 MOST = 150  # agents; programs that breed without end are followed as far as that
@@ -21,7 +21,7 @@ CHUNKS, THREADS = (8, 24, 1000, 100_000), (1, 2, 5)
 BY_NONE = {"operation told"}
 
 
-def states(plan: ir.Plan, setting: Setting, seed: int, options: Options, frames: int, built: BindingCache) -> list[str]:
+def states(plan: ir.Plan, setting: WorldSetting, seed: int, options: Options, frames: int, built: BindingCache) -> list[str]:
     """Hashes of the frames, as far as the crowd is not too large."""
     world = bind(plan, setting, options, built=built)
     hashes = [state_hash(world)]

@@ -13,7 +13,7 @@ from antdsl.runtime import FaultStop, Options, bind, checkpoint, restore, set_pa
 from antdsl.scene.setting import ItemData
 from antdsl.source import Source, Span
 
-B, L = ir.Kind.BOOL, ir.Kind.I64
+B, L = ir.ValueKind.BOOL, ir.ValueKind.I64
 BACKENDS = ("numpy", "reference")
 
 
@@ -150,7 +150,7 @@ def breeders() -> ir.Plan:
     )
     number = t("number", t("id"))
 
-    def rest(n: float) -> ir.Node:
+    def rest(n: float) -> ir.PlanNode:
         return t("sub", number, t("mul", t("floor", t("div", number, n)), n))
 
     born = plans.block(plans.store("parity", rest(2.0)), plans.store("third", rest(3.0)))

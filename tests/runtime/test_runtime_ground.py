@@ -9,7 +9,7 @@ import pytest
 
 from antdsl.plan import ir
 from antdsl.runtime import BindError, Options, bind, checkpoint, restore, state_hash, step
-from antdsl.scene.setting import CrowdData, FieldStart, MeshData, Painted, PlaceData, SpreadFlow, Target
+from antdsl.scene.setting import CrowdData, FieldStart, FlowTarget, MeshData, PaintedValues, PlaceData, SpreadFlow
 
 
 def mesh(vertices_and_faces: meshes.Mesh, shift: float = 0.0) -> MeshData:
@@ -76,21 +76,21 @@ def surfaces_plan(diffuse: float = 20.0, cell: float = 5.0) -> ir.Plan:
 def surfaces_setting(count: int = 60, shift: float = 0.0, **setting_arguments):
     move = np.array([shift, 0.0, shift])
 
-    from antdsl.runtime import Setting
+    from antdsl.runtime import WorldSetting
 
     ground = mesh(meshes.grid(200.0, 24, lambda x, z: 8 * np.sin(x / 25) * np.cos(z / 30)), shift)
-    line = Target(np.array([[-90.0, 0, 0], [90, 0, 40]]) + move, np.zeros(2), line=True)
+    line = FlowTarget(np.array([[-90.0, 0, 0], [90, 0, 40]]) + move, np.zeros(2), line=True)
     default_setting = dict(
         seed=5,
         flows={"drift": SpreadFlow("tangent", line, 60.0)},
-        maps={"damp": Painted("ground", np.abs(ground.vertices[:, 1]) / 8)},
+        maps={"damp": PaintedValues("ground", np.abs(ground.vertices[:, 1]) / 8)},
         surfaces={"ground": ground, "boulder": mesh(box((-40.0, 2.0, 30.0), 14.0), shift)},
         obstacles={"stones": mesh(box((25.0, 0.0, 0.0), 12.0), shift)},
         curves={"way": np.array([[-90.0, 0, -60], [0, 0, -40], [90, 0, -60]]) + move},
         crowds=(CrowdData("ant", count, PlaceData(on=("ground",), around=(20.0 + shift, 0.0, shift), radius=60.0)),),
         field_start={"trail": FieldStart(0.5, (shift, 0.0, -60.0 + shift), 30.0)},
     )
-    return Setting(**{**default_setting, **setting_arguments})
+    return WorldSetting(**{**default_setting, **setting_arguments})
 
 
 def off_surface(world) -> float:

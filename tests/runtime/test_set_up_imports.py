@@ -10,7 +10,7 @@ import pytest
 from children import child_environment
 
 from antdsl.machine_code import signing
-from antdsl.numerics.stored_tables import KIND
+from antdsl.numerics.stored_tables import TABLE_STORE
 
 ROOT = Path(__file__).parents[2]
 SET_UP = """
@@ -33,7 +33,7 @@ def test_the_next_run_computes_nothing_again(tmp_path: Path) -> None:
 
     def set_up(folder: Path | str) -> list[str]:
         command = [sys.executable, "-P", "-c", SET_UP, str(ROOT / "examples/foraging/scene.yaml")]
-        environment = child_environment() | {KIND.variable: str(folder)}
+        environment = child_environment() | {TABLE_STORE.variable: str(folder)}
         return subprocess.run(command, env=environment, capture_output=True, text=True, check=True).stdout.split()
 
     never, first, second = set_up(""), set_up(tmp_path / "tables"), set_up(tmp_path / "tables")

@@ -11,10 +11,10 @@ from plan_text import plan_of
 
 from antdsl.machine_code import machine
 from antdsl.passes import optimise
-from antdsl.runtime import CrowdData, MeshData, Options, PlaceData, Setting, World, bind, state_hash, step
+from antdsl.runtime import CrowdData, MeshData, Options, PlaceData, World, WorldSetting, bind, state_hash, step
 from antdsl.runtime.backends.native.programs import WorldFacts
 from antdsl.runtime.moving import moving_geometry
-from antdsl.scene.setting import Moves, SolidData
+from antdsl.scene.setting import GeometryMoves, SolidData
 from antdsl.scene.staging.moves import MeshMoves
 
 CELL = 2.0
@@ -37,7 +37,7 @@ def world_of(on: str) -> str:
 
 
 def smelled(
-    setting: Setting,
+    setting: WorldSetting,
     stands: Sequence[Place],
     faces: Sequence[Place],
     up: Place,
@@ -91,9 +91,9 @@ def cell(world: World, place: Place, normal: Place) -> float:
     return at + 1.0
 
 
-def setting(ground: meshes.Mesh, count: int, **setting_arguments: object) -> Setting:
+def setting(ground: meshes.Mesh, count: int, **setting_arguments: object) -> WorldSetting:
     crowds = (CrowdData("a", count, PlaceData(around=(0.0, 0.0, 0.0), radius=1.0)),)
-    return Setting(crowds=crowds, surfaces={"ground": MeshData(*ground)}, seed=4, **setting_arguments)  # type: ignore[arg-type]
+    return WorldSetting(crowds=crowds, surfaces={"ground": MeshData(*ground)}, seed=4, **setting_arguments)  # type: ignore[arg-type]
 
 
 def test_both_borders_of_a_strip_are_read_in_its_own_cells() -> None:
@@ -151,7 +151,7 @@ def test_a_way_ends_at_a_border() -> None:
 def test_on_a_solid_and_where_there_is_no_number() -> None:
     box = meshes.box((-20, 0, -20), (20, 16, 20))
     crowds = (CrowdData("a", 2, PlaceData(around=(0.0, 0.0, 0.0), radius=1.0)),)
-    solid_setting = Setting(crowds=crowds, solids={"hill": SolidData(MeshData(*box), 1.0)}, seed=4)
+    solid_setting = WorldSetting(crowds=crowds, solids={"hill": SolidData(MeshData(*box), 1.0)}, seed=4)
     stands, faces = [(0.0, 16, 0.0), (-8.0, 16, 4.0)], [(1, 0, 0), (0, 0, 1)]
     got, world = smelled(solid_setting, stands, faces, (0, 1, 0), "8 mm")
     assert got == [cell(world, (8, 16, 0), (0, 1, 0)), cell(world, (-8, 16, 12), (0, 1, 0))]
@@ -164,7 +164,7 @@ def test_on_ground_that_has_moved_the_cells_go_along() -> None:
     ground = meshes.grid(60.0, 7)
     poses = np.repeat(np.eye(3, 4)[None], 6, axis=0)
     poses[1:, :, :3] = np.array([[0, 0, 1], [0, 1, 0], [-1, 0, 0]])  # x goes to -z
-    moves = Moves(meshes={"ground": MeshMoves.rigid(poses, len(ground[0]))})
+    moves = GeometryMoves(meshes={"ground": MeshMoves.rigid(poses, len(ground[0]))})
     got, world = smelled(setting(ground, 1, moves=moves), [(0.2, 0, 0.2)], [(0, 0, -1)], (0, 1, 0), "10 mm", start_steps=2)
     assert got == [cell(world, (10, 0, 0), (0, 1, 0))]
     assert moving_geometry.moving_ground(world) is not None and WorldFacts.of(world.setting) == WorldFacts(

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from antdsl.ground.mesh.surface import MeshGround
-from antdsl.ground.plane import Plane
+from antdsl.ground.plane import PlaneGround
 from antdsl.runtime.moving import advance, rises, tilting
-from antdsl.runtime.moving.velocities import LEANS, STANDS
+from antdsl.runtime.moving.velocities import LEANING_STATE, STANDING_STATE
 from antdsl.runtime.world import Population
 from tests.meshes import box, terrain
 from tests.motion_oracle import Agent, find_walls, laid, substep
@@ -92,7 +92,7 @@ def by_rays() -> MeshGround:
 def test_substeps_are_those_of_one_agent_after_another(
     ground: MeshGround, of: str, facing: bool, keeps: bool, number: int, undecided: float
 ) -> None:
-    world_ground = {"meshes": ground, "rays": by_rays(), "plane": Plane(np.array([0.36, 0.48, 0.8]))}[of]
+    world_ground = {"meshes": ground, "rays": by_rays(), "plane": PlaneGround(np.array([0.36, 0.48, 0.8]))}[of]
     crowd = people(ground, 3, facing)
     if of != "meshes":
         crowd.footing = world_ground.nearest(crowd.position)[0]
@@ -102,7 +102,7 @@ def test_substeps_are_those_of_one_agent_after_another(
     if keeps:
         crowd.now["min_speed"] = odd(np.random.default_rng(4), 0, -1, np.nan, np.inf)
     setting = SimpleNamespace(substeps=2, orient="normal", crowds=())
-    options, plan = SimpleNamespace(threads=2), SimpleNamespace(of_kind=lambda kind: ())
+    options, plan = SimpleNamespace(threads=2), SimpleNamespace(obstacles=(), of_kind=lambda kind: ())
     world = SimpleNamespace(ground=world_ground, options=options, dt=float(DT), setting=setting, plan=plan, solids={})
     walls = 0
     with np.errstate(all="ignore"):
@@ -193,7 +193,7 @@ def test_walls_are_those_that_bodies_tilt_for(ground: MeshGround, facing: bool) 
     find_walls(ground, crowd, agents)
     step = tuple(np.ascontiguousarray([agent.step[k] for agent in agents], np.float32) for k in range(3))
     looking = tuple(np.ascontiguousarray([agent.looking[k] for agent in agents], np.float32) for k in range(3))
-    state = np.array([LEANS if agent.leans else STANDS for agent in agents], np.int32)
+    state = np.array([LEANING_STATE if agent.leans else STANDING_STATE for agent in agents], np.int32)
     reach, world = np.empty(N), SimpleNamespace(ground=ground, options=SimpleNamespace(threads=1))
     rises.fill_reach(crowd.now["size"], reach)
     assert np.allclose(reach, [3 * agent.half for agent in agents])

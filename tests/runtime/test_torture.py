@@ -16,7 +16,7 @@ from antdsl.casting.rays import RayScene
 from antdsl.ground.mesh import self_cuts
 from antdsl.ground.mesh.surface import MeshGround
 from antdsl.ground.moving import MovingGround
-from antdsl.ground.protocol import Move
+from antdsl.ground.protocol import GroundMove
 
 SHAPES = shapes()
 N, STEPS = 300, 120
@@ -277,7 +277,7 @@ def test_cuts_of_a_mesh_that_moves_are_not_gone_through() -> None:
     assert np.array_equal(np.round(winding(mesh, points)), began)
 
 
-def side_of(ground: MeshGround, at: Move, spin: Floats) -> Floats:
+def side_of(ground: MeshGround, at: GroundMove, spin: Floats) -> Floats:
     """On which side of their faces agents are, who were there when the mesh was turned by `spin`."""
     return (ground.normal(at.footing) @ spin.T * at.up).sum(axis=1)
 

@@ -7,14 +7,14 @@ import pytest
 
 from antdsl import limits
 from antdsl.runtime.binding.world_work import WorkEstimate, world_work
-from antdsl.scene.setting import CrowdData, MeshData, Setting, SolidData, SolvedFlow, SpreadFlow, Target
+from antdsl.scene.setting import CrowdData, FlowTarget, MeshData, SolidData, SolvedFlow, SpreadFlow, WorldSetting
 
 SQUARE = MeshData(np.array([[0, 0, 0], [100, 0, 0], [100, 0, 100], [0, 0, 100.0]]), np.array([[0, 2, 1], [0, 3, 2]], np.int32))
-TARGET = Target(np.zeros((1, 3)), np.zeros(1))
+TARGET = FlowTarget(np.zeros((1, 3)), np.zeros(1))
 
 
 def test_faces_cells_and_agents_are_counted() -> None:
-    setting = Setting(surfaces={"ground": SQUARE}, crowds=(CrowdData("ant", 7), CrowdData("ant", 5, group=1)))
+    setting = WorldSetting(surfaces={"ground": SQUARE}, crowds=(CrowdData("ant", 7), CrowdData("ant", 5, group=1)))
     work_items = world_work(setting, {"trail": (("ground",), 2.0)}, {"ant": 40})
     assert work_items[0][:3] == ("surface ground", 2, "faces")
     assert work_items[1][:3] == ("field trail", 2500, "cells at least")
@@ -23,7 +23,7 @@ def test_faces_cells_and_agents_are_counted() -> None:
 
 @pytest.mark.parametrize("edge", [1e-9, 5e-324, 1e-150])
 def test_endless_work_is_a_number(edge: float) -> None:
-    setting = Setting(
+    setting = WorldSetting(
         surfaces={"ground": SQUARE},
         solids={"hill": SolidData(SQUARE, edge)},
         flows={"home": SolvedFlow(TARGET, cell=edge), "near": SpreadFlow("toward", TARGET, radius=edge)},
@@ -34,8 +34,8 @@ def test_endless_work_is_a_number(edge: float) -> None:
         assert 0 <= work.number <= 2**62 and 0 <= work.bytes <= 2**62
     home, near = work_items[-2:]
     assert home.parts == near.parts == "points at most"
-    assert 1_000_000 < home.number <= limits.FLOW_POINTS and near.number <= 200_000  # which has no `cell`
+    assert 1_000_000 < home.number <= limits.MAX_FLOW_POINTS and near.number <= 200_000  # which has no `cell`
 
 
 def test_a_world_of_nothing_needs_nothing() -> None:
-    assert world_work(Setting(), {}, {}) == []
+    assert world_work(WorldSetting(), {}, {}) == []

@@ -15,7 +15,7 @@ from antdsl import limits
 from antdsl.cli import app
 from antdsl.pipeline import Shot, open_scene
 from antdsl.reader.images import read_image
-from antdsl.reader.protocol import Message
+from antdsl.reader.protocol import ReaderMessage
 from antdsl.runtime import Options, bind, step
 from antdsl.scene.geometry.heights import height_surface, read_heights, surface_deviation
 from antdsl.scene.geometry.mesh_text import MeshError
@@ -149,12 +149,12 @@ def test_what_is_no_height_is_reported_at_its_place(name: str, data: bytes, extr
 
 def test_a_large_image_is_refused_by_its_header(monkeypatch: pytest.MonkeyPatch) -> None:
     data = image(SAMPLES, "PNG")
-    monkeypatch.setattr(limits, "MESH_FACES", 60)
+    monkeypatch.setattr(limits, "MAX_MESH_FACES", 60)
     with pytest.raises(MeshError, match="more than 60 faces"):
         read_heights(data, "h.png")
     monkeypatch.setattr(Image.Image, "load", lambda *_: pytest.fail("decoded"))
     said = {"format": "PNG", "modes": ["I;16"], "pixels": SAMPLES.size - 1}
-    document, arrays = read_image(Message(said, {"data": np.frombuffer(data, np.uint8)}))
+    document, arrays = read_image(ReaderMessage(said, {"data": np.frombuffer(data, np.uint8)}))
     assert (document["rows"], document["columns"]) == SAMPLES.shape and not arrays
 
 

@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 from antdsl.scene.geometry.import_notes import ImportNotes
 from antdsl.scene.geometry.mesh_text import MeshError
 from antdsl.scene.geometry.meshes import mesh_arrays, read_mesh
-from antdsl.scene.geometry.polygons import CORNERS, TooManyCorners, strip_triangles, triangulate
+from antdsl.scene.geometry.polygons import MAX_POLYGON_CORNERS, TooManyCorners, strip_triangles, triangulate
 from antdsl.scene.staging.mesh_imports import welded
 
 POINTS = np.array([[-50, 0, -50], [-50, 0, 50], [0, 1.5, 50], [0, 0, -50], [50, 0, 50], [50, 0, -50], [80, 0, 0]], float)
@@ -249,7 +249,7 @@ def test_polygons_that_cross_themselves_are_named_and_huge_ones_are_errors() -> 
     angles = np.arange(5) * 4 * np.pi / 5
     star = np.stack([np.cos(angles), 0 * angles, np.sin(angles)], axis=1)
     assert triangulate(star, np.array([5]), np.arange(5)).crossing == (0,)
-    count = CORNERS + 2
+    count = MAX_POLYGON_CORNERS + 2
     around = np.arange(count) * 2 * np.pi / count
     radius = np.where(np.arange(count) % 2, 1.0, 0.5) * np.where(np.arange(count) < count // 2, 1.0, -0.2)
     with pytest.raises(TooManyCorners):
@@ -326,7 +326,7 @@ species walker {
 
 def checked(folder: Path, thing: str, kind: str = "surface") -> tuple[list[str], dict[str, object]]:
     """Codes and imports of a scene with one mesh."""
-    from antdsl.pipeline import Choices, check_path, mesh_imports
+    from antdsl.pipeline import RunChoices, check_path, mesh_imports
 
     (folder / "walker.ant").write_text(WALKER.replace("surface", kind))
     scene = folder / "scene.yaml"
@@ -335,7 +335,7 @@ def checked(folder: Path, thing: str, kind: str = "surface") -> tuple[list[str],
         "crowd: [{species: walker, from: walker.ant, count: 9, place: {on: ground}}]\n"
     )
     _, report = check_path(scene)
-    return [each.code for each in report.diagnostics], dict(mesh_imports(scene, Choices())[0])
+    return [each.code for each in report.diagnostics], dict(mesh_imports(scene, RunChoices())[0])
 
 
 def test_gltf_is_in_metres_and_its_buffer_lies_in_the_project(tmp_path: Path) -> None:

@@ -15,7 +15,7 @@ from children import child_environment
 
 from antdsl.cli.commands.new import ground
 from antdsl.diagnostics import Report
-from antdsl.pipeline import Choices, Shot, open_scene
+from antdsl.pipeline import RunChoices, Shot, open_scene
 from antdsl.scene import PathRefused, Roots
 from antdsl.scene.geometry.meshes import MeshError, placed, read_mesh
 from antdsl.scene.setting import MeshData
@@ -66,7 +66,7 @@ def folder(tmp_path: Path) -> Path:
 
 def opened(folder: Path, scene: str, **choices: object) -> tuple[Shot | None, Report]:
     (folder / "scene.yaml").write_text(scene)
-    return open_scene(folder / "scene.yaml", Choices(**choices))  # type: ignore[arg-type]
+    return open_scene(folder / "scene.yaml", RunChoices(**choices))  # type: ignore[arg-type]
 
 
 # --- paths ---------------------------------------------------------------------------------------------------------------

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from antdsl.pipeline import Choices, Shot, open_scene
+from antdsl.pipeline import RunChoices, Shot, open_scene
 from antdsl.runtime import bind, step
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -40,7 +40,7 @@ def folder(tmp_path: Path) -> Path:
 def opened(folder: Path, scene_lines: str = "", **values: str) -> tuple[Shot | None, list[tuple[str, str]]]:
     (folder / "scene.yaml").write_text(SCENE + scene_lines)
     params = {name.replace("__", "."): value for name, value in values.items()}
-    shot, report = open_scene(folder / "scene.yaml", Choices(params=params))
+    shot, report = open_scene(folder / "scene.yaml", RunChoices(params=params))
     return shot, [(d.code, "" if d.span is None else d.span.text) for d in report.diagnostics]
 
 

@@ -18,7 +18,7 @@ import usd_sets  # noqa: E402
 
 from antdsl import limits  # noqa: E402
 from antdsl.diagnostics import Report  # noqa: E402
-from antdsl.pipeline import Choices, Shot, open_scene, simulate  # noqa: E402
+from antdsl.pipeline import RunChoices, Shot, open_scene, simulate  # noqa: E402
 from antdsl.runtime import Options  # noqa: E402
 from antdsl.scene import Roots  # noqa: E402
 from antdsl.scene.geometry.meshes import MeshError, read_mesh  # noqa: E402
@@ -169,7 +169,7 @@ def test_too_many_faces_are_refused_before_they_are_made(tmp_path: Path) -> None
     del stage
     usd_stage = open_stage(Roots(tmp_path, {}), "a.usda", "/i", up="y", frames=range(1, 2), fps=Fraction(24))
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(limits, "MESH_FACES", 19)
+        patch.setattr(limits, "MAX_MESH_FACES", 19)
         tracemalloc.start()
         assert refused(lambda: read_usd_mesh(usd_stage)).code == "too-large"
         assert tracemalloc.get_traced_memory()[1] < 1e6
@@ -361,7 +361,7 @@ def test_a_file_that_changed_is_read_again(tmp_path: Path) -> None:
 def scene(folder: Path, text: str, **choices: object) -> tuple[Shot | None, Report]:
     (folder / "scene.yaml").write_text(text)
     (folder / "walker.ant").write_text(usd_sets.PROGRAM)
-    return open_scene(folder / "scene.yaml", Choices(**choices))  # type: ignore[arg-type]
+    return open_scene(folder / "scene.yaml", RunChoices(**choices))  # type: ignore[arg-type]
 
 
 @pytest.fixture(scope="module")
@@ -370,7 +370,7 @@ def both(tmp_path_factory: pytest.TempPathFactory) -> tuple[Shot, Shot]:
     folder = tmp_path_factory.mktemp("set")
     path = usd_sets.write_usd(folder / "assets", folder / "usd")
     shots = []
-    for file, choices in ((path, Choices({"assets": folder / "assets"})), (usd_sets.bake(folder / "baked"), Choices())):
+    for file, choices in ((path, RunChoices({"assets": folder / "assets"})), (usd_sets.bake(folder / "baked"), RunChoices())):
         shot, report = open_scene(file, choices)
         assert shot is not None and not report.diagnostics, report.diagnostics
         shots.append(shot)
@@ -494,7 +494,7 @@ def test_flows_lead_to_items_of_a_file(
         "antdsl: 1\nworld:\n  ground: {usd: set.usda, prim: /m}\n  food: {usd: set.usda, prim: /food}\n"
         f"  home: {{{key}: {goal}}}\ncrowd:\n  - {{species: walker, from: walker.ant, count: 1}}\n"
     )
-    shot, report = open_scene(path, Choices())
+    shot, report = open_scene(path, RunChoices())
     if positions:
         assert shot is not None, report.errors
         flow = shot.setting.flows["home"]
@@ -529,7 +529,7 @@ def test_shapes_that_are_no_meshes_are_warned_of(tmp_path: Path) -> None:
     UsdGeom.Sphere.Define(stage, "/set/stones/ball")
     stage.Save()
     del stage
-    shot, report = open_scene(path, Choices({"assets": tmp_path / "assets"}))
+    shot, report = open_scene(path, RunChoices({"assets": tmp_path / "assets"}))
     assert shot is not None and [d.code for d in report.diagnostics] == ["usd-left-out"]
 
 

@@ -12,7 +12,7 @@ pxr = pytest.importorskip("pxr")
 
 from antdsl import limits  # noqa: E402
 from antdsl.diagnostics import Report  # noqa: E402
-from antdsl.pipeline import Choices, Shot, check_path, open_scene, simulate  # noqa: E402
+from antdsl.pipeline import RunChoices, Shot, check_path, open_scene, simulate  # noqa: E402
 from antdsl.reload import take_over  # noqa: E402
 from antdsl.runtime import Options, bind  # noqa: E402
 from antdsl.runtime.world import Population  # noqa: E402
@@ -107,7 +107,7 @@ def opened(
     (folder / "roach.ant").write_text(PROGRAM)
     (folder / "set.usda").write_text(text)
     (folder / "scene.yaml").write_text(SCENE.format(up=up, lures=lures, aligners=aligners))
-    return open_scene(folder / "scene.yaml", Choices())
+    return open_scene(folder / "scene.yaml", RunChoices())
 
 
 def items(folder: Path, *scene: str, **options: str) -> dict[str, dict[str, tuple[np.ndarray, dict[str, float]]]]:
@@ -204,15 +204,15 @@ def test_a_surface_has_no_kind_and_a_file_may_be_a_surface_whole(tmp_path: Path)
     opened(tmp_path, text=SET + quad)
     text = (tmp_path / "scene.yaml").read_text()
     (tmp_path / "scene.yaml").write_text(text.replace("{mesh: floor.obj}", "{usd: set.usda, kind: floor}"))
-    _, report = open_scene(tmp_path / "scene.yaml", Choices())
+    _, report = open_scene(tmp_path / "scene.yaml", RunChoices())
     assert [each[:2] for each in summarise_report(report)] == [("wrong-kind", "kind")]
     (tmp_path / "scene.yaml").write_text(text.replace("{mesh: floor.obj}", "{usd: set.usda}"))
-    shot, report = open_scene(tmp_path / "scene.yaml", Choices())
+    shot, report = open_scene(tmp_path / "scene.yaml", RunChoices())
     assert shot is not None and np.abs(shot.setting.surfaces["floor"].vertices).max() == 900, report.errors
 
 
 def test_too_many_are_refused_before_they_are_placed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(limits, "AGENTS", 4)
+    monkeypatch.setattr(limits, "MAX_AGENTS", 4)
     many = SET + "".join(f'def Xform "n{k}" {{\n custom string userProperties:kind = "lures"\n}}\n' for k in range(9))
     shot, report = opened(tmp_path, text=many)
     assert shot is None and "too-large" in {d.code for d in report.errors}
@@ -242,7 +242,7 @@ def test_agents_begin_at_empties(tmp_path: Path) -> None:
     text = (tmp_path / "scene.yaml").read_text().replace("count: 5, place: {on: floor, radius: 200 mm}", "count: 3, place: PLACE")
     for place in ("{on: floor, points: {usd: set.usda}}", "{points: {usd: set.usda, prim: /, kind: roach}}"):
         (tmp_path / "scene.yaml").write_text(text.replace("PLACE", place))
-        shot, report = open_scene(tmp_path / "scene.yaml", Choices())
+        shot, report = open_scene(tmp_path / "scene.yaml", RunChoices())
         assert shot is not None, report.errors
         points = shot.setting.crowds[0].place.points
         assert points is not None and points.tolist() == [[10 * x, 10 * y, 30] for x, y in coordinates]
@@ -251,7 +251,7 @@ def test_agents_begin_at_empties(tmp_path: Path) -> None:
     assert np.abs(born - [[10 * x, 10 * y, 0] for x, y in coordinates]).max() < 12, "a step of 200 mm/s from there, on the floor"
     for place, at in (("{points: {usd: set.usda, kind: bed}}", "bed"), ("{points: {usd: none.usda}}", "none.usda")):
         (tmp_path / "scene.yaml").write_text(text.replace("PLACE", place))
-        _, report = open_scene(tmp_path / "scene.yaml", Choices())
+        _, report = open_scene(tmp_path / "scene.yaml", RunChoices())
         assert [each[1] for each in summarise_report(report)] == [at], summarise_report(report)
 
 
@@ -294,7 +294,7 @@ def boids(folder: Path, floor: str = "-900 -900 0", extra: str = "") -> tuple[Sh
     scene = "antdsl: 1\nunits: mm\nup: z\nframes: 1..10\nworld: {floor: {mesh: floor.obj}}\ncrowd:\n"
     scene += "  - {species: roach, from: roach.ant, count: 4, place: {on: floor, points: {usd: set.usda}}}\n"
     (folder / "scene.yaml").write_text(scene)
-    shot, report = open_scene(folder / "scene.yaml", Choices())
+    shot, report = open_scene(folder / "scene.yaml", RunChoices())
     assert shot is not None, report.errors
     return shot, report
 
@@ -346,13 +346,13 @@ def test_what_empties_give_stays_through_an_edit_and_follows_the_file(tmp_path: 
     shot, _ = boids(tmp_path)
     world = bind(shot.plan, shot.setting)
     (tmp_path / "roach.ant").write_text(BOIDS.replace("size  30 mm", "size  36 mm\n  more = nerve"))
-    edited, _ = open_scene(tmp_path / "scene.yaml", Choices())
+    edited, _ = open_scene(tmp_path / "scene.yaml", RunChoices())
     assert edited is not None
     edited_world, _ = take_over(world, edited.plan, edited.setting)
     assert of_all(edited_world.populations["roach"], "size", "more").tolist() == [[50, 0.75], [36, 0.25], [36, 0.25], [50, 0.75]]
     text = (tmp_path / "set.usda").read_text()
     (tmp_path / "set.usda").write_text(text.replace("userProperties:size = 5", "userProperties:size = 6"))
-    again, _ = open_scene(tmp_path / "scene.yaml", Choices())
+    again, _ = open_scene(tmp_path / "scene.yaml", RunChoices())
     assert again is not None
     last, _ = take_over(edited_world, again.plan, again.setting)
     assert of_all(last.populations["roach"], "size").ravel().tolist() == [60, 36, 36, 60]
@@ -364,6 +364,6 @@ def test_properties_of_boids_are_read_with_care(tmp_path: Path) -> None:
     assert len(left_out) == 1 and left_out[0].help == "`nerv`: did you mean `nerve`?"
     text = (tmp_path / "set.usda").read_text()
     (tmp_path / "set.usda").write_text(text.replace('userProperties:nerve = "0.75"', 'userProperties:nerve = "2 mm"'))
-    shot, report = open_scene(tmp_path / "scene.yaml", Choices())
+    shot, report = open_scene(tmp_path / "scene.yaml", RunChoices())
     assert shot is None and [d.code for d in report.errors] == ["wrong-unit"]
     assert report.errors[0].span is not None and report.errors[0].span.text == "set.usda"

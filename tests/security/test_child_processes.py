@@ -48,7 +48,7 @@ def test_a_folder_that_is_named_in_full_stays_though_it_is_the_working_directory
 
 def test_an_installation_that_is_no_longer_found_comes_last(monkeypatch: pytest.MonkeyPatch) -> None:
     """A checkout that was started with `python -m antdsl` in it: its other modules must hide none of the standard library."""
-    own = child_processes.INSTALLATION
+    own = child_processes.INSTALLATION_FOLDER
     monkeypatch.setattr(sys, "path", ["", "relative", *(entry for entry in sys.path if entry != own)])
     monkeypatch.setattr(os, "environ", dict(os.environ))
     child_processes.isolate()

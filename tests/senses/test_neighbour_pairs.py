@@ -50,7 +50,7 @@ def all_pairs(grid: CellGrid, query, radius, who=None, view=None) -> list[tuple[
             distance = np.sqrt((path[0] * path[0] + path[1] * path[1]) + path[2] * path[2])
             j = np.flatnonzero((distance <= reach[i]) & (key >= 0))
             j = j if who is None else j[grid.ids[j] != who[i]]
-            j = j[np.lexsort((grid.ids[j], distance[j]))][: neighbours.NEIGHBOURS]
+            j = j[np.lexsort((grid.ids[j], distance[j]))][: neighbours.MAX_QUERY_NEIGHBOURS]
             j = j[np.lexsort((grid.ids[j], key[j]))]
             if view is not None:
                 ahead = (path[0][j] * view[0][i] + path[1][j] * view[1][i]) + path[2][j] * view[2][i]
@@ -188,7 +188,7 @@ def test_others_ask_and_some_rows_of_them() -> None:
 
 
 def test_arrays_grow_and_several_threads_come_to_the_same(monkeypatch) -> None:
-    monkeypatch.setattr(parallel, "PART", 500)
+    monkeypatch.setattr(parallel, "MIN_AGENTS_PER_THREAD", 500)
     positions, ids = crowd((90, 2, 90))
     grid = CellGrid(*positions, ids, 3.0)
     for view in (None, view_of(2000)):
@@ -220,7 +220,7 @@ def test_more_than_the_limit_within_a_radius_are_refused() -> None:
     most = (
         max(len(np.flatnonzero(np.linalg.norm(np.stack(positions) - p[:, None], axis=0) <= 8)) for p in np.stack(positions).T) - 1
     )
-    assert most > limits.NEIGHBOURS
+    assert most > limits.MAX_QUERY_NEIGHBOURS
     for threads in (1, 2):
         with pytest.raises(TooManyNeighbours):
             grid.find_pairs(None, 8.0, limit=most - 1, threads=threads)
@@ -249,10 +249,10 @@ def test_items_are_found_the_same_in_every_way(monkeypatch: pytest.MonkeyPatch, 
     items = type("Held", (), {"visible_values": visited, "__len__": lambda self: many})()
     numbers = rng.uniform(-5, 300, 1000).astype(np.float32)
     numbers[::50] = np.nan
-    monkeypatch.setattr(item_pairs, "_MEASURED", 5000)
+    monkeypatch.setattr(item_pairs, "_PAIRS_PER_CHUNK", 5000)
     for radius in (np.float32(np.inf), np.float32(60), np.float32(0), numbers):
         reach = np.broadcast_to(radius, 1000).astype(np.float32)
-        monkeypatch.setattr(item_pairs, "_MANY_ITEMS", 1000)
+        monkeypatch.setattr(item_pairs, "_MIN_ITEMS_TO_FILTER", 1000)
         with np.errstate(all="ignore"):
             expected = near_items(visited, positions, radius)
             paths = [item_pairs.each(items, tuple(positions), reach)]
@@ -264,7 +264,7 @@ def test_items_are_found_the_same_in_every_way(monkeypatch: pytest.MonkeyPatch, 
 
 
 def test_parts_walked_side_by_side_come_to_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(parallel, "PART", 100)
+    monkeypatch.setattr(parallel, "MIN_AGENTS_PER_THREAD", 100)
     hashes = []
     for threads in (1, 3):
         crowd_of_many = world(count=700, scene=EXAMPLE / "many.yaml", options=Options(threads=threads))

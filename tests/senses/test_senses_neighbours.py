@@ -78,7 +78,7 @@ def test_the_order_of_rows_is_not_observable(monkeypatch):
     ids = np.arange(n, dtype=np.int64) * 3
     expected = as_ids(CellGrid(x, y, z, ids, 15.0).find_pairs(None, 14.0), ids, ids)
     order = np.random.default_rng(5).permutation(n)
-    monkeypatch.setattr(parallel, "PART", 37)
+    monkeypatch.setattr(parallel, "MIN_AGENTS_PER_THREAD", 37)
     grid = CellGrid(x[order], y[order], z[order], ids[order], 15.0)
     back = np.argsort(order).astype(np.int32)
     for threads in (1, 3):
@@ -104,9 +104,9 @@ def test_a_crowd_on_one_spot_keeps_the_lowest_ids_and_little_memory():
     peak = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
     assert peak < 120e6  # all 16 million pairs at once would take more than three times this
-    assert np.array_equal(np.bincount(pairs.i), np.full(n, limits.NEIGHBOURS))
+    assert np.array_equal(np.bincount(pairs.i), np.full(n, limits.MAX_QUERY_NEIGHBOURS))
     last = ids[pairs.j[pairs.i == int(np.argmax(ids))]]
-    assert sorted(last.tolist()) == list(range(limits.NEIGHBOURS))
+    assert sorted(last.tolist()) == list(range(limits.MAX_QUERY_NEIGHBOURS))
 
 
 def test_empty_crowds_and_places_that_are_not_numbers_do_no_harm():
@@ -145,5 +145,5 @@ def test_the_cap_comes_before_the_field_of_view() -> None:
     x = np.linspace(-20, 20, n).astype(np.float32)
     zero, one = np.zeros(n, np.float32), np.ones(n, np.float32)
     pairs = CellGrid(x, zero, zero, np.arange(n, dtype=np.int64), 50.0).find_pairs(None, 50.0, view=(one, zero, zero, zero))
-    assert np.bincount(pairs.i)[n // 2] == limits.NEIGHBOURS // 2  # the nearest, half of which are in front
-    assert np.bincount(pairs.i)[0] == limits.NEIGHBOURS
+    assert np.bincount(pairs.i)[n // 2] == limits.MAX_QUERY_NEIGHBOURS // 2  # the nearest, half of which are in front
+    assert np.bincount(pairs.i)[0] == limits.MAX_QUERY_NEIGHBOURS

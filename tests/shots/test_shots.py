@@ -14,8 +14,8 @@ from executed import InThisProcess
 from antdsl.executors import Task, TaskRefused, Worker, WorkersLost, run_tasks
 from antdsl.executors.input_bundle import FileBundle, VisibleFile, digest_files, pack, unpacked_path
 from antdsl.outputs.cache.cache_reader import open_cache
-from antdsl.outputs.drawing import Drawer, DrawRequest, Stills
-from antdsl.pipeline import Choices, open_scene
+from antdsl.outputs.drawing import DrawRequest, FrameDrawer, StillStore
+from antdsl.pipeline import RunChoices, open_scene
 from antdsl.scene.paths import record_sought
 from antdsl.scene.values import FrameRange
 from antdsl.shots import exports, stills
@@ -66,7 +66,7 @@ def test_a_shot_on_another_machine_is_the_same_cache_and_nothing_of_an_earlier_o
         "run", str(scene), "--frames", "1..3", "--out", "here/walk", "--quiet", "--backend", "numpy", cwd=walkers
     )
     assert process.returncode == 0, process.stderr
-    choices = Choices(frames=FrameRange(1, 3))
+    choices = RunChoices(frames=FrameRange(1, 3))
     with record_sought() as read:
         shot, report = open_scene(scene, choices)
     assert shot is not None and report.ok
@@ -88,7 +88,7 @@ def test_files_that_have_changed_are_reported_and_nothing_is_mixed(walkers: Path
     shot, _ = open_scene(scene)
     assert shot is not None
     with mark_folder(walkers) as to:
-        shot_task = cache_task(shot, scene, Choices(), OPTIONS, to, "walk")
+        shot_task = cache_task(shot, scene, RunChoices(), OPTIONS, to, "walk")
         program = walkers / "walkers" / "walker.ant"
         program.write_text(program.read_text(encoding="utf-8") + "\n# another\n", encoding="utf-8")
         (answered,) = run_tasks([shot_task], InThisProcess())
@@ -122,15 +122,15 @@ def test_stills_of_another_machine_are_those_of_this_one(walkers: Path) -> None:
         jobs = list(stills.still_tasks(cache, still_options, range(1, 7), range(1, 7), to))
         assert [job.document["frames"] for job in jobs] == [[1, 2, 3, 4], [5, 6]]
         assert all(answered.answer is not None for answered in run_tasks(jobs, afar, folder_of=lambda task: remote_folder))
-    drawer = Drawer(still_options.gallery(open_cache(cache)), still_options, range(1, 7), 1)
+    drawer = FrameDrawer(still_options.gallery(open_cache(cache)), still_options, range(1, 7), 1)
     local_folder = walkers / "here"
     local_folder.mkdir()
-    local_stills = Stills.of(local_folder, open_cache(cache), still_options, range(1, 7))
+    local_stills = StillStore.of(local_folder, open_cache(cache), still_options, range(1, 7))
     for frame in range(1, 7):
         local_stills.put(frame, drawer.draw(frame))
     assert files(remote_folder) == files(local_folder) and len(files(local_folder)) == 6
     assert all(
-        Stills.of(remote_folder, open_cache(cache), still_options, range(1, 7)).read_still(frame) is not None
+        StillStore.of(remote_folder, open_cache(cache), still_options, range(1, 7)).read_still(frame) is not None
         for frame in range(1, 7)
     )
 

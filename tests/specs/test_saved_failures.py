@@ -17,7 +17,7 @@ from test_specs import GROUND
 
 from antdsl.cli import _run as run_in_process
 from antdsl.outputs.cache.cache_reader import open_cache
-from antdsl.pipeline import Choices, open_scene
+from antdsl.pipeline import RunChoices, open_scene
 from antdsl.runtime import bind, state_hash, step
 from antdsl.specs.golden.recorded import golden_path, read_golden
 
@@ -119,7 +119,7 @@ def test_what_is_saved_is_the_run_that_was_judged_and_goes_on(folder: Path, run)
     assert run("test", "a.ant", "-k", "rests")[0] == 1
     out = folder / "out" / "failed" / "nobody-rests-long-5"
     cache = open_cache(out)
-    shot, _ = open_scene(folder / "scene.yaml", Choices(params={"a.pace": "30mm/s", "scent.half_life": "4s"}))
+    shot, _ = open_scene(folder / "scene.yaml", RunChoices(params={"a.pace": "30mm/s", "scent.half_life": "4s"}))
     assert shot is not None
     world = bind(shot.plan, shot.setting)
     hash_by_frame = {}

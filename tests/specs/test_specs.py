@@ -9,11 +9,11 @@ from pathlib import Path
 import pytest
 
 from antdsl.diagnostics import Report
-from antdsl.pipeline import Choices, check_path, open_scene
+from antdsl.pipeline import RunChoices, check_path, open_scene
 from antdsl.runtime import Options, bind, state_hash, step
 from antdsl.specs import Case, Run, Work, collect_cases, run_cases
-from antdsl.specs.coverage import Coverage
-from antdsl.specs.judge import Judge
+from antdsl.specs.coverage import SpecCoverage
+from antdsl.specs.judge import SpecJudge
 
 EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
 WALKER = """ant 1
@@ -308,8 +308,8 @@ def test_looking_changes_nothing(folder: Path) -> None:
     assert report.ok
     (run,) = runs
     watched, alone = (bind(run.shot.plan, run.shot.setting) for _ in range(2))
-    Coverage().watch(watched, run.shot.program)
-    judge = Judge(run.cases[0].plan, watched, 31)
+    SpecCoverage().watch(watched, run.shot.program)
+    judge = SpecJudge(run.cases[0].plan, watched, 31)
     while not judge.over:
         judge.look(watched)
         assert state_hash(watched) == state_hash(alone)
@@ -321,7 +321,7 @@ def test_looking_changes_nothing(folder: Path) -> None:
 def test_a_fault_fails_the_case_at_its_place(folder: Path) -> None:
     program = WALKER.replace("tick += pace", "tick += pace; load = 1 / (tick - 1)")
     runs, _ = collect_runs(folder, spec("always: count(walker) == 5") + spec("seeds 1; always: count(walker) == 5", "y"), program)
-    coverage = Coverage()
+    coverage = SpecCoverage()
     run_cases(runs, Work(Options(), coverage))
     for case in (case for run in runs for case in run.cases):
         (failure,) = case.failures
@@ -333,7 +333,7 @@ def test_a_fault_fails_the_case_at_its_place(folder: Path) -> None:
 def test_states_and_changes_that_no_agent_reached_are_known(folder: Path) -> None:
     program = WALKER.replace("  }\n}\n", "    when tick > 99 -> far\n  }\n  state far { when after 1 s -> go }\n}\n")
     runs, _ = collect_runs(folder, spec("for 3 s; always: count(walker) == 5"), program)
-    coverage = Coverage()
+    coverage = SpecCoverage()
     run_cases(runs, Work(Options(), coverage))
     visit_counts = {each.name: each.count for each in (*coverage.states.values(), *coverage.changes.values())}
     assert (
@@ -351,7 +351,7 @@ def test_states_and_changes_that_no_agent_reached_are_known(folder: Path) -> Non
 def test_changes_are_counted_for_those_who_die_of_them(tmp_path: Path) -> None:
     (tmp_path / "scene.yaml").write_text(FLIES)
     runs, _ = collect_runs(tmp_path, spec("always: count(fly) >= 0"), MORTAL)
-    coverage = Coverage()
+    coverage = SpecCoverage()
     run_cases(runs, Work(Options(), coverage))
     assert [each.count for each in coverage.changes.values()] == [2, 1, 0]
 
@@ -390,10 +390,10 @@ def test_without_a_scene_the_one_that_is_named_or_the_one_beside(folder: Path) -
 
 def test_a_param_of_a_spec_changes_only_that_run(folder: Path) -> None:
     (folder / "walker.ant").write_text(WALKER + spec("set walker.pace = 3 /s; always: count(walker) == 5"))
-    shot, _ = open_scene(folder / "scene.yaml", Choices())
+    shot, _ = open_scene(folder / "scene.yaml", RunChoices())
     assert shot is not None and shot.setting.params == {}
     (changes,) = (s.changes for s in shot.program.specs)
-    changed, _ = open_scene(folder / "scene.yaml", Choices(changes=changes))
+    changed, _ = open_scene(folder / "scene.yaml", RunChoices(changes=changes))
     assert changed is not None and changed.setting.params == {"walker.pace": 3.0}
     assert changed.inputs != shot.inputs
 

@@ -12,7 +12,7 @@ from test_specs import BLOCK, FLIES, GROUND, MORTAL, OPTION_SETS, SCENE, WALKER,
 from antdsl.plan.lowering.spec_blocks import JudgementPlan
 from antdsl.source import Source, Span
 from antdsl.specs.cases import settle_verdicts
-from antdsl.specs.lines import Line, Observation
+from antdsl.specs.lines import FrameObservation, JudgementLine
 
 # In the scene of `WALKER`, `tick` is 0 at frame 1, grows by 0.2 a frame and reaches 2 at frame 11; ten frames a second.
 LINES = [
@@ -57,9 +57,9 @@ def test_when_each_line_fails(folder: Path) -> None:  # noqa: F811
 def walk(kind: str, steps: int | None, since: str, holds: str) -> int | None:
     """The frame in which an agent fails, given its condition frame by frame: true (`#`) or false (`.`)."""
     plan = JudgementPlan(kind, 1, "a", "x", None, (), False, Span(Source("x", ""), 0, 0), None, "y")
-    judged, one = Line(plan, steps, None), np.zeros(1, np.int64)
+    judged, one = JudgementLine(plan, steps, None), np.zeros(1, np.int64)
     for frame, (s, h) in enumerate(zip(since, holds, strict=True)):
-        observation = Observation(
+        observation = FrameObservation(
             frame, frame + 1 == len(since), one, one, np.array([h == "#"]), np.array([s == "#"]), np.zeros(1, np.bool_)
         )
         if len(judged.look(observation)):

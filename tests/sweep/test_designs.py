@@ -120,7 +120,7 @@ def test_options_that_do_not_fit_together_are_reported_with_a_correction() -> No
     assert "write what to vary" in refused("latin", points=4)
     assert "`--points 64` or `--points 32`" in refused("sobol", SMELL, points=50)
     assert "write its ends: `--vary x.p=1..3`" in refused("morris", Factor("x.p", ("1", "2", "3")), points=10)
-    assert "20,000 are not run" in refused("latin", SMELL, points=limits.SWEEP_POINTS + 1)
+    assert "20,000 are not run" in refused("latin", SMELL, points=limits.MAX_SWEEP_POINTS + 1)
     assert "20,000 are not run" in refused("grid", *(Factor(f"x.p{k}", tuple(map(str, range(100)))) for k in range(3)))
 
 

@@ -13,7 +13,7 @@ from antdsl.source import Source
 from antdsl.syntax import format, parse
 from antdsl.syntax import nodes as n
 from antdsl.syntax.formatting.layout import LayoutError, first_difference, flatten_tree
-from antdsl.syntax.formatting.lines import WIDTH
+from antdsl.syntax.formatting.lines import MAX_LINE_CHARACTERS
 
 
 def formatted(text: str) -> str:
@@ -194,7 +194,7 @@ def test_what_could_not_be_read_again_is_not_written(monkeypatch: pytest.MonkeyP
     assert parse(Source("t.ant", text))[1].ok
     new_text, report = format(Source("t.ant", text))
     assert new_text is None and [d.code for d in report.errors] == ["line-too-long"]
-    monkeypatch.setattr("antdsl.limits.ANT_FILE_BYTES", 200)
+    monkeypatch.setattr("antdsl.limits.MAX_PROGRAM_BYTES", 200)
     new_text, report = format(Source("t.ant", "ant 1\nspecies a {" + "x=1;" * 45 + "y=1}"))
     assert new_text is None and [d.code for d in report.errors] == ["file-too-large"]
 
@@ -218,7 +218,7 @@ def test_a_line_that_is_too_long_has_nothing_to_break() -> None:
             code = re.sub(' *"[^"]*"$', "", line)
             indent = len(code) - len(code.lstrip())
             code = " " * indent + re.sub(" +", " ", code.lstrip())  # what stands in columns may be wider
-            if len(code) > WIDTH:
+            if len(code) > MAX_LINE_CHARACTERS:
                 long += 1
                 assert not re.search(r"\([^()]+\)|\[[^][]+\]|{ ", code), code
     assert long < 20

@@ -9,11 +9,11 @@ from antdsl.scene import indentation
 
 BLANKS = 200_000
 TEXTS = {
-    "a comment": (ignoring._COMMENT, "# antdsl: ignore[far-away] x", "y", True),
-    "a key without a colon": (indentation._KEY, "ground", "x", False),
-    "a key": (indentation._KEY, "ground", ": x", True),
-    "a word behind a key": (indentation._NO_COLON, "ground", "x", True),
-    "a value without a blank": (indentation._GLUED, "ground:x", "y", True),
+    "a comment": (ignoring._IGNORE_COMMENT, "# antdsl: ignore[far-away] x", "y", True),
+    "a key without a colon": (indentation._KEY_PATTERN, "ground", "x", False),
+    "a key": (indentation._KEY_PATTERN, "ground", ": x", True),
+    "a word behind a key": (indentation._MISSING_COLON_PATTERN, "ground", "x", True),
+    "a value without a blank": (indentation._MISSING_SPACE_PATTERN, "ground:x", "y", True),
 }
 
 
@@ -28,8 +28,8 @@ def test_blanks_cost_no_more_than_once_each(name: str) -> None:
 
 
 def test_a_plain_key_ends_before_the_blanks() -> None:
-    match = indentation._KEY.match("two words  : 1")
+    match = indentation._KEY_PATTERN.match("two words  : 1")
     assert match is not None and match[1] == "two words"
-    assert [indentation._KEY.match(text) is not None for text in ("a:", "a :x", "'q: r' : 1", ": x", "-a: 1")] == [
+    assert [indentation._KEY_PATTERN.match(text) is not None for text in ("a:", "a :x", "'q: r' : 1", ": x", "-a: 1")] == [
         True, False, True, False, False,
     ]  # fmt: skip

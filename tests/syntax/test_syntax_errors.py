@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from antdsl import limits
-from antdsl.diagnostics.codes import CODES
+from antdsl.diagnostics.codes import CODE_DESCRIPTIONS
 from antdsl.diagnostics.render import render
 from antdsl.source import Source
 from antdsl.syntax import parse
@@ -65,7 +65,7 @@ def test_every_code_of_this_room_is_in_a_case() -> None:
     codes = {code for part in mine for code in re.findall(r'^    "([a-z0-9-]+)":', part, re.MULTILINE)}
     case_codes = {expected.code for chunk in _chunks().values() for expected in _expected(chunk)}
     python_cases = {"hidden-direction", "odd-blank", "line-too-long", "nesting-too-deep", "expression-too-deep"}
-    assert codes - case_codes == python_cases and case_codes <= set(CODES)
+    assert codes - case_codes == python_cases and case_codes <= set(CODE_DESCRIPTIONS)
 
 
 def _codes(text: str) -> list[str]:
@@ -99,14 +99,14 @@ def test_full_width_digits_are_look_alikes() -> None:
 
 
 def test_long_line() -> None:
-    assert _codes("ant 1\nspecies a { load = 0 } # " + "x" * limits.LINE_CHARACTERS) == ["line-too-long"]
+    assert _codes("ant 1\nspecies a { load = 0 } # " + "x" * limits.MAX_LINE_CHARACTERS) == ["line-too-long"]
 
 
 @pytest.mark.parametrize(("opening", "closing"), ["()", "[]"])
 def test_nesting_is_capped(opening: str, closing: str) -> None:
     inner = "x" if opening == "(" else "likes"
     head = "" if opening == "(" else "likes"
-    fine = limits.NESTING - 2
+    fine = limits.MAX_BRACKET_DEPTH - 2
     deepest_program = PROGRAM.format(head + opening * fine + inner + closing * fine)
     assert "nesting-too-deep" not in _codes(deepest_program)
     assert _codes(PROGRAM.format(head + opening * (fine + 1) + inner + closing * (fine + 1))) == ["nesting-too-deep"]
@@ -124,7 +124,7 @@ def test_a_sum_of_ten_thousand_terms_is_refused() -> None:
 
 
 def test_flat_sums_within_the_cap_are_fine() -> None:
-    assert _codes(PROGRAM.format("+".join(["1"] * (limits.EXPRESSION_DEPTH - 20)))) == []
+    assert _codes(PROGRAM.format("+".join(["1"] * (limits.MAX_EXPRESSION_DEPTH - 20)))) == []
 
 
 @pytest.mark.parametrize(
@@ -137,9 +137,9 @@ def test_thousands_of_mistakes_take_no_time_and_are_cut_short(line: str) -> None
     _, report = parse(Source("t.ant", "ant 1\nspecies a {\n" + line * 3000))
     output_lines = render(report, "concise").splitlines()
     assert process_time() - start_time < 2
-    assert len(output_lines) <= limits.DIAGNOSTICS_SHOWN + 1
-    if len(report.diagnostics) > limits.DIAGNOSTICS_SHOWN:
-        assert output_lines[-1] == f"… and {len(report.diagnostics) - limits.DIAGNOSTICS_SHOWN:,} more"
+    assert len(output_lines) <= limits.MAX_SHOWN_DIAGNOSTICS + 1
+    if len(report.diagnostics) > limits.MAX_SHOWN_DIAGNOSTICS:
+        assert output_lines[-1] == f"… and {len(report.diagnostics) - limits.MAX_SHOWN_DIAGNOSTICS:,} more"
 
 
 def test_braces_of_a_format_string_are_shown_as_they_are() -> None:

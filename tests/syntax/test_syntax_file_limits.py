@@ -8,7 +8,7 @@ import pytest
 
 from antdsl import limits, syntax
 from antdsl.source import Source
-from antdsl.syntax.parser import _Parsing
+from antdsl.syntax.parser import _FileParser
 from antdsl.syntax.parts import IncrementalParser
 
 SPECIES = "species s{} {{ state a {{ }}\nlayers {{ state }} }}\n"
@@ -24,8 +24,8 @@ LARGE = {
 @pytest.mark.parametrize("words", LARGE)
 def test_a_large_file_is_one_located_message_and_is_not_parsed(words: str) -> None:
     text = LARGE[words]
-    assert len(text.encode()) <= limits.ANT_FILE_BYTES
-    with patch("antdsl.syntax.parser._Parsing", side_effect=AssertionError("parsed")):
+    assert len(text.encode()) <= limits.MAX_PROGRAM_BYTES
+    with patch("antdsl.syntax.parser._FileParser", side_effect=AssertionError("parsed")):
         file, report = syntax.parse(Source("large.ant", text))
     assert file.broken
     (error,) = report.errors
@@ -37,15 +37,17 @@ def test_a_large_file_is_one_located_message_and_is_not_parsed(words: str) -> No
 def test_a_file_that_is_edited_has_the_same_limits(words: str) -> None:
     parts = IncrementalParser()
     parts.parse(Source("large.ant", "ant 1\n" + SPECIES.format("a") + SPECIES.format("b")))
-    with patch("antdsl.syntax.parser._Parsing.lines", autospec=True, side_effect=_Parsing.lines) as reading:
+    with patch("antdsl.syntax.parser._Parsing.lines", autospec=True, side_effect=_FileParser.lines) as reading:
         edited_result = parts.parse(Source("large.ant", LARGE[words]))
-    assert reading.call_count <= limits.STATEMENTS + limits.SPECIES  # one for each part, and for each group in it
+    assert (
+        reading.call_count <= limits.MAX_FILE_STATEMENTS + limits.MAX_FILE_SPECIES
+    )  # one for each part, and for each group in it
     (problem,), (expected,) = (each.errors for each in (edited_result[1], syntax.parse(Source("large.ant", LARGE[words]))[1]))
     assert (problem.message, str(problem.span)) == (expected.message, str(expected.span))
 
 
 def test_a_file_at_the_limits_is_parsed() -> None:
-    text = "ant 1\n" + "".join(SPECIES.format(number) for number in range(limits.SPECIES))
+    text = "ant 1\n" + "".join(SPECIES.format(number) for number in range(limits.MAX_FILE_SPECIES))
     file, report = syntax.parse(Source("large.ant", text))
     assert report.ok and not file.broken
     assert not IncrementalParser().parse(Source("large.ant", text))[1].diagnostics

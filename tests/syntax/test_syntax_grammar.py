@@ -22,8 +22,8 @@ from antdsl.syntax.brackets import pair_brackets
 from antdsl.syntax.builder import Builder
 from antdsl.syntax.grammar import build_parser, number_tokens
 from antdsl.syntax.scan import scan
-from antdsl.syntax.tables import STARTS, TABLES_FILE, grammar_hash, load_parser
-from antdsl.syntax.words import BELONGS, BODIES, FORMS, LINE_WORDS
+from antdsl.syntax.tables import START_RULES, TABLES_FILE, grammar_hash, load_parser
+from antdsl.syntax.words import BODY_RULE_BY_LINE, EXAMPLE_LINES, LINE_CONTEXT_BY_WORD, LINE_WORDS_BY_RULE
 
 
 class SinglePassBuilder(Builder):
@@ -37,7 +37,7 @@ class SinglePassBuilder(Builder):
 
 @pytest.fixture(scope="module")
 def built() -> Lark:
-    return build_parser((*STARTS, "file"))  # raises on every conflict and collision
+    return build_parser((*START_RULES, "file"))  # raises on every conflict and collision
 
 
 def test_tables_are_fresh(built: Lark) -> None:
@@ -122,9 +122,9 @@ def test_reading_a_text_does_not_import_what_builds_a_grammar() -> None:
 
 
 def test_texts_of_lines_know_their_words() -> None:
-    words = {word for words in LINE_WORDS.values() for word in words}
-    assert words == set(FORMS) and words - {"ant"} <= set(BELONGS)
-    assert set(LINE_WORDS) == set(STARTS) and {body for body in BODIES.values()} <= set(STARTS)
+    words = {word for words in LINE_WORDS_BY_RULE.values() for word in words}
+    assert words == set(EXAMPLE_LINES) and words - {"ant"} <= set(LINE_CONTEXT_BY_WORD)
+    assert set(LINE_WORDS_BY_RULE) == set(START_RULES) and {body for body in BODY_RULE_BY_LINE.values()} <= set(START_RULES)
     terminals = {str(t.pattern.value).partition("(?!")[0] for t in load_parser(Builder()).terminals}
     assert words <= terminals
 
@@ -132,8 +132,8 @@ def test_texts_of_lines_know_their_words() -> None:
 def test_forms_that_complaints_show_can_be_parsed() -> None:
     builder = SinglePassBuilder()
     parser = load_parser(builder)
-    for word, form in FORMS.items():
-        rule = next(rule for rule, words in LINE_WORDS.items() if word in words)
+    for word, form in EXAMPLE_LINES.items():
+        rule = next(rule for rule, words in LINE_WORDS_BY_RULE.items() if word in words)
         for each in form.split("` or `"):
             source = Source("form", each.replace("…", ""))
             builder.place = Straight(source)

@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from antdsl.program.tables.vocabulary import UNITS
+from antdsl.program.tables.vocabulary import UNIT_BY_NAME
 from antdsl.source import Source, Span
 from antdsl.syntax import nodes as n
 from antdsl.syntax import parse
@@ -166,7 +166,7 @@ def test_a_name_that_begins_like_a_unit_is_a_name(text: str) -> None:
 
 
 def test_units_are_one_list_in_grammar_scanner_and_vocabulary() -> None:
-    assert set(UNITS) == {*UNIT_NAMES, "%"}
+    assert set(UNIT_BY_NAME) == {*UNIT_NAMES, "%"}
     for unit in UNIT_NAMES:
         assert isinstance(expression(f"1 {unit}"), n.Quantity)
 

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from antdsl import limits
-from antdsl.diagnostics.codes import CODES
+from antdsl.diagnostics.codes import CODE_DESCRIPTIONS
 from antdsl.syntax import parse, read
 
 
@@ -16,7 +16,7 @@ def refused(path: Path | str) -> tuple[str, str]:
     source, report = read(path)
     assert source is None and len(report.errors) == 1
     (error,) = report.errors
-    assert error.code in CODES and error.help
+    assert error.code in CODE_DESCRIPTIONS and error.help
     return error.code, error.message
 
 
@@ -40,7 +40,7 @@ def test_a_file_is_read_with_its_name(tmp_path: Path) -> None:
         (b"PXR-USDC\0\0", "not-an-ant-file", "USD scene"),
         (b"\x89PNG\r\n", "not-an-ant-file", "picture"),
         (b"ply\nformat ascii 1.0\n", "not-an-ant-file", "mesh"),
-        (b"x" * (limits.ANT_FILE_BYTES + 1), "file-too-large", "256 KiB"),
+        (b"x" * (limits.MAX_PROGRAM_BYTES + 1), "file-too-large", "256 KiB"),
     ],
 )
 def test_what_is_no_program_is_refused(tmp_path: Path, data: bytes, code: str, words: str) -> None:
@@ -60,7 +60,7 @@ def test_the_place_of_a_bad_byte_is_shown(tmp_path: Path) -> None:
 
 def test_largest_file_is_read(tmp_path: Path) -> None:
     path = tmp_path / "a.ant"
-    path.write_bytes(b"#" * limits.ANT_FILE_BYTES)
+    path.write_bytes(b"#" * limits.MAX_PROGRAM_BYTES)
     assert read(path)[0] is not None
 
 

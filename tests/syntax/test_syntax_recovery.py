@@ -12,9 +12,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from test_syntax_parse import CARD, shape, walk
 
-from antdsl.diagnostics.codes import CODES
+from antdsl.diagnostics.codes import CODE_DESCRIPTIONS
 from antdsl.diagnostics.model import Report
-from antdsl.diagnostics.render import FORMATS, render
+from antdsl.diagnostics.render import FORMATTERS, render
 from antdsl.source import Source
 from antdsl.syntax import nodes as n
 from antdsl.syntax import parse
@@ -32,7 +32,7 @@ def check(text: str) -> Report:
     source = Source("t.ant", text)
     file, report = parse(source)
     for diagnostic in report.diagnostics:
-        assert diagnostic.code in CODES and diagnostic.span is not None
+        assert diagnostic.code in CODE_DESCRIPTIONS and diagnostic.span is not None
         assert 0 <= diagnostic.span.start <= diagnostic.span.end <= len(text)
         assert "\n" not in diagnostic.message and diagnostic.message[:1] == diagnostic.message[:1].lower()
     for node in walk(file.items):
@@ -114,7 +114,7 @@ _PIECES = st.sampled_from(
 @given(st.lists(_PIECES, max_size=60), st.sampled_from(["", " "]))
 def test_any_sequence_of_words_is_read(pieces: list[str], between: str) -> None:
     report = check(between.join(pieces))
-    for format in FORMATS:
+    for format in FORMATTERS:
         render(report, format)
 
 

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 Floats = NDArray[np.float32]
 Numbers = NDArray[Any]  # float32 or float64, as it was given
 
-_POLAR_STEPS = 8  # of which six are enough for scales of 1 : 1e15 in one matrix
+_POLAR_ITERATIONS = 8  # of which six are enough for scales of 1 : 1e15 in one matrix
 
 
 def normalise(rotation: Numbers) -> Numbers:
@@ -123,7 +123,7 @@ def rotation_part(m: Numbers) -> Numbers:
     for r in range(3):
         for c in range(3):
             rotation[r, c][flat] = float(r == c)
-    for _ in range(_POLAR_STEPS):
+    for _ in range(_POLAR_ITERATIONS):
         back = inverse_transposed(rotation)
         by = np.sqrt(np.sqrt(_sum_of_squares(back) / _sum_of_squares(rotation)))
         rotation = 0.5 * (by * rotation + back / by)

@@ -15,8 +15,8 @@ from antdsl.bodies.agents.definition import Definition, Shape
 from antdsl.bodies.agents.poses import Poses
 from antdsl.bodies.agents.skinning import Deformed, normalise_in_place
 
-_OWN = {"P": "points", "N": "normals"}  # attributes with a field of their own
-_LEAST_APART = 1e-6  # in-betweens of the same weight are one
+_SHAPE_FIELD_BY_ATTRIBUTE = {"P": "points", "N": "normals"}  # attributes with a field of their own
+_MIN_KNOT_SPACING = 1e-6  # in-betweens of the same weight are one
 
 
 def blend_shapes(deformed: Deformed, shape: Shape, definition: Definition, poses: Poses) -> Deformed:
@@ -47,7 +47,7 @@ def blend_shapes(deformed: Deformed, shape: Shape, definition: Definition, poses
                 values[each][:, base_points] += (
                     attribute_difference(shape, targets[k], each, base_points, target_points)[..., None] * share
                 )
-    rest = {name: array.transpose(2, 1, 0) for name, array in values.items() if name not in _OWN}
+    rest = {name: array.transpose(2, 1, 0) for name, array in values.items() if name not in _SHAPE_FIELD_BY_ATTRIBUTE}
     points = values["P"].transpose(2, 1, 0) if "P" in values else deformed.points
     normals = normalise_in_place(values["N"]).transpose(2, 1, 0) if "N" in values else deformed.normals
     return Deformed(points, normals, {**deformed.attributes, **rest})
@@ -55,7 +55,11 @@ def blend_shapes(deformed: Deformed, shape: Shape, definition: Definition, poses
 
 def _read_attribute(deformed: Deformed, name: str) -> Floats | None:
     """Return an attribute [n, P, …] as deformed so far."""
-    return {"P": deformed.points, "N": deformed.normals}[name] if name in _OWN else deformed.attributes.get(name)
+    return (
+        {"P": deformed.points, "N": deformed.normals}[name]
+        if name in _SHAPE_FIELD_BY_ATTRIBUTE
+        else deformed.attributes.get(name)
+    )
 
 
 def _by_component(values: Floats | None, n: int) -> Floats:
@@ -74,7 +78,7 @@ def knots_of(definition: Definition, name: str) -> tuple[list[Shape], NDArray[np
         if len(between.shapes) != len(between.weights):
             raise ValueError(f"shape `{name}` has {len(between.shapes)} in-betweens and {len(between.weights)} weights for them")
         for each, weight in zip(between.shapes, between.weights, strict=True):
-            if any(abs(weight - other) < _LEAST_APART for other in (0.0, *(known for known, _ in pairs))):
+            if any(abs(weight - other) < _MIN_KNOT_SPACING for other in (0.0, *(known for known, _ in pairs))):
                 raise ValueError(
                     f"in-between `{each}` of shape `{name}` has weight {weight:g}; use values other than 0 and 1, each once"
                 )
@@ -112,7 +116,9 @@ def match_points(base: Shape, target: Shape, point_id: str) -> tuple[NDArray[np.
 
 def values_of(shape: Shape, name: str) -> NDArray[np.generic] | None:
     """An attribute [P, …] of the points of a shape."""
-    values: NDArray[np.generic] | None = getattr(shape, _OWN[name]) if name in _OWN else shape.attributes.get(name)
+    values: NDArray[np.generic] | None = (
+        getattr(shape, _SHAPE_FIELD_BY_ATTRIBUTE[name]) if name in _SHAPE_FIELD_BY_ATTRIBUTE else shape.attributes.get(name)
+    )
     return values
 
 

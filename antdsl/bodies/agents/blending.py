@@ -30,16 +30,16 @@ from numpy.typing import NDArray
 
 from antdsl.bodies.agents.affine import Floats, normalise, quaternion_product
 from antdsl.bodies.agents.definition import TransformGroup
-from antdsl.bodies.agents.poses import REST, ClipTable, Pose, Poses, rest_pose, sample_poses, transforms
+from antdsl.bodies.agents.poses import REST_CLIP, ClipTable, Pose, Poses, rest_pose, sample_poses, transforms
 from antdsl.numerics import parallel
 from antdsl.numerics.float_environment import standard_floats
 
-INTERPOLATE, ADDITIVE, OVER = 0, 1, 2
+INTERPOLATE_MODE, ADDITIVE_MODE, OVER_MODE = 0, 1, 2
 NO_PARENT = -1
-_PART = 1 << 15  # joints worked on at once: their components stay in the cache of a core
-_ONE = np.float32(1)
+_JOINTS_PER_CHUNK = 1 << 15  # joints worked on at once: their components stay in the cache of a core
+_FLOAT32_ONE = np.float32(1)
 # limits of weights: float32 cannot resolve shares of larger weights, or of a smaller sum
-_MOST, _LEAST = np.float32(1e18), np.float32(1e-30)
+_MAX_WEIGHT, _MIN_TOTAL_WEIGHT = np.float32(1e18), np.float32(1e-30)
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,15 +50,17 @@ class ClipTree:
 
     layers: tuple[int, ...]
     groups: tuple[str, ...]
-    modes: tuple[int, ...] = (INTERPOLATE,)
+    modes: tuple[int, ...] = (INTERPOLATE_MODE,)
     parents: tuple[int, ...] = (NO_PARENT,)
 
     def __post_init__(self) -> None:
         count = len(self.modes)
         if len(self.groups) != len(self.layers) or len(self.parents) != count:
             raise ValueError("each clip needs a layer and a transform group, and each layer a mode and a parent")
-        if any(mode not in (INTERPOLATE, ADDITIVE, OVER) for mode in self.modes):
-            raise ValueError(f"the mode of a layer is {INTERPOLATE} (interpolate), {ADDITIVE} (additive) or {OVER} (over)")
+        if any(mode not in (INTERPOLATE_MODE, ADDITIVE_MODE, OVER_MODE) for mode in self.modes):
+            raise ValueError(
+                f"the mode of a layer is {INTERPOLATE_MODE} (interpolate), {ADDITIVE_MODE} (additive) or {OVER_MODE} (over)"
+            )
         if any(not 0 <= layer < count for layer in self.layers):
             raise ValueError(f"a clip is an input of no layer: they are numbered from 0 to {count - 1}")
         if any(not NO_PARENT <= parent < count for parent in self.parents):
@@ -123,7 +125,7 @@ def posed(
     world = np.empty((3, 4, joints, n), np.float32)
     own = np.empty((3, 4, joints, n), np.float32) if local else None
     channels = np.empty((len(table.rig.channels), n), np.float32)
-    part = max(64, _PART // max(1, joints))
+    part = max(64, _JOINTS_PER_CHUNK // max(1, joints))
 
     for number, tree in enumerate(playing.trees):
         rows = None if len(playing.trees) == 1 else np.flatnonzero(playing.tree == number)
@@ -168,7 +170,7 @@ def _store_matrices(into: Floats, table: ClipTable, agents: slice | NDArray[np.i
 
 
 @dataclass(slots=True, eq=False)
-class _Input:
+class _BlendInput:
     """The pose of a layer's input, its weight [n], and its coverage of each joint and channel: [n], or [J, n] and [C, n]."""
 
     pose: Pose
@@ -188,20 +190,20 @@ def blend_agents(
     n = clips.shape[1]
     rest = rest_pose(table, n)
 
-    def of_clip(slot: int) -> _Input:
-        presence = (clips[slot] != REST).astype(np.float32)
+    def of_clip(slot: int) -> _BlendInput:
+        presence = (clips[slot] != REST_CLIP).astype(np.float32)
         joints, channels = presence, presence
         if tree.groups[slot]:
             joints, channels = (each[:, None] * presence for each in members[tree.groups[slot]])
-        return _Input(sample_poses(table, clips[slot], times[slot]), weights[slot], joints, channels)
+        return _BlendInput(sample_poses(table, clips[slot], times[slot]), weights[slot], joints, channels)
 
-    def of_layer(layer: int) -> _Input:
+    def of_layer(layer: int) -> _BlendInput:
         inputs = [of_clip(slot) for slot, each in enumerate(tree.layers) if each == layer]
         inputs += [of_layer(below) for below, parent in enumerate(tree.parents) if parent == layer]
         if not inputs:
             nothing = np.zeros(n, np.float32)
-            return _Input(rest, layer_weights[layer], nothing, nothing)
-        layer_input = _BY_MODE[tree.modes[layer]](inputs, rest)
+            return _BlendInput(rest, layer_weights[layer], nothing, nothing)
+        layer_input = _BLEND_BY_MODE[tree.modes[layer]](inputs, rest)
         layer_input.weight = layer_weights[layer]
         return layer_input
 
@@ -215,10 +217,10 @@ def _columns_of(values: NDArray, agents: slice | NDArray[np.intp]) -> NDArray:  
 
 def _clean_weights(weights: Floats) -> Floats:
     """Return weights limited to the range from 0 to the largest value that can be summed; NaN becomes 0."""
-    return np.minimum(np.where(weights > 0, weights, np.float32(0)).astype(np.float32, copy=False), _MOST)
+    return np.minimum(np.where(weights > 0, weights, np.float32(0)).astype(np.float32, copy=False), _MAX_WEIGHT)
 
 
-def _blend_mean(inputs: list[_Input], rest: Pose) -> _Input:
+def _blend_mean(inputs: list[_BlendInput], rest: Pose) -> _BlendInput:
     """The weighted mean of some inputs."""
     if len(inputs) == 1:
         return _single_mean(inputs[0], rest)
@@ -245,15 +247,15 @@ def _blend_mean(inputs: list[_Input], rest: Pose) -> _Input:
         _add_rotations(pose.rotation, each.pose.rotation, share, part)
     normalise(pose.rotation)
     _reset_to_rest(pose, rest, no_joint, no_channel)
-    return _Input(pose, inputs[0].weight, joints, channels)
+    return _BlendInput(pose, inputs[0].weight, joints, channels)
 
 
-def _single_mean(only: _Input, rest: Pose) -> _Input:
+def _single_mean(only: _BlendInput, rest: Pose) -> _BlendInput:
     """The mean of one input: itself, where it has any weight."""
     joints = only.joints * (only.weight > 0)
     channels = only.channels * (only.weight > 0)
     _reset_to_rest(only.pose, rest, joints == 0, channels == 0)
-    return _Input(only.pose, only.weight, joints, channels)
+    return _BlendInput(only.pose, only.weight, joints, channels)
 
 
 def _shares(weights: list[tuple[Floats, Floats]]) -> tuple[list[Floats], Floats, NDArray[np.bool_]]:
@@ -262,10 +264,10 @@ def _shares(weights: list[tuple[Floats, Floats]]) -> tuple[list[Floats], Floats,
     total, weight_sum = products[0], weights[0][0]
     for each, (weight, _) in zip(products[1:], weights[1:], strict=True):
         total, weight_sum = total + each, weight_sum + weight
-    none = total < _LEAST
-    by: Floats = np.where(none, _ONE, total)
-    np.divide(_ONE, by, out=by)
-    divisor: Floats = np.where(weight_sum == 0, _ONE, weight_sum)
+    none = total < _MIN_TOTAL_WEIGHT
+    by: Floats = np.where(none, _FLOAT32_ONE, total)
+    np.divide(_FLOAT32_ONE, by, out=by)
+    divisor: Floats = np.where(weight_sum == 0, _FLOAT32_ONE, weight_sum)
     presence: Floats = np.divide(total, divisor)
     return [each * by for each in products], presence, none
 
@@ -292,7 +294,7 @@ def _reset_to_rest(pose: Pose, rest: Pose, no_joint: NDArray[np.bool_], no_chann
         np.copyto(pose.channels, rest.channels, where=no_channel)
 
 
-def _blend_added(inputs: list[_Input], rest: Pose) -> _Input:
+def _blend_added(inputs: list[_BlendInput], rest: Pose) -> _BlendInput:
     """The first input, and a share of the differences of the others from the rest pose."""
     first = inputs[0]
     pose, joints, channels = first.pose, first.joints, first.channels
@@ -304,21 +306,21 @@ def _blend_added(inputs: list[_Input], rest: Pose) -> _Input:
         pose.channels += (each.pose.channels - rest.channels) * channel_share
         turn = quaternion_product(each.pose.rotation, back)
         turn *= np.where(turn[3] < 0, -share, share)
-        turn[3] += _ONE - share
+        turn[3] += _FLOAT32_ONE - share
         pose.rotation = normalise(quaternion_product(normalise(turn), pose.rotation))
-        joints = np.maximum(joints, np.minimum(share, _ONE))
-        channels = np.maximum(channels, np.minimum(channel_share, _ONE))
-    return _Input(pose, first.weight, joints, channels)
+        joints = np.maximum(joints, np.minimum(share, _FLOAT32_ONE))
+        channels = np.maximum(channels, np.minimum(channel_share, _FLOAT32_ONE))
+    return _BlendInput(pose, first.weight, joints, channels)
 
 
-def _blend_over(inputs: list[_Input], rest: Pose) -> _Input:
+def _blend_over(inputs: list[_BlendInput], rest: Pose) -> _BlendInput:
     """Each input over those before it, and the first over the rest pose."""
     parts = (rest.translation, rest.rotation, rest.scale, rest.shear, rest.channels)
     pose = Pose(*(None if each is None else each.copy() for each in parts))  # type: ignore[arg-type]
     joints, channels = np.float32(0), np.float32(0)
     for each in inputs:
-        share = np.minimum(each.weight * each.joints, _ONE)
-        channel_share = np.minimum(each.weight * each.channels, _ONE)
+        share = np.minimum(each.weight * each.joints, _FLOAT32_ONE)
+        channel_share = np.minimum(each.weight * each.channels, _FLOAT32_ONE)
         for into, overlay in (
             (pose.translation, each.pose.translation),
             (pose.scale, each.pose.scale),
@@ -328,11 +330,11 @@ def _blend_over(inputs: list[_Input], rest: Pose) -> _Input:
                 into += (overlay - into) * share
         pose.channels += (each.pose.channels - pose.channels) * channel_share
         part = np.empty_like(pose.rotation)
-        pose.rotation *= _ONE - share
+        pose.rotation *= _FLOAT32_ONE - share
         _add_rotations(pose.rotation, each.pose.rotation, share, part)
         normalise(pose.rotation)
         joints, channels = joints + share - joints * share, channels + channel_share - channels * channel_share
-    return _Input(pose, inputs[0].weight, joints, channels)  # type: ignore[arg-type]
+    return _BlendInput(pose, inputs[0].weight, joints, channels)  # type: ignore[arg-type]
 
 
-_BY_MODE = {INTERPOLATE: _blend_mean, ADDITIVE: _blend_added, OVER: _blend_over}
+_BLEND_BY_MODE = {INTERPOLATE_MODE: _blend_mean, ADDITIVE_MODE: _blend_added, OVER_MODE: _blend_over}

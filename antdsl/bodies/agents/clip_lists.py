@@ -9,10 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl.bodies.agents.blending import NO_PARENT, ClipTree, Playing
-from antdsl.bodies.agents.poses import REST, ClipTable
+from antdsl.bodies.agents.poses import REST_CLIP, ClipTable
 
 Numbers = NDArray[Any]
-_NONE = -2  # of a clip or layer that an agent does not have
+_NO_CLIP = -2  # of a clip or layer that an agent does not have
 
 
 def playing_of(
@@ -53,10 +53,10 @@ def playing_of(
             raise ValueError(f"there are {len(values)} {what} where agents have {int(expected_counts.sum())}")
     clip_numbers = _number_names(names, table.number)
     words, group_numbers = _distinct_names(groups, len(names))
-    clips = _pad_lists(clip_numbers, counts, REST).astype(np.int32)
-    group = _pad_lists(group_numbers, counts, _NONE)
-    layer = _pad_lists(np.zeros(len(names), np.int64) if layer_ids is None else layer_ids, counts, _NONE)
-    mode, parent = _pad_lists(modes, layer_counts, _NONE), _pad_lists(parents, layer_counts, _NONE)
+    clips = _pad_lists(clip_numbers, counts, REST_CLIP).astype(np.int32)
+    group = _pad_lists(group_numbers, counts, _NO_CLIP)
+    layer = _pad_lists(np.zeros(len(names), np.int64) if layer_ids is None else layer_ids, counts, _NO_CLIP)
+    mode, parent = _pad_lists(modes, layer_counts, _NO_CLIP), _pad_lists(parents, layer_counts, _NO_CLIP)
     structure = np.concatenate([group, layer, mode, parent], axis=1)
     _, first, tree = np.unique(structure, axis=0, return_index=True, return_inverse=True)
     trees = tuple(_agent_tree(int(agent), words, group, layer, mode, parent, counts, layer_counts) for agent in first)

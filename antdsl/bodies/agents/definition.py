@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-_OTHER = re.compile(r"[^a-z0-9_]+")
+_NON_NAME_CHARACTERS = re.compile(r"[^a-z0-9_]+")
 
 
 class BodyError(Exception):
@@ -71,7 +71,7 @@ class Rig:
 
 
 Floats = NDArray[np.float32]
-STATE = "state"  # the material that has the colour of the agent's state
+STATE_MATERIAL = "state"  # the material that has the colour of the agent's state
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -86,7 +86,7 @@ class Capture:
 
 
 @dataclass(frozen=True, slots=True)
-class Blend:
+class BlendTargets:
     """Inputs of a blend shape: names of library shapes and of the channels that are their weights. Also which attributes are
     blended, and the point attribute by which points are matched."""
 
@@ -120,7 +120,7 @@ class Shape:
     material: NDArray[np.int32] | None = None
     attributes: dict[str, NDArray[np.float32] | NDArray[np.int64]] = field(default_factory=dict)
     capture: Capture | None = None
-    blend: Blend | None = None
+    blend: BlendTargets | None = None
     between: InBetweens | None = None
     dual_quaternion_blend: str = ""
 
@@ -218,7 +218,7 @@ class Gait:
     phases: tuple[float, ...]
 
 
-Colour = tuple[float, float, float]
+RgbColour = tuple[float, float, float]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -227,17 +227,17 @@ class Variation:
     material, colours (linear, 0 to 1); each agent's colour lies on the path through them."""
 
     scales: Mapping[str, tuple[float, float]] = field(default_factory=dict)
-    materials: Mapping[str, tuple[Colour, ...]] = field(default_factory=dict)
+    materials: Mapping[str, tuple[RgbColour, ...]] = field(default_factory=dict)
 
     def __bool__(self) -> bool:
         return bool(self.scales or self.materials)
 
 
-NONE = Variation()
+NO_VARIATION = Variation()
 
 
-FRONT = (1.0, 0.0, 0.0)
-UP = (0.0, 1.0, 0.0)
+DEFAULT_FRONT = (1.0, 0.0, 0.0)
+DEFAULT_UP = (0.0, 1.0, 0.0)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -255,14 +255,14 @@ class Definition:
     groups: Mapping[str, TransformGroup] = field(default_factory=dict)
     metadata: Mapping[str, Any] = field(default_factory=dict)
     materials: Mapping[str, tuple[float, float, float]] = field(default_factory=dict)
-    front: tuple[float, float, float] = FRONT
-    up: tuple[float, float, float] = UP
+    front: tuple[float, float, float] = DEFAULT_FRONT
+    up: tuple[float, float, float] = DEFAULT_UP
     length: float = 1.0
     unit: float = 1.0
     legs: tuple[Leg, ...] = ()
     gaits: tuple[Gait, ...] = ()
     idle: str = ""
-    variation: Variation = NONE
+    variation: Variation = NO_VARIATION
 
     def base_matrix(self) -> NDArray[np.float64]:
         """Return the matrix float64[4, 4] from its own space to agent space: length 1, front +x, up +y."""
@@ -276,7 +276,7 @@ class Definition:
 def language_name(text: str) -> str:
     """Return a name in lower-case letters, digits and `_` that begins with a letter; each run of other characters becomes one
     `_`."""
-    name = _OTHER.sub("_", text.lower()).strip("_")
+    name = _NON_NAME_CHARACTERS.sub("_", text.lower()).strip("_")
     return name if name[:1].isalpha() else f"n{name}"
 
 

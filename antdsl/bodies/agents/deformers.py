@@ -24,7 +24,7 @@ from antdsl.bodies.agents.skinning import (
 )
 from antdsl.numerics.float_environment import standard_floats
 
-_PART = 1 << 15  # points of agents worked on at once
+_POINTS_PER_CHUNK = 1 << 15  # points of agents worked on at once
 
 
 class Deformer(Protocol):
@@ -35,7 +35,7 @@ class Deformer(Protocol):
     def __call__(self, deformed: Deformed, shape: Shape, definition: Definition, poses: Poses) -> Deformed: ...
 
 
-DEFORMERS: dict[str, Deformer] = {
+DEFORMER_BY_NAME: dict[str, Deformer] = {
     "linearskinning": linear_skinning,
     "dualquatskinning": dual_quaternion_skinning,
     "dualquatblendskinning": dual_quaternion_blend,
@@ -44,24 +44,24 @@ DEFORMERS: dict[str, Deformer] = {
 
 
 # deformers that move a shape by the joints that its points follow
-SKINNING = (linear_skinning, dual_quaternion_skinning, dual_quaternion_blend)
+SKINNING_DEFORMERS = (linear_skinning, dual_quaternion_skinning, dual_quaternion_blend)
 
 
 def register(name: str, deformer: Deformer) -> None:
     """Add a deformer by a name that bindings then use. Raises ValueError for a name that is taken, empty, or has a `+`."""
-    if not name or "+" in name or name in DEFORMERS:
+    if not name or "+" in name or name in DEFORMER_BY_NAME:
         raise ValueError(
-            f"`{name}` cannot be the name of a deformer: it is empty, has a `+`, or is one of {', '.join(DEFORMERS)}"
+            f"`{name}` cannot be the name of a deformer: it is empty, has a `+`, or is one of {', '.join(DEFORMER_BY_NAME)}"
         )
-    DEFORMERS[name] = deformer
+    DEFORMER_BY_NAME[name] = deformer
 
 
 def deformer_steps(name: str) -> tuple[Deformer, ...]:
     """Return the deformers of a name, in the order of application. Raises KeyError with the existing names."""
-    missing = [part for part in name.split("+") if part not in DEFORMERS]
+    missing = [part for part in name.split("+") if part not in DEFORMER_BY_NAME]
     if missing:
-        raise KeyError(f"there is no deformer `{missing[0]}`; there are {', '.join(DEFORMERS)}, and these joined by `+`")
-    return tuple(DEFORMERS[part] for part in name.split("+"))
+        raise KeyError(f"there is no deformer `{missing[0]}`; there are {', '.join(DEFORMER_BY_NAME)}, and these joined by `+`")
+    return tuple(DEFORMER_BY_NAME[part] for part in name.split("+"))
 
 
 def bound(definition: Definition, binding: Binding, poses: Poses) -> Deformed:
@@ -75,12 +75,12 @@ def bound(definition: Definition, binding: Binding, poses: Poses) -> Deformed:
     further = {name: values[None].astype(np.float32) for name, values in shape.attributes.items() if name in named}
     rest = Deformed(shape.points[None], None if shape.normals is None else shape.normals[None], further)
     chain = deformer_steps(binding.deformer) if binding.deformer else ()
-    if binding.transform and not any(step in SKINNING for step in chain):
+    if binding.transform and not any(step in SKINNING_DEFORMERS for step in chain):
         chain = (*chain, _rigid_step(binding))
     points = np.empty((n, *shape.points.shape), np.float32)
     normals = None if shape.normals is None else np.empty(points.shape, np.float32)
     others = {name: np.empty((n, *values.shape[1:]), np.float32) for name, values in rest.attributes.items()}
-    part = max(16, _PART // max(1, len(shape.points)))
+    part = max(16, _POINTS_PER_CHUNK // max(1, len(shape.points)))
     for a in range(0, n, part):
         rows = slice(a, min(a + part, n))
         local = None if poses.local is None else poses.local[rows]

@@ -9,14 +9,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl.bodies.agents.definition import Definition, Leg, Rig
-from antdsl.bodies.agents.poses import REST, clip_table, sample_poses, transforms
+from antdsl.bodies.agents.poses import REST_CLIP, clip_table, sample_poses, transforms
 from antdsl.scene.setting import GaitData, LegsData
 
 Joints = NDArray[np.intp]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Chain:
+class LegChain:
     """A leg by joint numbers: `upper`, `lower`, `foot`. `thigh`: `upper` and its descendants that are not below `lower`. `shank`:
     the same for `lower` and `foot`. `sole`: `foot` and all below it."""
 
@@ -28,12 +28,12 @@ class Chain:
     sole: Joints
 
 
-def leg_chain(rig: Rig, leg: Leg) -> Chain:
+def leg_chain(rig: Rig, leg: Leg) -> LegChain:
     """The chain of a leg. Raises KeyError for a joint that the rig does not have."""
     upper, lower, foot = rig.joint(leg.upper), rig.joint(leg.lower), rig.joint(leg.foot)
     below = [_descendant_mask(rig, joint) for joint in (upper, lower, foot)]
     thigh, shank = (np.flatnonzero(a & ~b) for a, b in pairwise(below))
-    return Chain(upper, lower, foot, thigh, shank, np.flatnonzero(below[2]))
+    return LegChain(upper, lower, foot, thigh, shank, np.flatnonzero(below[2]))
 
 
 def _descendant_mask(rig: Rig, joint: int) -> NDArray[np.bool_]:
@@ -48,7 +48,7 @@ def standing_joints(body: Definition) -> NDArray[np.float64]:
     """Return joint positions in the standing pose, float64[J, 3], in body lengths along the axes of agents. The pose is the first
     sample of its idle clip, or the rest pose."""
     table = clip_table(body)
-    number = table.number(body.idle) if body.idle in body.clips else REST
+    number = table.number(body.idle) if body.idle in body.clips else REST_CLIP
     world = transforms(table, sample_poses(table, np.array([number]), np.zeros(1)))[1]
     positions = np.empty((len(table.order), 3))
     positions[table.order] = world[:, 3, :, 0].T

@@ -14,19 +14,24 @@ from numpy.typing import NDArray
 
 from antdsl.bodies.agents.affine import Floats, Numbers, compose_matrices, normalise
 from antdsl.bodies.agents.definition import Definition
-from antdsl.bodies.agents.leg_chains import Chain, Joints, leg_chain, standing_joints
+from antdsl.bodies.agents.leg_chains import Joints, LegChain, leg_chain, standing_joints
 from antdsl.bodies.agents.machine_clips import MachineClips, PlayedClip
 from antdsl.bodies.agents.poses import Poses
 
-STRAIGHT = 0.9995  # of both bones together: a leg is never quite straight, or its knee would have no side
-_FOLDED = 1.02  # times the difference of both bones
-_SUNK = 0.25  # of a leg: how far a trunk comes down in a pose so that feet that stand are in reach
-_PLANE = 1e-3  # of the product of both bones: a knee with a smaller sine does not define its plane
-BENDING = {"straight": STRAIGHT, "folded": _FOLDED, "sunk": _SUNK, "plane": _PLANE}  # for those who bend legs elsewhere
+MAX_LEG_EXTENSION = 0.9995  # of both bones together: a leg is never quite straight, or its knee would have no side
+_FOLDED_LEG_FACTOR = 1.02  # times the difference of both bones
+_MAX_TRUNK_SINK = 0.25  # of a leg: how far a trunk comes down in a pose so that feet that stand are in reach
+_MIN_KNEE_SINE = 1e-3  # of the product of both bones: a knee with a smaller sine does not define its plane
+LEG_BENDING_LIMITS = {
+    "straight": MAX_LEG_EXTENSION,
+    "folded": _FOLDED_LEG_FACTOR,
+    "sunk": _MAX_TRUNK_SINK,
+    "plane": _MIN_KNEE_SINE,
+}  # for those who bend legs elsewhere
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class FeetOfBodies:
+class BodySpaceFeet:
     """The feet of n agents relative to their bodies, in body lengths along ahead, up and aside. `place` float32[n, L, 3]: the
     ground below each foot, or the position of a swinging foot; `down` bool[n, L]: on the ground. `rise` float32[n] and `tilt`
     float32[n, 4] (x y z w): height and rotation of the trunk relative to its rest."""
@@ -36,7 +41,7 @@ class FeetOfBodies:
     rise: Floats
     tilt: Floats
 
-    def scale_trunk(self, stands: Floats) -> FeetOfBodies:
+    def scale_trunk(self, stands: Floats) -> BodySpaceFeet:
         """Return the same with the movement of trunks scaled by `stands` [n], from 0 to 1."""
         tilt = self.tilt * stands[:, None]
         tilt[:, 3] += 1 - stands
@@ -56,7 +61,7 @@ class PlacedFeet:
 
     def relative_to(
         self, position: NDArray[np.floating], orient: NDArray[np.floating], scale: NDArray[np.floating]
-    ) -> FeetOfBodies:
+    ) -> BodySpaceFeet:
         """Return the feet relative to bodies at `position` [n, 3] with rotation `orient` [n, 4] and length `scale` [n]. Numbers
         that are not finite count as 0."""
         with np.errstate(all="ignore"):
@@ -66,13 +71,13 @@ class PlacedFeet:
             x, y, z = (away[..., k] for k in range(3))
             place = [(x * m[0, :, None] + y * m[1, :, None]) + z * m[2, :, None] for m in np.moveaxis(across, 1, 0)]
             local = np.stack(place, -1) / size[:, None, None]
-            return FeetOfBodies(
+            return BodySpaceFeet(
                 np.nan_to_num(local, posinf=0, neginf=0).astype(np.float32), self.down != 0,
                 np.nan_to_num(self.rise / size, posinf=0, neginf=0).astype(np.float32), np.nan_to_num(self.tilt),
             )  # fmt: skip
 
 
-class Legs:
+class LegSolver:
     """The legs of a definition, ready to be bent."""
 
     def __init__(self, body: Definition) -> None:
@@ -99,7 +104,7 @@ class Legs:
         return len(self._chains)
 
     @property
-    def chains(self) -> Sequence[Chain]:
+    def chains(self) -> Sequence[LegChain]:
         """The joints of each."""
         return self._chains
 
@@ -127,7 +132,7 @@ class Legs:
             stands = stands * (1 - over) + over * (1 - loose / np.where(weight > 0, weight, np.float32(1)))
         return stands.astype(np.float32)
 
-    def bend_legs(self, poses: Poses, feet: FeetOfBodies, stands: Floats) -> Poses:
+    def bend_legs(self, poses: Poses, feet: BodySpaceFeet, stands: Floats) -> Poses:
         """Return poses with the feet at their targets, weighted by `stands` [n], on trunks that are moved by `rise` and `tilt`.
         `local` is None."""
         world = np.array(poses.world.transpose(2, 3, 1, 0), np.float32, order="C")
@@ -138,7 +143,7 @@ class Legs:
         self._move_trunk(world, feet)
         return replace(poses, world=world.transpose(3, 2, 0, 1), local=None)
 
-    def _goals(self, feet: FeetOfBodies) -> list[Floats]:
+    def _goals(self, feet: BodySpaceFeet) -> list[Floats]:
         """Return the goal of each foot joint, float32[3, n], in the definition's space before the trunk moves."""
         turn = _rotation_matrices(feet.tilt).astype(np.float32)
         goals = []
@@ -154,15 +159,15 @@ class Legs:
         most = np.zeros(len(stands), np.float32)
         for k, (each, goal) in enumerate(zip(self._chains, goals, strict=True)):
             hip, knee, foot = (world[:, 3, joint] for joint in (each.upper, each.lower, each.foot))
-            length = (_length(knee - hip) + _length(foot - knee)) * np.float32(STRAIGHT)
+            length = (_length(knee - hip) + _length(foot - knee)) * np.float32(MAX_LEG_EXTENSION)
             displacement = goal - hip
             high = _dot(displacement, self._up[:, None])
             level = np.maximum(length * length - np.maximum(_dot(displacement, displacement) - high * high, 0), 0)
-            short = np.clip(-np.sqrt(level) - high, 0, np.float32(_SUNK) * length)
+            short = np.clip(-np.sqrt(level) - high, 0, np.float32(_MAX_TRUNK_SINK) * length)
             most = np.maximum(most, np.where(down[:, k], short, 0))
         world[:, 3] -= self._up[:, None, None] * (most * stands)
 
-    def _bend_leg(self, world: Floats, leg: Chain, goal: Floats, stands: Floats) -> None:
+    def _bend_leg(self, world: Floats, leg: LegChain, goal: Floats, stands: Floats) -> None:
         hip, knee, foot = (world[:, 3, joint].copy() for joint in (leg.upper, leg.lower, leg.foot))
         sole = world[:, :, leg.sole].copy()
         goal = foot + (goal - foot) * stands
@@ -171,7 +176,9 @@ class Legs:
         tiny = np.float32(1e-6) * self._length
         a, b = np.maximum(a, tiny), np.maximum(b, tiny)
         hip_to_goal = goal - hip
-        far = np.clip(_length(hip_to_goal), np.abs(a - b) * np.float32(_FOLDED), (a + b) * np.float32(STRAIGHT))
+        far = np.clip(
+            _length(hip_to_goal), np.abs(a - b) * np.float32(_FOLDED_LEG_FACTOR), (a + b) * np.float32(MAX_LEG_EXTENSION)
+        )
         old = np.clip(_dot(thigh, shank) / (a * b), -1, 1)
         new = np.clip((a * a + b * b - far * far) / (2 * a * b), -1, 1)
         old_sine, new_sine = np.sqrt(1 - old * old), np.sqrt(1 - new * new)
@@ -185,22 +192,22 @@ class Legs:
         world[:, :, leg.sole] = sole
         world[:, 3, leg.sole] += moved[:, None, :]
 
-    def _knee_axis(self, world: Floats, leg: Chain, thigh: Floats, shank: Floats, size: Floats) -> Floats:
+    def _knee_axis(self, world: Floats, leg: LegChain, thigh: Floats, shank: Floats, size: Floats) -> Floats:
         """Return the unit axis [3, n] about which the knee opens; where a leg is straight, the axis of the standing pose."""
         axis = _cross(thigh, shank)
         rest = self._straight_axis(leg)
-        straight = _length(axis) <= np.float32(_PLANE) * size
+        straight = _length(axis) <= np.float32(_MIN_KNEE_SINE) * size
         axis = np.where(straight, rest - thigh * (_dot(rest, thigh) / _dot(thigh, thigh)), axis)
         return _unit(axis)
 
-    def _straight_axis(self, leg: Chain) -> Floats:
+    def _straight_axis(self, leg: LegChain) -> Floats:
         hip, knee, foot = (self._rest[:, joint, None] for joint in (leg.upper, leg.lower, leg.foot))
         rest = _cross(hip - knee, foot - knee)
-        if _length(rest)[0] <= _PLANE * _length(hip - knee)[0] * _length(foot - knee)[0]:
+        if _length(rest)[0] <= _MIN_KNEE_SINE * _length(hip - knee)[0] * _length(foot - knee)[0]:
             rest = _cross(self._front[:, None], hip - foot)  # a knee that bends to the front
         return rest
 
-    def _move_trunk(self, world: Floats, feet: FeetOfBodies) -> None:
+    def _move_trunk(self, world: Floats, feet: BodySpaceFeet) -> None:
         """Move all joints by `rise` and `tilt`, in place."""
         base, turn = self._base, _rotation_matrices(feet.tilt)
         half = [

@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl.bodies.agents.affine import Floats
-from antdsl.bodies.agents.blending import ADDITIVE, INTERPOLATE, NO_PARENT, OVER, ClipTree, Playing
-from antdsl.bodies.agents.poses import REST, ClipTable
+from antdsl.bodies.agents.blending import ADDITIVE_MODE, INTERPOLATE_MODE, NO_PARENT, OVER_MODE, ClipTree, Playing
+from antdsl.bodies.agents.poses import REST_CLIP, ClipTable
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -47,7 +47,7 @@ class MachineClips:
         yield self.clip, self.turns, self.weight * (1 - fade)
 
 
-EARLIER = ("earlier", "earlier_turns", "earlier_weight", "earlier_fade")
+EARLIER_FIELDS = ("earlier", "earlier_turns", "earlier_weight", "earlier_fade")
 
 
 class PlayedClip(NamedTuple):
@@ -65,7 +65,7 @@ class PlayedClip(NamedTuple):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Slot:
+class _ClipSlot:
     """A clip of each agent: its machine, whether it is additive, its row among the clips, times, weights and groups."""
 
     machine: int
@@ -93,7 +93,7 @@ def playing_of_machines(
         for slot in _slots(table, played, groups, k, machine, lean)
         if not slot.add or slot.weights.any()
     ]
-    chosen, times = np.full((count, len(slots)), REST, np.int32), np.zeros((count, len(slots)))
+    chosen, times = np.full((count, len(slots)), REST_CLIP, np.int32), np.zeros((count, len(slots)))
     weights, used = np.zeros((count, len(slots)), np.float32), np.zeros((count, len(slots)), np.int64)
     for place, slot in enumerate(slots):
         chosen[:, place], times[:, place] = slot.clips, slot.times
@@ -101,11 +101,11 @@ def playing_of_machines(
     added = sorted({slot.machine for slot in slots if slot.add})
     # Layer 0 contains the layers of the machines over each other. Added clips have separate layers behind the topmost one.
     layer_of = tuple(2 + len(machines) + added.index(slot.machine) if slot.add else 1 + slot.machine for slot in slots)
-    modes: tuple[int, ...] = (OVER, *(INTERPOLATE,) * len(machines))
+    modes: tuple[int, ...] = (OVER_MODE, *(INTERPOLATE_MODE,) * len(machines))
     parents: tuple[int, ...] = (NO_PARENT, *(0,) * len(machines))
     if added:
         top = len(modes)
-        modes = (*modes, ADDITIVE, *(INTERPOLATE,) * len(added))
+        modes = (*modes, ADDITIVE_MODE, *(INTERPOLATE_MODE,) * len(added))
         parents = (top, *(0,) * len(machines), NO_PARENT, *(top,) * len(added))
     layers = np.ones((count, len(modes)), np.float32)
     for layer in {*range(1, 1 + len(machines)), *layer_of}:
@@ -119,11 +119,11 @@ def playing_of_machines(
 
 def _slots(
     table: ClipTable, played: Sequence[PlayedClip], groups: Sequence[str], number: int, machine: MachineClips, lean: Floats | None
-) -> Iterator[_Slot]:
+) -> Iterator[_ClipSlot]:
     """Yield the clips that a machine plays; additive ones are separate slots."""
     names = [(each.clip, each.left, each.right, each.up, each.down) for each in played]
     numbers = np.array([[_clip_number(table, name) for name in row] for row in (*names, ("",) * 5)], np.int32)
-    seconds = np.array([[table.duration(n) if n != REST else 0.0 for n in row] for row in numbers])
+    seconds = np.array([[table.duration(n) if n != REST_CLIP else 0.0 for n in row] for row in numbers])
     loops = np.array([bool(table.loops[n + 1]) for n in numbers[:, 0]])
     group_of = np.array([groups.index(each.on) for each in played] + [0])
     adds = np.array([each.add for each in played] + [False])
@@ -136,7 +136,7 @@ def _slots(
             if share is None:
                 continue
             for add in (False, True) if adds.any() else (False,):
-                yield _Slot(
+                yield _ClipSlot(
                     number, add, numbers[row, side], far * seconds[row, side],
                     np.where(adds[row] == add, weight * share, np.float32(0)), group_of[row],
                 )  # fmt: skip
@@ -146,11 +146,11 @@ def _lean_shares(numbers: NDArray[np.int32], lean: Floats | None) -> Iterator[Fl
     """Yield the share of each agent's clip itself and of its variants to the left, to the right, up and down, [n] each. A variant
     that no agent uses gives None."""
     ones = np.ones(len(numbers), np.float32)
-    if lean is None or not (numbers[:, 1:] != REST).any():
+    if lean is None or not (numbers[:, 1:] != REST_CLIP).any():
         yield ones
         return
     side_shares = np.stack([lean[:, 0], -lean[:, 0], lean[:, 1], -lean[:, 1]], axis=1)
-    side_shares = np.where(numbers[:, 1:] != REST, np.clip(np.nan_to_num(side_shares), 0, 1), 0).astype(np.float32)
+    side_shares = np.where(numbers[:, 1:] != REST_CLIP, np.clip(np.nan_to_num(side_shares), 0, 1), 0).astype(np.float32)
     side_shares /= np.maximum(side_shares.sum(axis=1), 1)[:, None]
     yield 1 - side_shares.sum(axis=1)
     for side_share in side_shares.T:
@@ -158,4 +158,4 @@ def _lean_shares(numbers: NDArray[np.int32], lean: Floats | None) -> Iterator[Fl
 
 
 def _clip_number(table: ClipTable, name: str) -> int:
-    return table.names.index(name) if name in table.names else REST
+    return table.names.index(name) if name in table.names else REST_CLIP

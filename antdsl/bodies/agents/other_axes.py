@@ -10,11 +10,11 @@ from numpy.typing import NDArray
 from antdsl.bodies.agents.definition import Clip, Definition, Layer, Shape
 from antdsl.bodies.agents.transforms import compose_transforms, matrix_of, parts_of
 
-Axis = tuple[float, float, float]
+AxisVector = tuple[float, float, float]
 Floats = NDArray[np.float64]
 
 
-def convert_axes(body: Definition, front: Axis, up: Axis, unit: float) -> Definition:
+def convert_axes(body: Definition, front: AxisVector, up: AxisVector, unit: float) -> Definition:
     """Return the definition with other axes of its front and up (both along coordinate axes), and `unit` millimetres per unit of
     length. All of its local space is transformed alike. So joints have the same names, and posed points the same positions in a
     scene up to the last digits of float32."""
@@ -37,7 +37,7 @@ def convert_axes(body: Definition, front: Axis, up: Axis, unit: float) -> Defini
     )  # fmt: skip
 
 
-def _axis_frame(front: Axis, up: Axis) -> Floats:
+def _axis_frame(front: AxisVector, up: AxisVector) -> Floats:
     ahead, above = np.array(front, np.float64), np.array(up, np.float64)
     return np.stack([ahead, above, np.cross(ahead, above)], axis=1)
 

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from antdsl import limits
 from antdsl.bodies.agents.definition import (
     Binding,
-    Blend,
+    BlendTargets,
     BodyError,
     Capture,
     Channel,
@@ -34,15 +34,15 @@ from antdsl.bodies.agents.definition import (
     Variation,
 )
 
-KINDS = ("f4", "f8", "i4", "i8")
-PARTS = ("text", *KINDS)
+NUMBER_KINDS = ("f4", "f8", "i4", "i8")
+ARRAY_NAMES = ("text", *NUMBER_KINDS)
 Arrays = dict[str, NDArray[Any]]
 
 
 def pack_definition(body: Definition) -> Arrays:
     """The arrays `PARTS` of a definition; the same definition gives the same bytes."""
-    flat: dict[str, list[NDArray[Any]]] = {kind: [] for kind in KINDS}
-    used = dict.fromkeys(KINDS, 0)
+    flat: dict[str, list[NDArray[Any]]] = {kind: [] for kind in NUMBER_KINDS}
+    used = dict.fromkeys(NUMBER_KINDS, 0)
 
     def put(array: NDArray[Any] | None) -> list[Any] | None:
         if array is None:
@@ -92,7 +92,7 @@ def pack_definition(body: Definition) -> Arrays:
         document["variation"] = [dict(body.variation.scales), dict(body.variation.materials)]
     text = json.dumps(document, ensure_ascii=True, separators=(",", ":"), allow_nan=False)
     packed_arrays: Arrays = {"text": np.frombuffer(text.encode("ascii"), np.uint8)}
-    return packed_arrays | {kind: np.concatenate([np.zeros(0, kind), *flat[kind]]) for kind in KINDS}
+    return packed_arrays | {kind: np.concatenate([np.zeros(0, kind), *flat[kind]]) for kind in NUMBER_KINDS}
 
 
 @lru_cache(maxsize=16)
@@ -118,7 +118,7 @@ def unpack_definition(arrays: Mapping[str, NDArray[Any]]) -> Definition:
 
 def _read(arrays: Mapping[str, NDArray[Any]]) -> Definition:
     text = arrays["text"]
-    if text.dtype != np.uint8 or text.ndim != 1 or text.size > limits.BODY_TEXT_BYTES:
+    if text.dtype != np.uint8 or text.ndim != 1 or text.size > limits.MAX_BODY_JSON_BYTES:
         raise ValueError
     said = json.loads(text.tobytes())
     if said["body"] != 1:
@@ -158,8 +158,8 @@ def _read(arrays: Mapping[str, NDArray[Any]]) -> Definition:
             _text(each["dual_quaternion_blend"]),
         )  # fmt: skip
 
-    def blend(shapes: Any, channels: Any, attributes: Any, point_id: Any, primitive_id: Any) -> Blend:
-        return Blend(_texts(shapes), _texts(channels), _texts(attributes), _text(point_id), _text(primitive_id))
+    def blend(shapes: Any, channels: Any, attributes: Any, point_id: Any, primitive_id: Any) -> BlendTargets:
+        return BlendTargets(_texts(shapes), _texts(channels), _texts(attributes), _text(point_id), _text(primitive_id))
 
     def capture(said: Any, points: int) -> Capture | None:
         if said is None:
@@ -224,22 +224,25 @@ def _check_bounds(body: Definition) -> None:
     """Raise ValueError if numbers of a definition are out of range or not finite."""
     rig, count = body.rig, len(body.rig.names)
     fits = [
-        0 < count <= limits.JOINTS,
-        len(rig.channels) <= limits.CHANNELS,
+        0 < count <= limits.MAX_RIG_JOINTS,
+        len(rig.channels) <= limits.MAX_RIG_CHANNELS,
         bool((rig.parents >= -1).all() and (rig.parents < np.arange(count)).all() and np.isfinite(rig.rest).all()),
         body.length > 0,
-        len(body.legs) <= limits.LEGS and len({leg.name for leg in body.legs}) == len(body.legs),
-        len(body.gaits) <= limits.GAITS and all(_is_valid_gait(gait) for gait in body.gaits),
+        len(body.legs) <= limits.MAX_BODY_LEGS and len({leg.name for leg in body.legs}) == len(body.legs),
+        len(body.gaits) <= limits.MAX_BODY_GAITS and all(_is_valid_gait(gait) for gait in body.gaits),
     ]
     for shape in body.shapes.values():
         fits += [_is_within(shape.faces, len(shape.points)), bool(np.isfinite(shape.points).all())]
         fits += [shape.material is None or _is_within(shape.material, len(shape.materials))]
         if shape.capture is not None:
-            fits += [_is_within(shape.capture.joints, len(shape.capture.names)), shape.capture.joints.shape[1] <= limits.CAPTURED]
+            fits += [
+                _is_within(shape.capture.joints, len(shape.capture.names)),
+                shape.capture.joints.shape[1] <= limits.MAX_JOINTS_PER_POINT,
+            ]
             fits += [bool(np.isfinite(shape.capture.weights).all() and np.isfinite(shape.capture.inverse).all())]
     for clip in body.clips.values():
         arrays = [each for each in (clip.translation, clip.rotation, clip.scale, clip.shear, clip.values) if each is not None]
-        fits += [clip.rate > 0, 0 < clip.samples <= limits.CLIP_SAMPLES, all(np.isfinite(each).all() for each in arrays)]
+        fits += [clip.rate > 0, 0 < clip.samples <= limits.MAX_CLIP_SAMPLES, all(np.isfinite(each).all() for each in arrays)]
         fits += [clip.values.shape[1] == len(clip.channels) or not clip.channels]
         fits += [not clip.channels or len(clip.values) == clip.samples, not clip.joints or len(clip.translation) == clip.samples]
     if not all(fits):
@@ -247,8 +250,8 @@ def _check_bounds(body: Definition) -> None:
 
 
 def _is_valid_gait(gait: Gait) -> bool:
-    low, high = limits.DUTY
-    return gait.speed >= 0 and gait.stride >= limits.LEAST_STRIDE and low <= gait.duty <= high and gait.lift >= 0
+    low, high = limits.DUTY_FACTOR_RANGE
+    return gait.speed >= 0 and gait.stride >= limits.MIN_STRIDE and low <= gait.duty <= high and gait.lift >= 0
 
 
 def _is_within(numbers: NDArray[Any], count: int) -> bool:

@@ -25,7 +25,7 @@ from antdsl.bodies.agents.affine import (
 )
 from antdsl.bodies.agents.definition import Clip, Definition, Rig, TransformGroup
 
-REST = -1  # the number of no clip: the rest pose, and the defaults of channels
+REST_CLIP = -1  # the number of no clip: the rest pose, and the defaults of channels
 
 
 @dataclass(slots=True, eq=False)

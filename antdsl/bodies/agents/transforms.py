@@ -13,7 +13,7 @@ from antdsl.bodies.agents import affine
 from antdsl.numerics.elementary import wide_atan2, wide_cos, wide_sin
 
 Floats = NDArray[np.float64]
-ORDERS = ("xyz", "xzy", "yxz", "yzx", "zxy", "zyx")
+ROTATION_ORDERS = ("xyz", "xzy", "yxz", "yzx", "zxy", "zyx")
 
 
 def rotation_matrix(quaternion: Floats) -> Floats:

@@ -29,7 +29,7 @@ def build_clip(form: ClipForm, root: Node, report: Report, rig: Rig | None = Non
     samples = max(len(each) for each in form.channels.values())
     joints, numbers = _split_channels(form, root, findings, rig)
     columns = len(joints) + len(numbers)
-    if samples > limits.CLIP_SAMPLES or samples * columns * 13 * 8 > limits.CLIP_BYTES:
+    if samples > limits.MAX_CLIP_SAMPLES or samples * columns * 13 * 8 > limits.MAX_CLIP_BYTES:
         words = f"a clip of {samples:,} samples of {columns:,} joints and channels is larger than is read"
         findings.error("too-large", words, find_span(root, ("channels",)), "give fewer samples a second")
     check_marks(form.marks, (samples - 1) / form.rate, root, findings)

@@ -15,7 +15,7 @@ from antdsl.bodies.agents.definition import Binding, Definition, Leg, Shape
 from antdsl.bodies.files.json_text import Node, find_span, find_text, report_unknown
 from antdsl.diagnostics import Label, Report
 from antdsl.diagnostics.suggestion import nearest_name
-from antdsl.scene.document import Key
+from antdsl.scene.document import PathKey
 from antdsl.source import Span
 
 DEFORMERS = ("linearskinning", "dualquatskinning", "dualquatblendskinning")
@@ -32,7 +32,7 @@ class Parts:
     nodes: dict[tuple[str, str], Node] = field(default_factory=dict)
     measured: bool = True
 
-    def place(self, key: str, name: str = "", path: Sequence[Key] = ()) -> Span | None:
+    def place(self, key: str, name: str = "", path: Sequence[PathKey] = ()) -> Span | None:
         """Return the place of a part, or of what a path inside it leads to."""
         node = self.nodes.get((key, name))
         return None if node is None else find_span(node, path)
@@ -77,15 +77,17 @@ def check_definition(parts: Parts, report: Report) -> Definition | None:
 
 def _check_sizes(definition: Definition, place: Span | None, report: Report) -> None:
     points = sum(len(shape.points) for shape in definition.shapes.values())
-    if points > limits.BODY_POINTS:
-        words = f"together, the shapes have {points:,} points, more than {limits.BODY_POINTS:,}"
+    if points > limits.MAX_BODY_POINTS:
+        words = f"together, the shapes have {points:,} points, more than {limits.MAX_BODY_POINTS:,}"
         report.error("too-large", words, place, "use lighter meshes")
     size = sum(c.translation.nbytes + c.rotation.nbytes + c.scale.nbytes + c.values.nbytes for c in definition.clips.values())
-    if size > limits.CLIP_BYTES:
-        report.error("too-large", f"the clips take more than {limits.CLIP_BYTES:,} bytes", place, "give fewer samples a second")
+    if size > limits.MAX_CLIP_BYTES:
+        report.error(
+            "too-large", f"the clips take more than {limits.MAX_CLIP_BYTES:,} bytes", place, "give fewer samples a second"
+        )
     for what, named in (("shapes", definition.shapes), ("layers", definition.layers), ("clips", definition.clips)):
-        if len(named) > limits.BODY_PARTS:
-            report.error("too-large", f"there are more than {limits.BODY_PARTS:,} {what}", place, None)
+        if len(named) > limits.MAX_BODY_PARTS:
+            report.error("too-large", f"there are more than {limits.MAX_BODY_PARTS:,} {what}", place, None)
 
 
 def _check_binding(parts: Parts, layer: str, binding: Binding, report: Report, sound: bool) -> None:

@@ -15,12 +15,12 @@ from antdsl.bodies.files.json_text import Node, find_node, find_span
 from antdsl.diagnostics import Diagnostic, Label, Report
 from antdsl.diagnostics.model import Severity
 from antdsl.diagnostics.suggestion import nearest_name
-from antdsl.scene.document import Key
+from antdsl.scene.document import PathKey
 from antdsl.scene.load import drop_consequences
 from antdsl.source import Span
 
 F = TypeVar("F", bound=Form)
-Path = tuple[Key, ...]
+Path = tuple[PathKey, ...]
 _MOST_ERRORS = 200  # of one document; the others are reported once these are corrected
 _NULL = object()  # stands for a null, which no value of a document may be
 _TYPES: dict[str, tuple[str, str | None]] = {
@@ -85,7 +85,7 @@ def _diagnose(form: type[Form], root: Node, error: Any) -> Diagnostic:
         return Diagnostic("missing-key", words, find_span(root, path), help=help)
     if kind in ("greater_than_equal", "less_than_equal"):
         most, bound = ("least", context["ge"]) if "ge" in context else ("most", context["le"])
-        help = f"write `{bound:g}`" if abs(bound) < limits.LARGEST else None
+        help = f"write `{bound:g}`" if abs(bound) < limits.MAX_NUMBER else None
         words = f"{_subject(path, owner)} must be at {most} {bound:g}"
         return Diagnostic("out-of-range", words, find_span(root, path), help=help)
     node = find_node(root, path)
@@ -138,7 +138,7 @@ def _example(field: FieldInfo | None) -> str:
     return str(field.examples[0]) if field.examples else '"…"' if field.annotation is str else ""
 
 
-def _form_at(form: type[Form], path: Sequence[Key]) -> tuple[type[Form], FieldInfo | None]:
+def _form_at(form: type[Form], path: Sequence[PathKey]) -> tuple[type[Form], FieldInfo | None]:
     """Return the innermost form that contains what a path leads to, and the field of it that the path ends at."""
     kind: Any = form
     field: FieldInfo | None = None
@@ -164,7 +164,7 @@ def _without_marks(kind: Any) -> Any:
             return kind
 
 
-def _inner_type(kind: Any, key: Key) -> Any:
+def _inner_type(kind: Any, key: PathKey) -> Any:
     """Return the type of an entry, of an item, or of the choice that a tag names."""
     arms = get_args(kind)
     if get_origin(kind) in (Union, UnionType):

@@ -8,14 +8,13 @@ from typing import Annotated, Any, ClassVar, Self
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Discriminator, FailFast, Field, Tag, model_validator
 
-from antdsl.bodies.agents.transforms import ORDERS
+from antdsl.bodies.agents.transforms import ROTATION_ORDERS
 from antdsl.bodies.files.document_values import (
     CHANNELS_EXAMPLE,
     Amount,
     AnyText,
     Axis,
     Channels,
-    Colour,
     Colours,
     Duty,
     Entries,
@@ -27,6 +26,7 @@ from antdsl.bodies.files.document_values import (
     Number,
     PathPair,
     ReadRate,
+    RgbColour,
     SampleRate,
     Scale,
     Share,
@@ -67,8 +67,8 @@ class RigForm(DocumentedForm):
 
     noun = "a rig"
     rig_version: Annotated[int, edition(1)] = Field(examples=["1"])
-    transforms: Annotated[Joints, at_most("JOINTS", "joints", "a rig")] = Field(examples=["{}"])
-    channels: Annotated[dict[Text, ChannelForm], at_most("CHANNELS", "channels", "a rig")] = Field(
+    transforms: Annotated[Joints, at_most("MAX_RIG_JOINTS", "joints", "a rig")] = Field(examples=["{}"])
+    channels: Annotated[dict[Text, ChannelForm], at_most("MAX_RIG_CHANNELS", "channels", "a rig")] = Field(
         {}, examples=['{"NAME": {"default_value": 0, "transform": ""}}']
     )
     antdsl_rest: dict[str, Matrix] = {}
@@ -135,7 +135,7 @@ class ClipForm(ClipSettings):
     antdsl_clip: Annotated[int, edition(1)] = Field(examples=["1"])
     name: Text
     rate: SampleRate = Field(examples=["24"])
-    rotation_order: Annotated[str, one_of(*ORDERS)] | None = None
+    rotation_order: Annotated[str, one_of(*ROTATION_ORDERS)] | None = None
     angles: Annotated[str, one_of("degrees", "radians")] | None = None
     channels: Channels = Field(examples=[CHANNELS_EXAMPLE])
 
@@ -249,17 +249,17 @@ class BodyForm(Form):
     units: Unit | None = None
     length: Length | None = None
     rig: RigForm | None = Field(None, examples=['{"file": "rig.json"}'])
-    shapes: Annotated[tuple[ShapeReference, ...], Entries, at_most("BODY_PARTS", "shapes")] = Field(
+    shapes: Annotated[tuple[ShapeReference, ...], Entries, at_most("MAX_BODY_PARTS", "shapes")] = Field(
         (), examples=['[{"file": "sword.obj", "name": "sword"}]']
     )
     shapelib_includes: Annotated[tuple[PathPair, ...], Entries] = Field((), examples=['[["$HIP/lib.glb", "/…/lib.glb"]]'])
-    layers: Annotated[tuple[LayerForm, ...], Entries, at_most("BODY_PARTS", "layers")] = ()
-    clips: Annotated[tuple[Clip, ...], Entries, at_most("BODY_PARTS", "clips")] = ()
-    groups: Annotated[tuple[GroupForm, ...], Entries, at_most("BODY_PARTS", "transform groups")] = ()
+    layers: Annotated[tuple[LayerForm, ...], Entries, at_most("MAX_BODY_PARTS", "layers")] = ()
+    clips: Annotated[tuple[Clip, ...], Entries, at_most("MAX_BODY_PARTS", "clips")] = ()
+    groups: Annotated[tuple[GroupForm, ...], Entries, at_most("MAX_BODY_PARTS", "transform groups")] = ()
     metadata: dict[str, Any] = {}
-    materials: dict[str, Colour] = Field({}, examples=['{"NAME": [0.5, 0.4, 0.3]}'])
-    legs: Annotated[tuple[LegForm, ...], Unique, Entries, at_most("LEGS", "legs")] = ()
-    gaits: Annotated[tuple[GaitForm, ...], Unique, Entries, at_most("GAITS", "gaits")] = ()
+    materials: dict[str, RgbColour] = Field({}, examples=['{"NAME": [0.5, 0.4, 0.3]}'])
+    legs: Annotated[tuple[LegForm, ...], Unique, Entries, at_most("MAX_BODY_LEGS", "legs")] = ()
+    gaits: Annotated[tuple[GaitForm, ...], Unique, Entries, at_most("MAX_BODY_GAITS", "gaits")] = ()
     idle: Text | None = None
     variation: VariationForm = VariationForm()
 

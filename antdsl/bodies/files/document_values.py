@@ -111,16 +111,16 @@ def axis_word(axis: tuple[float, float, float]) -> str:
 Flag = Annotated[bool, Strict()]
 Text = Annotated[str, Strict(), AfterValidator(_check_filled)]
 AnyText = Annotated[str, Strict(), AfterValidator(_check_text)]  # may be empty
-Number = Annotated[float, Strict(), Field(ge=-limits.LARGEST, le=limits.LARGEST)]
-Amount = Annotated[float, Strict(), Field(ge=0.0, le=limits.LARGEST)]
+Number = Annotated[float, Strict(), Field(ge=-limits.MAX_NUMBER, le=limits.MAX_NUMBER)]
+Amount = Annotated[float, Strict(), Field(ge=0.0, le=limits.MAX_NUMBER)]
 Share = Annotated[float, Strict(), Field(ge=0.0, le=1.0)]
 SampleRate = Annotated[float, Strict(), Field(ge=0.001, le=100_000.0)]
 ReadRate = Annotated[float, Strict(), Field(ge=1.0, le=1000.0)]
-Length = Annotated[float, Strict(), Field(ge=1e-9, le=limits.LARGEST)]
-Stride = Annotated[float, Strict(), Field(ge=limits.LEAST_STRIDE, le=limits.LARGEST)]
-Duty = Annotated[float, Strict(), Field(ge=limits.DUTY[0], le=limits.DUTY[1])]
+Length = Annotated[float, Strict(), Field(ge=1e-9, le=limits.MAX_NUMBER)]
+Stride = Annotated[float, Strict(), Field(ge=limits.MIN_STRIDE, le=limits.MAX_NUMBER)]
+Duty = Annotated[float, Strict(), Field(ge=limits.DUTY_FACTOR_RANGE[0], le=limits.DUTY_FACTOR_RANGE[1])]
 Scale = Annotated[float, Strict(), Field(ge=_LEAST_SCALE, le=_MOST_SCALE)]
-Colour = tuple[Share, Share, Share]
+RgbColour = tuple[Share, Share, Share]
 Entries = BeforeValidator(_refuse_numbers)
 Texts = Annotated[tuple[Text, ...], Entries]
 Unit = Annotated[float, BeforeValidator(_read_unit)]
@@ -154,8 +154,8 @@ def _refuse_deformer(value: str) -> str:
     return value
 
 
-def _check_colours(colours: tuple[Colour, ...]) -> tuple[Colour, ...]:
-    if not 2 <= len(colours) <= limits.BODY_PARTS:
+def _check_colours(colours: tuple[RgbColour, ...]) -> tuple[RgbColour, ...]:
+    if not 2 <= len(colours) <= limits.MAX_BODY_PARTS:
         words = f"a material varies between two colours at least, not {len(colours)}"
         raise make_error(words, "write two colours, or more", code="wrong-count")
     return colours
@@ -196,6 +196,6 @@ def _check_channels(channels: dict[str, NDArray[np.float64]]) -> dict[str, NDArr
 
 
 NoDeformer = Annotated[AnyText, AfterValidator(_refuse_deformer)]
-Colours = Annotated[tuple[Colour, ...], AfterValidator(_check_colours), Entries]
+Colours = Annotated[tuple[RgbColour, ...], AfterValidator(_check_colours), Entries]
 Channels = Annotated[dict[str, Samples], AfterValidator(_check_channels)]
 PathPair = Annotated[tuple[AnyText, AnyText], BeforeValidator(_check_pair)]

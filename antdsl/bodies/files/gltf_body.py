@@ -17,7 +17,7 @@ from antdsl.bodies.agents.definition import Binding, BodyError, Definition, Laye
 from antdsl.bodies.agents.transforms import matrix_of, unit_quaternion
 from antdsl.bodies.files.gltf_clips import read_clips
 from antdsl.bodies.files.gltf_shapes import GltfBody, read_shape, rigid_capture, unused_name
-from antdsl.scene.geometry.gltf_file import Gltf, GltfError, node_parents, nodes_below, scene_roots
+from antdsl.scene.geometry.gltf_file import GltfDocument, GltfError, node_parents, nodes_below, scene_roots
 
 Floats = NDArray[np.float64]
 LAYER = "body"
@@ -42,7 +42,7 @@ def read_gltf(
 def _read_definition(
     data: bytes, name: str, beside: Callable[[str, int], bytes], rate: float, pose: Rig | None
 ) -> tuple[Definition, list[str]]:
-    body = GltfBody(Gltf(data, beside))
+    body = GltfBody(GltfDocument(data, beside))
     parents = node_parents(body.file)
     joint_nodes = _find_joint_nodes(body.file, parents)
     body.joint = _unique_names(body.file, joint_nodes)
@@ -60,7 +60,7 @@ def _read_definition(
 # ---- rig
 
 
-def _find_joint_nodes(file: Gltf, parents: list[int]) -> list[int]:
+def _find_joint_nodes(file: GltfDocument, parents: list[int]) -> list[int]:
     """Return the nodes that become joints, parents before children, in the scene's order."""
     nodes = file.top("nodes")
     roots = scene_roots(file) or [number for number, parent in enumerate(parents) if parent < 0]
@@ -85,14 +85,14 @@ def _find_joint_nodes(file: Gltf, parents: list[int]) -> list[int]:
         joint_nodes.update(roots[:1])
     if not joint_nodes:
         raise BodyError("has no nodes", _EXPORT)
-    if len(joint_nodes) > limits.JOINTS:
-        raise BodyError(f"has {len(joint_nodes):,} joints, more than {limits.JOINTS:,}", code="too-large")
+    if len(joint_nodes) > limits.MAX_RIG_JOINTS:
+        raise BodyError(f"has {len(joint_nodes):,} joints, more than {limits.MAX_RIG_JOINTS:,}", code="too-large")
     tops = [number for number in joint_nodes if parents[number] < 0]
     order = sorted(tops, key=lambda number: (number not in roots, roots.index(number) if number in roots else number))
     return [number for number in nodes_below(file, order) if number in joint_nodes]
 
 
-def _unique_names(file: Gltf, joint_nodes: list[int]) -> dict[int, str]:
+def _unique_names(file: GltfDocument, joint_nodes: list[int]) -> dict[int, str]:
     names: dict[int, str] = {}
     taken: set[str] = set()
     for number in joint_nodes:
@@ -123,7 +123,7 @@ def _with_rest_pose(rig: Rig, pose: Rig | None) -> Rig:
     return replace(rig, rest=rest)
 
 
-def local_matrix(file: Gltf, node: dict[str, Any]) -> Floats:
+def local_matrix(file: GltfDocument, node: dict[str, Any]) -> Floats:
     """The matrix float64[4, 4] of a node."""
     if "matrix" in node:
         matrix = file.get_floats(node, "matrix", tuple(np.eye(4).ravel())).reshape(4, 4).T
@@ -132,7 +132,7 @@ def local_matrix(file: Gltf, node: dict[str, Any]) -> Floats:
     return matrix_of(translation, rotation, scale)
 
 
-def local_parts(file: Gltf, node: dict[str, Any]) -> tuple[Floats, Floats, Floats]:
+def local_parts(file: GltfDocument, node: dict[str, Any]) -> tuple[Floats, Floats, Floats]:
     """Translation, rotation and scale of a node that has no matrix."""
     rotation = unit_quaternion(file.get_floats(node, "rotation", (0.0, 0.0, 0.0, 1.0)))
     return file.get_floats(node, "translation", (0.0, 0.0, 0.0)), rotation, file.get_floats(node, "scale", (1.0, 1.0, 1.0))

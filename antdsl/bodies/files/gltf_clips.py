@@ -14,7 +14,7 @@ from antdsl import limits
 from antdsl.bodies.agents.definition import BodyError, Clip, Rig
 from antdsl.bodies.agents.transforms import align_signs, parts_of, slerp, unit_quaternion
 from antdsl.bodies.files.gltf_shapes import unused_name
-from antdsl.scene.geometry.gltf_file import Gltf
+from antdsl.scene.geometry.gltf_file import GltfDocument
 
 if TYPE_CHECKING:
     from antdsl.bodies.files.document_model import AnimationSettings
@@ -26,15 +26,17 @@ _SAME = 1e-6  # of a rate: what float32 makes of the moments of keys
 _WIDTHS = {"translation": 3, "rotation": 4, "scale": 3}
 
 
-def read_clips(file: Gltf, joint: Mapping[int, str], weights: Mapping[int, tuple[str, ...]], rig: Rig, rate: float) -> list[Clip]:
+def read_clips(
+    file: GltfDocument, joint: Mapping[int, str], weights: Mapping[int, tuple[str, ...]], rig: Rig, rate: float
+) -> list[Clip]:
     """Return the clips of a file. `joint`: names of nodes by number; `weights`: the channels that weigh the morph targets of a
     node's mesh. Clips are sampled about `rate` times per second, from 0 to the last key, or at the rate in their extras. What a
     clip does not key stays as in the rest pose of `rig`."""
     animations = file.top("animations")
-    if len(animations) > limits.BODY_PARTS:
+    if len(animations) > limits.MAX_BODY_PARTS:
         raise BodyError(f"has {len(animations):,} animations, more than are read", code="too-large")
     clips: dict[str, Clip] = {}
-    left = limits.CLIP_BYTES
+    left = limits.MAX_CLIP_BYTES
     for number, animation in enumerate(animations):
         name = unused_name(file.name(animation, f"clip{number}"), clips)
         clip, size = _read_clip(file, animation, name, joint, weights, rig, rate, left)
@@ -53,7 +55,7 @@ def even_times(seconds: float, rate: float) -> tuple[NDArray[Any], float]:
 
 
 def _read_clip(
-    file: Gltf, animation: dict[str, Any], name: str, joint: Mapping[int, str], weights: Mapping[int, tuple[str, ...]],
+    file: GltfDocument, animation: dict[str, Any], name: str, joint: Mapping[int, str], weights: Mapping[int, tuple[str, ...]],
     rig: Rig, rate: float, left: int,
 ) -> tuple[Clip | None, int]:  # fmt: skip
     """Return a clip and its bytes, at most `left`."""
@@ -78,7 +80,7 @@ def _read_clip(
         seconds = max(seconds, float(keys.times[-1]))
     if not moved and not shares:
         return None, 0
-    if seconds * rate > limits.CLIP_SAMPLES:
+    if seconds * rate > limits.MAX_CLIP_SAMPLES:
         raise BodyError(f"has a clip `{name}` of {seconds:,.0f} seconds, longer than is read", code="too-large")
     extras = animation.get("extras")
     own = extras.get(EXTRAS) if isinstance(extras, dict) else None
@@ -90,7 +92,7 @@ def _read_clip(
         times = np.arange(len(times)) / rate
     size = len(times) * (len(moved) * 13 + len(shares)) * 8
     if size > left:
-        raise BodyError(f"has clips of more than {limits.CLIP_BYTES:,} bytes when they are sampled", code="too-large")
+        raise BodyError(f"has clips of more than {limits.MAX_CLIP_BYTES:,} bytes when they are sampled", code="too-large")
     joints = tuple(each for each in rig.names if each in moved)
     rest = parts_of(rig.rest[[rig.names.index(each) for each in joints]].reshape(-1, 4, 4))
     translation, rotation, scale, shear = (np.broadcast_to(part, (len(times), *part.shape)).copy() for part in rest)
@@ -99,7 +101,7 @@ def _read_clip(
             if path in moved[each]:
                 array[:, number] = moved[each][path].at(times, path == "rotation")
     values = np.array([keys.at(times)[:, column] for keys, column in shares.values()]).reshape(len(shares), len(times)).T
-    if not all((np.abs(part) <= limits.LARGEST).all() for part in (translation, rotation, scale, shear, values)):
+    if not all((np.abs(part) <= limits.MAX_NUMBER).all() for part in (translation, rotation, scale, shear, values)):
         raise BodyError(f"has a clip `{name}` with a value that is not finite", _EXPORT)
     clip = Clip(
         name, rate, joints,
@@ -145,7 +147,7 @@ class _Keys:
     """The keys of a sampler: `times` float64[n], ascending; `values` float64[n, 1, width]. For a spline `values` is [n, 3,
     width]: the value between its two tangents."""
 
-    def __init__(self, file: Gltf, sampler: dict[str, Any], width: int) -> None:
+    def __init__(self, file: GltfDocument, sampler: dict[str, Any], width: int) -> None:
         self.kind = sampler.get("interpolation", "LINEAR")
         if self.kind not in ("LINEAR", "STEP", "CUBICSPLINE"):
             raise BodyError(f"has keys of the unknown kind `{str(self.kind)[:20]}`", _EXPORT)

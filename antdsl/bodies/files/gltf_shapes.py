@@ -11,9 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl import limits
-from antdsl.bodies.agents.definition import STATE, Blend, BodyError, Capture, Channel, Shape
+from antdsl.bodies.agents.definition import STATE_MATERIAL, BlendTargets, BodyError, Capture, Channel, Shape
 from antdsl.bodies.body import unit_normals
-from antdsl.scene.geometry.gltf_file import FAN, STRIP, TRIANGLES, Gltf, primitive_triangles
+from antdsl.scene.geometry.gltf_file import FAN_MODE, STRIP_MODE, TRIANGLES_MODE, GltfDocument, primitive_triangles
 
 Floats = NDArray[np.float64]
 _TOLERANCE = 1e-6  # of the length of a normal; normals that a file stores as integers are a little longer or shorter than 1
@@ -25,7 +25,7 @@ class GltfBody:
     """The state of a glTF import: `joint` is the name of each node by its number, `left_out` the reported parts that are not
     read."""
 
-    file: Gltf
+    file: GltfDocument
     joint: dict[int, str] = field(default_factory=dict)
     shapes: dict[str, Shape] = field(default_factory=dict)
     channels: dict[str, Channel] = field(default_factory=dict)
@@ -99,7 +99,7 @@ def read_shape(body: GltfBody, name: str, mesh: dict[str, Any], skin: dict[str, 
 
 def _read_piece(body: GltfBody, pieces: _MeshPieces, primitive: dict[str, Any], skinned: bool) -> None:
     file = body.file
-    if primitive.get("mode", TRIANGLES) not in (TRIANGLES, STRIP, FAN):
+    if primitive.get("mode", TRIANGLES_MODE) not in (TRIANGLES_MODE, STRIP_MODE, FAN_MODE):
         body.left_out["points and lines of meshes are not read"] = None
         return
     if "KHR_draco_mesh_compression" in file.get_object(primitive, "extensions"):
@@ -115,8 +115,8 @@ def _read_piece(body: GltfBody, pieces: _MeshPieces, primitive: dict[str, Any], 
         _read_faces(body, pieces, primitive, primitive_triangles(file, primitive, len(points))[0], pieces.known[shared])
         return
     body.points += len(points) * (1 + len(file.get_list(primitive, "targets")))
-    if body.points > limits.BODY_POINTS:
-        raise BodyError(f"has more than {limits.BODY_POINTS:,} points, morph targets among them", code="too-large")
+    if body.points > limits.MAX_BODY_POINTS:
+        raise BodyError(f"has more than {limits.MAX_BODY_POINTS:,} points, morph targets among them", code="too-large")
     if not np.isfinite(points).all() or (len(points) and np.abs(points).max() > 1e30):
         raise BodyError("has a point that is not finite", _EXPORT)
     if not _read_faces(body, pieces, primitive, primitive_triangles(file, primitive, len(points))[0], len(pieces.points)):
@@ -160,7 +160,7 @@ def _read_faces(body: GltfBody, pieces: _MeshPieces, primitive: dict[str, Any], 
     return len(faces) > 0
 
 
-def _read_target(file: Gltf, target: dict[str, Any], key: str, count: int) -> Floats | None:
+def _read_target(file: GltfDocument, target: dict[str, Any], key: str, count: int) -> Floats | None:
     if key not in target:
         return None
     offsets = file.read_accessor(target[key], 3)
@@ -173,7 +173,7 @@ def _read_joint_weights(pieces: _MeshPieces, of_points: Callable[[str, int], Flo
     """The joints of each point with their weights, in as many columns as the file has."""
     joints: list[NDArray[np.int64]] = []
     weights: list[Floats] = []
-    while 4 * len(joints) < limits.CAPTURED:
+    while 4 * len(joints) < limits.MAX_JOINTS_PER_POINT:
         these, shares = of_points(f"JOINTS_{len(joints)}", 4), of_points(f"WEIGHTS_{len(joints)}", 4)
         if these is None or shares is None:
             break
@@ -224,7 +224,7 @@ def rigid_capture(joint: str, points: int) -> Capture:
     return Capture((joint,), np.zeros((points, 1), np.int32), np.ones((points, 1), np.float32), np.eye(4)[None])
 
 
-def _read_targets(body: GltfBody, shape: Shape, pieces: _MeshPieces, mesh: dict[str, Any], node: dict[str, Any]) -> Blend:
+def _read_targets(body: GltfBody, shape: Shape, pieces: _MeshPieces, mesh: dict[str, Any], node: dict[str, Any]) -> BlendTargets:
     """Shapes of the library for the morph targets of a mesh, and channels that weigh them."""
     file, number = body.file, len(pieces.targets[0])
     extras = mesh.get("extras")
@@ -252,7 +252,7 @@ def _read_targets(body: GltfBody, shape: Shape, pieces: _MeshPieces, mesh: dict[
         body.channels[channel] = Channel(channel, float(weights[count]))
         shapes.append(name)
         channels.append(channel)
-    return Blend(tuple(shapes), tuple(channels), ("P", "N") if shape.normals is not None else ("P",))
+    return BlendTargets(tuple(shapes), tuple(channels), ("P", "N") if shape.normals is not None else ("P",))
 
 
 def _read_materials(body: GltfBody, pieces: _MeshPieces) -> tuple[tuple[str, ...], NDArray[np.int32] | None]:
@@ -272,7 +272,7 @@ def _read_materials(body: GltfBody, pieces: _MeshPieces) -> tuple[tuple[str, ...
                 body.left_out[f"the texture of `{name}` is not read, its base colour is"] = None
             red, green, blue, _ = np.clip(file.get_floats(pbr, "baseColorFactor", (1.0, 1.0, 1.0, 1.0)), 0.0, 1.0)
             colour = (float(red), float(green), float(blue))
-        if name != STATE:
+        if name != STATE_MATERIAL:
             body.materials.setdefault(name, colour)
         names.setdefault(name)
         numbers.append(np.full(len(faces), list(names).index(name), np.int32))

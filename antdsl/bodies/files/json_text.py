@@ -12,7 +12,7 @@ from math import isfinite
 from antdsl import limits
 from antdsl.diagnostics import Label, Report
 from antdsl.diagnostics.suggestion import nearest_name
-from antdsl.scene.document import Key, decode
+from antdsl.scene.document import PathKey, decode
 from antdsl.source import Source, Span
 
 Plain = dict[str, "Node"] | list["Node"] | list[float] | str | int | float | bool | None
@@ -51,7 +51,7 @@ class Node:
         """What the value is, in words."""
         return _KINDS[type(self.value)]
 
-    def inner(self, key: Key) -> Node | None:
+    def inner(self, key: PathKey) -> Node | None:
         """Return the node of an entry or an item, or None if there is none."""
         if isinstance(self.value, dict) and isinstance(key, str):
             return self.value.get(key)
@@ -61,7 +61,7 @@ class Node:
         return None
 
 
-def find_node(root: Node, path: Sequence[Key]) -> Node:
+def find_node(root: Node, path: Sequence[PathKey]) -> Node:
     """Return the node that a path of keys leads to. Parts of the path that are not in the tree are skipped."""
     node = root
     for key in path:
@@ -69,7 +69,7 @@ def find_node(root: Node, path: Sequence[Key]) -> Node:
     return node
 
 
-def find_span(root: Node, path: Sequence[Key], *, key: bool = False) -> Span:
+def find_span(root: Node, path: Sequence[PathKey], *, key: bool = False) -> Span:
     """Return the mark of what a path leads to (of its last key if `key`), or of the innermost part of the path that exists."""
     if not path:
         return root.mark
@@ -176,8 +176,8 @@ class _Reader:
 
     def value(self, at: int, depth: int) -> Node:
         self.count += 1
-        if self.count > limits.BODY_VALUES:
-            raise self.refuse(at, at, f"there are more than {limits.BODY_VALUES:,} values", None, code="too-large")
+        if self.count > limits.MAX_BODY_JSON_VALUES:
+            raise self.refuse(at, at, f"there are more than {limits.MAX_BODY_JSON_VALUES:,} values", None, code="too-large")
         sign = self.text[at : at + 1]
         if sign == "[":
             return self.numbers(at) or self.array(at, depth)
@@ -217,8 +217,8 @@ class _Reader:
         return Node(self.source, values, at, match.end(), numbers=True)
 
     def next_depth(self, at: int, depth: int) -> int:
-        if depth >= limits.NESTING:
-            words = f"values are nested more than {limits.NESTING} levels deep"
+        if depth >= limits.MAX_BRACKET_DEPTH:
+            words = f"values are nested more than {limits.MAX_BRACKET_DEPTH} levels deep"
             raise self.refuse(at, at + 1, words, None, code="too-large")
         return depth + 1
 

@@ -79,7 +79,7 @@ class BodyFiles:
         if self.is_closed_format(path, place):
             return None
         try:
-            data = self.bytes_of(self.full(path), limits.BODY_TEXT_BYTES)
+            data = self.bytes_of(self.full(path), limits.MAX_BODY_JSON_BYTES)
         except PathRefused as why:
             self.report_refusal(why, place)
             return None
@@ -116,7 +116,7 @@ class BodyFiles:
             if kind in USD:
                 definition, left_out = self._read_usd(full, prim or "/", name, rate)
             else:
-                data = self.bytes_of(full, limits.BODY_BYTES)
+                data = self.bytes_of(full, limits.MAX_BODY_FILE_BYTES)
                 definition, left_out = read_gltf(data, name, self._sibling_reader(full), rate or RATE, pose)
         except UsdError as why:
             self.report.error(why.code, str(why), place, why.help)

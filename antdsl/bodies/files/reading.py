@@ -13,7 +13,7 @@ from antdsl.bodies.agents.definition import Definition, with_language_names
 from antdsl.bodies.files.definition_checks import Parts, check_definition
 from antdsl.bodies.files.named_files import GLTF, USD, BodyFiles, file_ending
 from antdsl.diagnostics import Report
-from antdsl.scene.paths import Roots, Sought, record_request, record_sought, reopen
+from antdsl.scene.paths import RequestedPaths, Roots, record_request, record_sought, reopen
 from antdsl.source import Span
 
 MOST = 8  # number of cached definitions
@@ -92,7 +92,7 @@ def load_definition(text: str, roots: Roots, place: Span) -> tuple[Definition | 
     return definition, report
 
 
-def _file_stamps(files: Sought) -> dict[Path, tuple[Path | None, Stamp | None]]:
+def _file_stamps(files: RequestedPaths) -> dict[Path, tuple[Path | None, Stamp | None]]:
     return {path: (root, _stamp(path, root)) for path, root in files.items()}
 
 

@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 
 from antdsl import limits
-from antdsl.bodies.agents.definition import Blend, InBetweens, Shape
+from antdsl.bodies.agents.definition import BlendTargets, InBetweens, Shape
 from antdsl.bodies.files.document_model import BodyForm, ShapeReference
 from antdsl.bodies.files.json_text import Node, find_node, find_span, report_unknown
 from antdsl.bodies.files.named_files import GLTF, MESHES, USD, BodyFiles, file_ending
@@ -100,15 +100,15 @@ def shapes_of(
         files.report.error("wrong-kind", f"`{path[-80:]}` is not a file of shapes", place, f"one of {kinds} is read")
         return {}
     try:
-        mesh = read_mesh(files.bytes_of(files.full(path), limits.MESH_BYTES), path)
+        mesh = read_mesh(files.bytes_of(files.full(path), limits.MAX_MESH_BYTES), path)
     except PathRefused as why:
         files.report_refusal(why, place)
         return {}
     except MeshError as why:
         files.report.error("bad-mesh", f"the mesh `{path[-80:]}` {why}", place, why.help)
         return {}
-    if len(mesh.vertices) > limits.BODY_POINTS:
-        words = f"`{path[-80:]}` has more than {limits.BODY_POINTS:,} points"
+    if len(mesh.vertices) > limits.MAX_BODY_POINTS:
+        words = f"`{path[-80:]}` has more than {limits.MAX_BODY_POINTS:,} points"
         files.report.error("too-large", words, place, "use a lighter mesh")
         return {}
     ids = {"id": mesh.own_vertices.astype(np.int64)}
@@ -175,5 +175,5 @@ def _with_blend(reference: ShapeReference, node: Node, files: BodyFiles, shape: 
         files.report.error("wrong-value", words, place, "name a channel for each shape")
         return shape
     attributes = tuple(reference.blendshape_attribs.split())
-    blend = Blend(names, channels, attributes, reference.blendshape_ptidattr, reference.blendshape_primidattr)
+    blend = BlendTargets(names, channels, attributes, reference.blendshape_ptidattr, reference.blendshape_primidattr)
     return replace(shape, blend=blend)

@@ -22,14 +22,14 @@ from antdsl.bodies.agents.transforms import align_signs, compose_transforms, uni
 from antdsl.bodies.files.gltf_clips import EXTRAS, even_times
 from antdsl.bodies.files.gltf_shapes import rigid_capture, unused_name
 from antdsl.bodies.files.usd_shapes import Skin, UsdBody, read_usd_shape
-from antdsl.reader.protocol import Refusal
+from antdsl.reader.protocol import ReadRefusal
 from antdsl.scene.geometry.matrices import has_inverse, inverses
-from antdsl.scene.geometry.usd.child.guard import Answer, with_refusals
+from antdsl.scene.geometry.usd.child.guard import ReaderAnswer, with_refusals
 from antdsl.scene.geometry.usd.child.stage import OpenStage, open_stage
 from antdsl.scene.geometry.usd.errors import pxr
 
 if TYPE_CHECKING:
-    from antdsl.reader.protocol import Message
+    from antdsl.reader.protocol import ReaderMessage
 
 Floats = NDArray[np.float64]
 LAYER = "body"
@@ -46,14 +46,14 @@ class _Skeleton:
 
 
 @with_refusals
-def read_body(request: Message) -> Answer:
+def read_body(request: ReaderMessage) -> ReaderAnswer:
     """Return the arrays that `packed` makes of the definition, sentences `left_out` about the parts of the file that are not
     read, and `settings`: JSON of the custom data of clips by their names."""
     said = request.document
     try:
         definition, body = _read_definition(open_stage(request), str(said["prim"]), str(said["name"]), float(said["rate"]))
     except BodyError as why:
-        raise Refusal(why.code, str(why), why.help, "prim", "body") from why
+        raise ReadRefusal(why.code, str(why), why.help, "prim", "body") from why
     return {"left_out": list(body.left_out), "settings": json.dumps(body.settings, default=str)}, pack_definition(definition)
 
 
@@ -188,7 +188,7 @@ def _read_clips(body: UsdBody, skeletons: list[_Skeleton], rate: float) -> list[
     clips: dict[str, Clip] = {}
     known_paths: set[str] = set()
     cache = skel.Cache()
-    left = limits.CLIP_BYTES
+    left = limits.MAX_CLIP_BYTES
     waiting = [(each.query.GetAnimQuery(), each) for each in skeletons]
     for prim in body.stage.visible_prims(body.stage.stage.GetPseudoRoot()):
         if prim.IsA(skel.Animation):
@@ -225,11 +225,11 @@ def _read_clip(body: UsdBody, query: Any, skeleton: Any, name: str, rate: float,
     seconds = (codes[-1] - codes[0]) / per_second if codes else 0.0
     if not (columns or shares):
         return None
-    if seconds * (rate or per_second) > limits.CLIP_SAMPLES:
+    if seconds * (rate or per_second) > limits.MAX_CLIP_SAMPLES:
         raise BodyError(f"has a clip `{name}` of {seconds:,.0f} seconds, longer than is read", code="too-large")
     times, rate = even_times(seconds, rate or per_second)
     if len(times) * (len(columns) * 13 + len(shares)) * 8 > left:
-        raise BodyError(f"has clips of more than {limits.CLIP_BYTES:,} bytes when they are sampled", code="too-large")
+        raise BodyError(f"has clips of more than {limits.MAX_CLIP_BYTES:,} bytes when they are sampled", code="too-large")
     joints = tuple(skeleton.names[number[paths[count]]] for count in columns)
     translation, scale = (np.empty((len(times), len(joints), 3)) for _ in range(2))
     rotation = np.empty((len(times), len(joints), 4))

@@ -8,9 +8,9 @@ from fractions import Fraction
 from typing import Any
 
 from antdsl.bodies.agents.definition import BodyError, Definition
-from antdsl.bodies.agents.packed import PARTS, unpack_definition
+from antdsl.bodies.agents.packed import ARRAY_NAMES, unpack_definition
 from antdsl.bodies.files.gltf_clips import read_settings, with_settings
-from antdsl.reader.protocol import Message, ProtocolError, Refusal, display_text
+from antdsl.reader.protocol import ProtocolError, ReaderMessage, ReadRefusal, display_text
 from antdsl.scene.geometry.usd import UsdError, open_stage
 from antdsl.scene.paths import Roots
 
@@ -25,11 +25,11 @@ def read_usd(roots: Roots, text: str, prim: str, name: str, rate: float) -> tupl
         answer = stage.ask("usd-body", {"name": name, "rate": rate})
         left_out = [display_text(sentence) for sentence in answer.texts("left_out", _SENTENCES)]
         settings = _clip_settings(answer)
-        if set(answer.arrays) != set(PARTS):
+        if set(answer.arrays) != set(ARRAY_NAMES):
             raise ProtocolError("a part of the body is missing")
     except UsdError:
         raise
-    except Refusal as why:
+    except ReadRefusal as why:
         raise BodyError(str(why), why.help, why.code) from None
     except ProtocolError as why:
         raise stage.make_answer_error(why) from None
@@ -39,7 +39,7 @@ def read_usd(roots: Roots, text: str, prim: str, name: str, rate: float) -> tupl
     return replace(definition, clips={**definition.clips, **clips}), left_out
 
 
-def _clip_settings(answer: Message) -> dict[str, Any]:
+def _clip_settings(answer: ReaderMessage) -> dict[str, Any]:
     """Return the custom data of animations by the names of their clips."""
     try:
         settings = json.loads(answer.document["settings"])

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl import limits
-from antdsl.bodies.agents.definition import Blend, BodyError, Capture, Channel, InBetweens, Shape
+from antdsl.bodies.agents.definition import BlendTargets, BodyError, Capture, Channel, InBetweens, Shape
 from antdsl.bodies.files.gltf_shapes import clean_capture, unused_name
 from antdsl.scene.geometry.polygons import TooManyCorners, triangulate
 from antdsl.scene.geometry.usd.child.stage import OpenStage
@@ -47,8 +47,8 @@ class UsdBody:
 
     def add_joint(self, name: str, parent: int, rest: Floats) -> int:
         """Adds a joint under a name that no other has."""
-        if len(self.names) >= limits.JOINTS:
-            raise BodyError(f"has more than {limits.JOINTS:,} joints", code="too-large")
+        if len(self.names) >= limits.MAX_RIG_JOINTS:
+            raise BodyError(f"has more than {limits.MAX_RIG_JOINTS:,} joints", code="too-large")
         if not np.isfinite(rest).all():
             raise BodyError(f"has a joint `{name}` with a transform that is not finite", "export it again")
         self.names.append(unused_name(name, self.names))
@@ -91,8 +91,8 @@ def read_usd_shape(body: UsdBody, prim: Any, skin: Skin | None) -> Shape | None:
 
 def _count_points(body: UsdBody, new_points: int) -> None:
     body.points += new_points
-    if body.points > limits.BODY_POINTS:
-        raise BodyError(f"has more than {limits.BODY_POINTS:,} points, blend shapes among them", code="too-large")
+    if body.points > limits.MAX_BODY_POINTS:
+        raise BodyError(f"has more than {limits.MAX_BODY_POINTS:,} points, blend shapes among them", code="too-large")
 
 
 def _as_rows(raw_values: Any, width: int) -> Floats:
@@ -106,8 +106,8 @@ def _triangles(mesh: Any, prim: Any, time: Any, points: Floats) -> tuple[Integer
     """The point of each corner of the faces; triangles (n, 3) of corners; and the face of each triangle."""
     counts = np.array(mesh.GetFaceVertexCountsAttr().Get(time) or [], np.int64)
     corners = np.array(mesh.GetFaceVertexIndicesAttr().Get(time) or [], np.int64)
-    if len(corners) > 3 * limits.MESH_FACES or len(counts) > limits.MESH_FACES:
-        raise BodyError(f"has a mesh `{prim.GetPath()}` of more than {limits.MESH_FACES:,} faces", code="too-large")
+    if len(corners) > 3 * limits.MAX_MESH_FACES or len(counts) > limits.MAX_MESH_FACES:
+        raise BodyError(f"has a mesh `{prim.GetPath()}` of more than {limits.MAX_MESH_FACES:,} faces", code="too-large")
     right = counts.sum() == len(corners) and (not len(counts) or counts.min() >= 0)
     if not right or (len(corners) and (corners.min() < 0 or corners.max() >= len(points))):
         raise BodyError(f"has a mesh `{prim.GetPath()}` with faces that use missing points", _EXPORT)
@@ -165,7 +165,7 @@ def _split_points(
 def _capture(body: UsdBody, prim: Any, skin: Skin, points: int, source: Integers, time: Any) -> Capture:
     influences = skin.query.ComputeVaryingJointInfluences(points, time)
     each = int(skin.query.GetNumInfluencesPerComponent())
-    if not influences or each < 1 or each > limits.CAPTURED or any(len(part) != points * each for part in influences):
+    if not influences or each < 1 or each > limits.MAX_JOINTS_PER_POINT or any(len(part) != points * each for part in influences):
         raise BodyError(f"has a mesh `{prim.GetPath()}` without joints and weights for each of its points", _EXPORT)
     joints = np.array(influences[0], np.int64).reshape(points, each)
     weights = np.array(influences[1], np.float64).reshape(points, each)
@@ -177,7 +177,7 @@ def _capture(body: UsdBody, prim: Any, skin: Skin, points: int, source: Integers
     return Capture(skin.names, point_joints[source], shares[source], skin.inverse)
 
 
-def _blend(body: UsdBody, shape: Shape, prim: Any, points: Floats, source: Integers) -> Blend | None:
+def _blend(body: UsdBody, shape: Shape, prim: Any, points: Floats, source: Integers) -> BlendTargets | None:
     """The blend shapes of a mesh as shapes of the library; each is weighed by the channel of its name."""
     skel = pxr("UsdSkel")
     binding = skel.BindingAPI(prim)
@@ -213,7 +213,7 @@ def _blend(body: UsdBody, shape: Shape, prim: Any, points: Floats, source: Integ
             body.shapes[name] = replace(body.shapes[name], between=between)
         names.append(name)
         body.channels.setdefault(token, Channel(token))
-    return Blend(tuple(names), tuple(tokens), ("P", "N") if shape.normals is not None else ("P",))
+    return BlendTargets(tuple(names), tuple(tokens), ("P", "N") if shape.normals is not None else ("P",))
 
 
 def _add_blend_target(

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from antdsl.bench.costs import Job, Measurement
     from antdsl.bench.tables import Result
 
-SLOWEST = "reference"  # left out unless it is named: it takes one agent at a time
+SLOWEST_BACKEND = "reference"  # left out unless it is named: it takes one agent at a time
 
 
 def bench(
@@ -67,7 +67,7 @@ def _choose_backends(names: list[str]) -> list[str]:
     for name in names:
         if name not in BACKENDS:
             raise typer.BadParameter(f"there is no backend `{name}`; there are: {', '.join(BACKENDS)}", param_hint="--backend")
-    return list(dict.fromkeys(names)) or [name for name in BACKENDS if name != SLOWEST]
+    return list(dict.fromkeys(names)) or [name for name in BACKENDS if name != SLOWEST_BACKEND]
 
 
 def _choose_jobs(cases: list[str], agents: list[int]) -> list[tuple[str, int | None]]:

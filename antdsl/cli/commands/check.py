@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import typer
 
-from antdsl.cli.arguments import STDIN, parse_grants, read_standard_input
+from antdsl.cli.arguments import STDIN_PATH, parse_grants, read_standard_input
 from antdsl.cli.exits import CommandError, ExitCode
 from antdsl.cli.printing.messages import print_result
 
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from antdsl.diagnostics import Report
 
 
-class Format(StrEnum):
+class ReportFormat(StrEnum):
     full = "full"
     concise = "concise"
     json = "json"
@@ -31,7 +31,7 @@ def check(
         help="Files (.ant, .yaml), folders, or patterns such as 'shots/**/*.ant'; - reads a program from standard input. "
         "[default: this folder]",
     ),
-    format: Format = typer.Option(Format.full, "--format", help="Format of the findings."),
+    format: ReportFormat = typer.Option(ReportFormat.full, "--format", help="Format of the findings."),
     strict: bool = typer.Option(False, "--strict", help="Count warnings as errors."),
     explain: str = typer.Option(
         None, "--explain", metavar="WORD", help="Explain a code such as `unknown-state`, a word or a behaviour, and stop."
@@ -53,9 +53,9 @@ def check(
         _print_explanation(explain)
         return
     for is_requested, flag in ((params, "--params"), (cost, "--cost"), (imports, "--imports")):
-        if is_requested and format not in (Format.full, Format.concise):
+        if is_requested and format not in (ReportFormat.full, ReportFormat.concise):
             raise typer.BadParameter("this list is available as text only; leave out `--format`", param_hint=flag)
-    if STDIN in (paths or []) and len(paths) > 1:
+    if STDIN_PATH in (paths or []) and len(paths) > 1:
         raise typer.BadParameter("standard input must be alone", param_hint="-")
     from antdsl.checking import check_all, check_text
     from antdsl.cli.printing.reports import report_exit_code, show
@@ -63,10 +63,10 @@ def check(
     from antdsl.diagnostics.ignoring import apply_ignores, without_ignored
     from antdsl.files import find_files
     from antdsl.numerics.host import cores
-    from antdsl.pipeline import Choices, open_scene
+    from antdsl.pipeline import RunChoices, open_scene
 
-    choices = Choices(parse_grants(root))
-    if paths == [STDIN]:
+    choices = RunChoices(parse_grants(root))
+    if paths == [STDIN_PATH]:
         checked = check_text(read_standard_input(), choices, strict=strict, cpu_seconds=cpu_limit)
         files, report = list(checked.reports), Report()
     else:
@@ -78,7 +78,7 @@ def check(
     if strict:
         report = _strict(report)
     show(report, format.value)
-    if format is Format.full and report.diagnostics:
+    if format is ReportFormat.full and report.diagnostics:
         codes = list(dict.fromkeys(each.code for each in without_ignored(report).sorted()))
         others = ", ".join(f"`{code}`" for code in codes[1:4]) + (" …" if len(codes) > 4 else "")
         if codes:
@@ -106,7 +106,7 @@ def check(
             print_result(line)
     if not report.ok:
         raise CommandError(report_exit_code(report))
-    if format is Format.full:
+    if format is ReportFormat.full:
         warnings = len(report.diagnostics)
         if not files and not warnings:
             folders = ", ".join(f"`{path}`" for path in paths or [Path()])
@@ -129,13 +129,13 @@ def _print_explanation(word: str) -> None:
     import re
 
     from antdsl.cli.printing.pages import show, show_page
-    from antdsl.diagnostics.codes import CODES
+    from antdsl.diagnostics.codes import CODE_DESCRIPTIONS
     from antdsl.diagnostics.suggestion import nearest_name
     from antdsl.lsp.language import explain_word, words
     from antdsl.syntax.mistakes.number_slips import unit_help
     from antdsl.syntax.words import UNIT_NAMES
 
-    if word in CODES:
+    if word in CODE_DESCRIPTIONS:
         show_page(word)
         return
     page = explain_word(word.removesuffix("()"))
@@ -145,6 +145,6 @@ def _print_explanation(word: str) -> None:
     slip = [part for part in re.findall("[A-Za-z]+", word) if part not in UNIT_NAMES] if re.search("[/*^%]", word) else []
     if slip:
         raise CommandError(ExitCode.USAGE, f"error: no unit `{slip[0]}` as in `{word}`", unit_help(slip[0]))
-    near = nearest_name(word, CODES) if "-" in word else nearest_name(word, {*words(), *CODES})
+    near = nearest_name(word, CODE_DESCRIPTIONS) if "-" in word else nearest_name(word, {*words(), *CODE_DESCRIPTIONS})
     usual = "codes stand in brackets after `error`; words are those of the language and the names of its behaviours"
     raise CommandError(ExitCode.USAGE, f"error: no code and no word `{word}`", f"did you mean `{near}`?" if near else usual)

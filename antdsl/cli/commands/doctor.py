@@ -5,9 +5,9 @@ from __future__ import annotations
 from antdsl.cli.exits import CommandError, ExitCode
 from antdsl.cli.printing.messages import print_result
 
-PACKAGES = ("numpy", "scipy", "lark", "pydantic", "yaml", "typer", "rich", "trimesh", "PIL", "skimage", "open3d")
-_NAMES = {"yaml": "pyyaml", "PIL": "pillow", "skimage": "scikit-image"}
-EXTRAS = {
+REQUIRED_PACKAGES = ("numpy", "scipy", "lark", "pydantic", "yaml", "typer", "rich", "trimesh", "PIL", "skimage", "open3d")
+_DISTRIBUTION_NAMES = {"yaml": "pyyaml", "PIL": "pillow", "skimage": "scikit-image"}
+OPTIONAL_PACKAGES = {
     "imageio_ffmpeg": "films: pip install 'antdsl[video]'",
     "pxr": "sets and bodies in USD files: pip install 'antdsl[usd]'",
     "matplotlib": "plots of sweeps: pip install 'antdsl[plots]'",
@@ -26,9 +26,9 @@ def doctor() -> None:
     problems: list[str] = []
     _check_python(problems)
     _check_system_libraries(problems)
-    for package in PACKAGES:
+    for package in REQUIRED_PACKAGES:
         _check_package(package, problems)
-    for package, purpose in EXTRAS.items():
+    for package, purpose in OPTIONAL_PACKAGES.items():
         _check_optional(package, purpose)
     _check_machine_code(problems)
     _check_tables()
@@ -71,7 +71,7 @@ def _check_package(package: str, problems: list[str]) -> None:
 
     from antdsl.casting.open3d_module import open3d
 
-    display_name = _NAMES.get(package, package)
+    display_name = _DISTRIBUTION_NAMES.get(package, package)
     try:
         if package == "open3d":
             open3d()

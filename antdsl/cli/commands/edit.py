@@ -44,12 +44,21 @@ def edit(
 
 def _parse_width(text: str) -> int:
     """Over how many frames `orient:9` smooths."""
-    from antdsl.outputs.editing import LEAST, MOST
+    from antdsl.outputs.editing import MAX_SMOOTHING_FRAMES, MIN_SMOOTHING_FRAMES
 
     name, _, number = text.partition(":")
     if name != "orient":
         raise typer.BadParameter(f"`{text}`: only orientations can be smoothed; write `orient:9`", param_hint="--smooth")
-    if not (number.isascii() and number.isdigit() and len(number) < 4 and int(number) % 2 and LEAST <= int(number) <= MOST):
-        words = f"`{text}` needs an odd number of frames from {LEAST} to {MOST}; `orient:9` uses four before and four after"
+    if not (
+        number.isascii()
+        and number.isdigit()
+        and len(number) < 4
+        and int(number) % 2
+        and MIN_SMOOTHING_FRAMES <= int(number) <= MAX_SMOOTHING_FRAMES
+    ):
+        words = (
+            f"`{text}` needs an odd number of frames from {MIN_SMOOTHING_FRAMES} to {MAX_SMOOTHING_FRAMES}; `orient:9` "
+            f"uses four before and four after"
+        )
         raise typer.BadParameter(words, param_hint="--smooth")
     return int(number)

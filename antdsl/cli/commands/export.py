@@ -11,7 +11,7 @@ import typer
 from antdsl.cli.destinations import protect_inputs, require_writable_file, require_writable_folder
 from antdsl.cli.exits import CommandError, ExitCode, explain_cache_errors, report_failures
 from antdsl.cli.printing.messages import print_note
-from antdsl.cli.scheduler import NO_TLS, SCHEDULER, TLS, require_scheduler, run_cache_tasks
+from antdsl.cli.scheduler import NO_TLS_OPTION, SCHEDULER_OPTION, TLS_OPTION, require_scheduler, run_cache_tasks
 from antdsl.whole import make_folder, sync_files
 
 if TYPE_CHECKING:
@@ -20,13 +20,15 @@ if TYPE_CHECKING:
 
 def _explain_no_export(to: Path) -> str:
     """Return why a file's suffix has no export, and which to use instead."""
-    from antdsl.outputs.exports import EXPORTS, INSTEAD
+    from antdsl.outputs.exports import ALTERNATIVE_ADVICE, EXPORT_FORMATS
 
     if str(to) == "-":
         return "an export goes into a file and not to standard output: its ending says the form, and some forms are several files"
-    if to.suffix.lower() in INSTEAD:
-        return f"`{to.suffix}` is not supported: write {INSTEAD[to.suffix.lower()]} (docs/exports.md#what-is-not-written)"
-    return f"`{to.name}` is none of {', '.join(ending for each in EXPORTS for ending in each.endings)}"
+    if to.suffix.lower() in ALTERNATIVE_ADVICE:
+        return (
+            f"`{to.suffix}` is not supported: write {ALTERNATIVE_ADVICE[to.suffix.lower()]} (docs/exports.md#what-is-not-written)"
+        )
+    return f"`{to.name}` is none of {', '.join(ending for each in EXPORT_FORMATS for ending in each.endings)}"
 
 
 def _describe_unknown_ids(cache: Cache, frames: Sequence[int], chosen: frozenset[int]) -> str | None:
@@ -79,17 +81,17 @@ def export(
     ),
     copies: bool = typer.Option(None, "--copies", help="Of USD: agents with skeletons are no instances, as Blender needs them."),
     close: bool = typer.Option(None, "--close", help="USD: write bodies in close-up quality."),
-    scheduler: str = SCHEDULER,
-    tls: Path = TLS,
-    no_tls: bool = NO_TLS,
+    scheduler: str = SCHEDULER_OPTION,
+    tls: Path = TLS_OPTION,
+    no_tls: bool = NO_TLS_OPTION,
     quiet: bool = typer.Option(False, "--quiet", "-q", help="Print nothing but problems."),
 ) -> None:
     """Write a cache for other programs: USD (needs the extra [usd]), glTF, points for Houdini, tables, arrays, meshes."""
     from antdsl.cli.arguments import parse_frame_range, parse_number_set, parse_shutter
     from antdsl.outputs.cache.cache_reader import open_cache
-    from antdsl.outputs.exports import EXPORTS, AgentSubset, export_for
+    from antdsl.outputs.exports import EXPORT_FORMATS, AgentSubset, export_for
     from antdsl.outputs.gallery import Gallery
-    from antdsl.outputs.numbered_files import NoExport
+    from antdsl.outputs.numbered_files import ExportUnavailable
     from antdsl.scene.geometry.usd import UsdError
     from antdsl.shots.exports import export_tasks
 
@@ -119,14 +121,14 @@ def export(
     }
     set_options = {name: value for name, value in all_options.items() if value is not None}
     for name in sorted(set_options.keys() - export.option_names(word)):
-        forms = [f"`{each.endings[0]}` as `{w}`" for each in EXPORTS for w in each.forms if name in each.option_names(w)]
+        forms = [f"`{each.endings[0]}` as `{w}`" for each in EXPORT_FORMATS for w in each.forms if name in each.option_names(w)]
         raise typer.BadParameter(
             f"`{to.name}` as `{word}` does not support this option; {', '.join(forms)} does", param_hint=f"--{name}"
         )
     if "samples" in set_options and "shutter" not in set_options:
         raise typer.BadParameter("state the range of the samples: `--shutter -0.25..0.25`", param_hint="--samples")
     if scheduler and word not in export.each:
-        spread = ", ".join(f"`{each.endings[0]}`" for each in EXPORTS if each.each)
+        spread = ", ".join(f"`{each.endings[0]}`" for each in EXPORT_FORMATS if each.each)
         message = f"`{to.name}` as `{word}` is one file, which is written here; {spread} have a file for each frame"
         raise typer.BadParameter(message, param_hint="--scheduler")
     options = (export.options[word](**set_options),) if word in export.options else ()
@@ -167,7 +169,7 @@ def export(
                 sync_files(paths)
             unknown = None if chosen is None else _describe_unknown_ids(opened_cache, cache_frames, chosen)
             notes = [*(notes or ()), *([] if unknown is None else [unknown])]
-    except (UsdError, NoExport) as why:
+    except (UsdError, ExportUnavailable) as why:
         raise CommandError(ExitCode.FINDINGS, f"error: {why}", why.help or "") from None
     if not quiet:
         files = f"{paths[0]} .. {paths[-1].name}" if len(paths) > 1 else str(paths[0])

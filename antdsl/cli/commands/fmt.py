@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING
 
 import typer
 
-from antdsl.cli.arguments import STDIN, read_standard_input
-from antdsl.cli.exits import AGAIN, CommandError, ExitCode, recovery_advice
+from antdsl.cli.arguments import STDIN_PATH, read_standard_input
+from antdsl.cli.exits import RETRY_ADVICE, CommandError, ExitCode, recovery_advice
 from antdsl.cli.printing.messages import print_note, print_result
 
 if TYPE_CHECKING:
@@ -28,12 +28,12 @@ def fmt(
     """Lay .ant files out in the one way: blanks, columns, line breaks. What they say stays the same, comments too."""
     if not paths:
         raise typer.BadParameter("name a file or a folder, or - for standard input", param_hint="PATH")
-    if STDIN in paths and len(paths) > 1:
+    if STDIN_PATH in paths and len(paths) > 1:
         raise typer.BadParameter("standard input goes alone", param_hint="-")
     from antdsl.cli.printing.reports import exit_on_errors
 
     work = _Formatting(check, diff)
-    if STDIN in paths:
+    if STDIN_PATH in paths:
         work.format_standard_input()
     else:
         work.files(paths)
@@ -87,7 +87,7 @@ class _Formatting:
 
         try:
             text = self.format_source(*syntax.read(path))
-            data = b"" if text is None else read_bounded(path, limits.ANT_FILE_BYTES)
+            data = b"" if text is None else read_bounded(path, limits.MAX_PROGRAM_BYTES)
             if text is None:
                 self.left += 1
             elif text.encode("utf-8") != data:
@@ -97,7 +97,9 @@ class _Formatting:
         except OSError as problem:
             self.left += 1
             reason = (problem.strerror or "unknown reason").lower()
-            self.report.error("cannot-write", f"cannot write `{path}`: {reason}", None, f"{recovery_advice(problem)} {AGAIN}")
+            self.report.error(
+                "cannot-write", f"cannot write `{path}`: {reason}", None, f"{recovery_advice(problem)} {RETRY_ADVICE}"
+            )
 
     def format_standard_input(self) -> None:
         from antdsl import syntax

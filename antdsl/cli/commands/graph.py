@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from antdsl.graphs import Chart
 
 
-class Format(StrEnum):
+class GraphFormat(StrEnum):
     svg = "svg"
     png = "png"
     mermaid = "mermaid"
@@ -26,7 +26,7 @@ class Format(StrEnum):
 
 def graph(
     file: Path = typer.Argument(..., help="A program (.ant) or a scene (.yaml)."),
-    format: Format = typer.Option(None, "--format", help="Format. [default: by the ending of --out, else svg]"),
+    format: GraphFormat = typer.Option(None, "--format", help="Format. [default: by the ending of --out, else svg]"),
     out: Path = typer.Option(None, "--out", metavar="FILE", help="Output file; `-` prints it. [default: FILE.svg here]"),
     only: list[str] = typer.Option(
         [], "--only", metavar="NAME", help="Only this species, or SPECIES.MACHINE. May be given several times."
@@ -57,7 +57,7 @@ def graph(
         print_note(str(target))
 
 
-def _choose_format(format: Format | None, out: Path | None) -> str:
+def _choose_format(format: GraphFormat | None, out: Path | None) -> str:
     """Return the requested format, or the one that the file's ending implies; without either, the default."""
     from antdsl.graphs import FORMATS
 

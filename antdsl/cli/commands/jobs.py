@@ -17,9 +17,9 @@ from antdsl.cli.printing.messages import print_note
 if TYPE_CHECKING:
     from antdsl.farm import Job
 
-OPEN, LINES = (".yaml", ".yml", ".json"), (".jsonl",)
+OPEN_TEMPLATE_SUFFIXES, LINE_SUFFIXES = (".yaml", ".yml", ".json"), (".jsonl",)
 # Words of `antdsl render` that a job writes itself, and what to write instead.
-OWN = {
+RESERVED_RENDER_OPTIONS = {
     "frames": "use the option of the job: `antdsl jobs … --frames A..B`",
     "every": "use the option of the job: `antdsl jobs … --every N`",
     "out": "write `antdsl jobs … --pictures DIR`",
@@ -58,17 +58,19 @@ def jobs(
     from antdsl.cli.arguments import parse_frame_range, parse_grants, parse_pairs, require_scene
     from antdsl.cli.printing.reports import exit_on_errors
     from antdsl.farm import Shot, job_template, json_lines, shot_job
-    from antdsl.pipeline import Choices, open_scene
+    from antdsl.pipeline import RunChoices, open_scene
 
     require_scene(scene)
-    if to.suffix not in (*OPEN, *LINES):
-        raise typer.BadParameter(f"`{to.name}` is none of {', '.join((*OPEN, *LINES))}", param_hint="--to")
+    if to.suffix not in (*OPEN_TEMPLATE_SUFFIXES, *LINE_SUFFIXES):
+        raise typer.BadParameter(
+            f"`{to.name}` is none of {', '.join((*OPEN_TEMPLATE_SUFFIXES, *LINE_SUFFIXES))}", param_hint="--to"
+        )
     require_writable_file(to, "--to")
     look = _parse_render_words(render)
     granted, param_values = parse_grants(root), parse_pairs(set_, "--set")
     with protect_inputs({"--to": to}) as inputs:
         inputs.append(scene)
-        opened, report = open_scene(scene, Choices(granted, parse_frame_range(frames), seed, param_values), thorough=False)
+        opened, report = open_scene(scene, RunChoices(granted, parse_frame_range(frames), seed, param_values), thorough=False)
     exit_on_errors(report)
     assert opened is not None
     cache = out if out is not None else default_path(scene.resolve().parent, "out", scene.stem)
@@ -87,7 +89,7 @@ def jobs(
         film=film,
     )
     job = shot_job(shot, scene.resolve().stem)
-    if to.suffix in LINES:
+    if to.suffix in LINE_SUFFIXES:
         write_result(to, json_lines(job).encode(), sys.stdout)
     else:
         _require_template(job, shot.every, opened.frames.last - opened.frames.first + 1)
@@ -114,7 +116,7 @@ def _parse_render_words(text: str) -> tuple[str, ...]:
         raise typer.BadParameter(f"`{text}` draws nothing; {advice}", param_hint="--render") from None
     except wrong_use as why:
         raise CommandError(ExitCode.USAGE, f"error: `--render`: {getattr(why, 'message', why)}", advice) from None
-    for name, instead in OWN.items():
+    for name, instead in RESERVED_RENDER_OPTIONS.items():
         source = context.get_parameter_source(name)
         if source is not None and source.name == "COMMANDLINE":
             raise typer.BadParameter(f"`--{name}` does not affect how pictures look; {instead}", param_hint="--render")
@@ -149,7 +151,7 @@ def _print_summary(job: Job, to: Path) -> None:
 
     counts = [f"{step.name} ({len(step.chunks)} tasks)" if step.chunks else step.name for step in job.steps]
     print_note(f"{to}: {', '.join(counts)}")
-    missing = paths_to_name(job, to.resolve().parent) if to.suffix in OPEN else []
+    missing = paths_to_name(job, to.resolve().parent) if to.suffix in OPEN_TEMPLATE_SUFFIXES else []
     if missing:
         print_note("these do not lie below it, so name them when you submit it:")
         for place in missing:

@@ -16,7 +16,7 @@ from antdsl.resources import project_file
 from antdsl.whole import make_folder, write_atomically
 
 # Where each file goes, and its name among the files that come with antdsl.
-FILES = {
+TEMPLATE_FILES = {
     "walker.ant": "walker.ant",
     "scene.yaml": "scene.yaml",
     "README.md": "README.md",
@@ -28,14 +28,14 @@ FILES = {
 
 def file_text(name: str) -> str:
     """The text of a file of the project."""
-    return project_file(FILES[name]).read_text(encoding="utf-8").replace("antdsl-VERSION-", f"antdsl-{__version__}-")
+    return project_file(TEMPLATE_FILES[name]).read_text(encoding="utf-8").replace("antdsl-VERSION-", f"antdsl-{__version__}-")
 
 
 def new(folder: Path = typer.Argument(..., metavar="DIR", help="A folder that is not there yet, or is empty.")) -> None:
     """Write a small project to start from, with its specs and what checks it in CI."""
     if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
         raise CommandError(ExitCode.INPUT_OUTPUT, f"error: `{folder}` already exists and is not empty", "name another folder")
-    for name in FILES:
+    for name in TEMPLATE_FILES:
         make_folder((folder / name).parent)
         write_atomically(folder / name, file_text(name).encode())
     write_atomically(folder / "ground.ply", ground())

@@ -12,7 +12,7 @@ from antdsl.cli.printing.messages import print_result
 
 if TYPE_CHECKING:
     from antdsl.plan.ir import Plan
-    from antdsl.scene.setting import Setting
+    from antdsl.scene.setting import WorldSetting
 
 
 def plan(
@@ -28,7 +28,7 @@ def plan(
     from antdsl import plan as planning
     from antdsl.cli.printing.reports import exit_on_errors
 
-    setting: Setting | None = None
+    setting: WorldSetting | None = None
     final_plan: Plan | None = None
     if file.suffix == ".ant":
         program, report = pipeline.check_path(file)
@@ -46,7 +46,7 @@ def plan(
     print_result(_list_code(final_plan, setting, code) if native or code else planning.show(final_plan))
 
 
-def _list_code(final_plan: Plan, setting: Setting | None, code: bool) -> str:
+def _list_code(final_plan: Plan, setting: WorldSetting | None, code: bool) -> str:
     """Return the listing of a plan's machine code. `setting`: that of the scene, or None for a program alone. `code`: append the
     text of the code. Raises Stop where no machine code can be made."""
     from antdsl.machine_code import machine
@@ -55,7 +55,9 @@ def _list_code(final_plan: Plan, setting: Setting | None, code: bool) -> str:
 
     if why := machine.unavailable():
         raise CommandError(ExitCode.FINDINGS, f"error: no machine code can be made here: {why}")
-    code_listing = listing.plan_program(final_plan, machine.host(), listing.STILL if setting is None else WorldFacts.of(setting))
+    code_listing = listing.plan_program(
+        final_plan, machine.host(), listing.STATIC_WORLD if setting is None else WorldFacts.of(setting)
+    )
     words = (
         "as on ground that stands still, without `lod`: a scene that uses this may have other code\n" if setting is None else ""
     )

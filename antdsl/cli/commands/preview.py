@@ -11,7 +11,7 @@ from antdsl.cli.exits import CommandError, ExitCode
 from antdsl.cli.printing.messages import print_note
 
 if TYPE_CHECKING:
-    from antdsl.pipeline import Choices
+    from antdsl.pipeline import RunChoices
     from antdsl.preview.live import Live
     from antdsl.preview.serving.addresses import ListeningSockets
 
@@ -47,9 +47,9 @@ def preview(
     from antdsl.cli.arguments import parse_grants, parse_pairs, require_scene
 
     require_scene(scene)
-    from antdsl.pipeline import Choices
+    from antdsl.pipeline import RunChoices
 
-    choices = Choices(parse_grants(root), None, seed, parse_pairs(set_, "--set"))
+    choices = RunChoices(parse_grants(root), None, seed, parse_pairs(set_, "--set"))
     listening = _listen(host, port, let_others_in)
     try:
         live = _make_live(scene, choices, threads)
@@ -77,7 +77,7 @@ def _listen(host: str | None, port: int | None, let_others_in: bool) -> Listenin
         ) from None
 
 
-def _make_live(scene: Path, choices: Choices, threads: int) -> Live:
+def _make_live(scene: Path, choices: RunChoices, threads: int) -> Live:
     """Return the live simulation. Mistakes in the files are reported; the simulation begins as soon as they are corrected."""
     from antdsl.cli.commands.run import choose_threads
     from antdsl.cli.printing.reports import report_exit_code, show
@@ -93,7 +93,7 @@ def _make_live(scene: Path, choices: Choices, threads: int) -> Live:
     return live
 
 
-def _depends_on_params(choices: Choices, live: Live) -> bool:
+def _depends_on_params(choices: RunChoices, live: Live) -> bool:
     """Return whether the files have no errors without the values from the command line: then the command line must be corrected,
     not the files."""
     from dataclasses import replace
@@ -106,14 +106,14 @@ def _depends_on_params(choices: Choices, live: Live) -> bool:
 
 def _serve(live: Live, scene: Path, listening: ListeningSockets, *, open_it: bool, others: bool, again: bool) -> None:
     """Serve the preview. `again`: it may be restarted on this port, and pages that are open now reconnect to it."""
-    from antdsl.preview.serving.guard import Guard, ReturningPages
+    from antdsl.preview.serving.guard import RequestGuard, ReturningPages
     from antdsl.preview.serving.pages import load_pages
-    from antdsl.preview.serving.server import Server, run_server
+    from antdsl.preview.serving.server import PreviewServer, run_server
 
     # what goes over a network is not encrypted: who reads a key there could come back with it
     returning = ReturningPages.of(scene, listening.port) if again and not others else None
-    guard = Guard(listening.names, returning=returning)
-    server = Server(live, guard, load_pages(), listening)
+    guard = RequestGuard(listening.names, returning=returning)
+    server = PreviewServer(live, guard, load_pages(), listening)
 
     def tell() -> None:
         for address in listening.addresses:

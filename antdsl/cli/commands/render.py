@@ -13,10 +13,10 @@ from antdsl.cli.destinations import default_path, require_writable_folder
 from antdsl.cli.exits import CommandError, ExitCode, report_failures
 from antdsl.cli.printing.messages import print_note
 from antdsl.cli.scheduler import (
-    NO_TLS,
-    SCHEDULER,
-    TLS,
-    Where,
+    NO_TLS_OPTION,
+    SCHEDULER_OPTION,
+    TLS_OPTION,
+    SchedulerAddress,
     raise_on_sigterm,
     require_scheduler,
     run_cache_tasks,
@@ -25,16 +25,16 @@ from antdsl.cli.scheduler import (
 from antdsl.whole import make_folder, sync_files
 
 if TYPE_CHECKING:
-    from antdsl.outputs.cutting import Cut
-    from antdsl.outputs.drawing import DrawRequest, Stills
+    from antdsl.outputs.cutting import CutPlane
+    from antdsl.outputs.drawing import DrawRequest, StillStore
     from antdsl.outputs.gallery import Gallery
-    from antdsl.outputs.paths import Window
+    from antdsl.outputs.paths import PathWindow
 
-SHEET = 9  # pictures on a contact sheet where no frames are named
-MOST = 100
+SHEET_PICTURES = 9  # pictures on a contact sheet where no frames are named
+MAX_PICTURES = 100
 
 
-class View(StrEnum):
+class CameraView(StrEnum):
     scene = "scene"
     fit = "fit"
     above = "above"
@@ -43,7 +43,7 @@ class View(StrEnum):
     close = "close"
 
 
-class Legend(StrEnum):
+class LegendPlacement(StrEnum):
     beside = "beside"
     none = "none"
 
@@ -72,8 +72,8 @@ def render(
     ),
     width: int = typer.Option(960, "--width", min=16, max=8192, help="Pixels."),
     height: int = typer.Option(540, "--height", min=16, max=8192, help="Pixels."),
-    camera: View = typer.Option(
-        View.scene,
+    camera: CameraView = typer.Option(
+        CameraView.scene,
         "--camera",
         help="The scene's own; one that fits the crowd; one from above; one straight above, at one scale; one at an agent's eye "
         "level; one close to it.",
@@ -93,7 +93,9 @@ def render(
     full: list[str] = typer.Option(
         [], "--full", metavar="FIELD=VALUE", help="The strength at the end of a field's scale of colours."
     ),
-    legend: Legend = typer.Option(Legend.beside, "--legend", help="States and scales: in a strip beside it, or nowhere."),
+    legend: LegendPlacement = typer.Option(
+        LegendPlacement.beside, "--legend", help="States and scales: in a strip beside it, or nowhere."
+    ),
     cut: str = typer.Option(
         None, "--cut", metavar="'z > 0'", help="Leave out what lies beyond a plane, in the scene's units, and look into solids."
     ),
@@ -105,15 +107,15 @@ def render(
     ),
     resume: bool = typer.Option(False, "--resume", help="Draw only frames without a complete and current picture."),
     threads: int = typer.Option(0, "--threads", min=0, max=256, help="0 takes all cores that it may use."),
-    scheduler: str = SCHEDULER,
-    tls: Path = TLS,
-    no_tls: bool = NO_TLS,
+    scheduler: str = SCHEDULER_OPTION,
+    tls: Path = TLS_OPTION,
+    no_tls: bool = NO_TLS_OPTION,
     out: Path = typer.Option(None, "--out", metavar="DIR", help="Where pictures go. [default: pictures in the cache]"),
 ) -> None:
     """Draw frames of a cache."""
     from antdsl.cli.arguments import parse_frame_range
     from antdsl.cli.commands.run import choose_threads
-    from antdsl.outputs.drawing import DrawRequest, Stills
+    from antdsl.outputs.drawing import DrawRequest, StillStore
 
     require_scheduler(scheduler, tls, no_tls)
     words = tuple(word for word in show.replace(" ", "").split(",") if word and word != "none")
@@ -133,7 +135,7 @@ def render(
             marks,
             blur,
         ),
-        legend=legend is Legend.beside,
+        legend=legend is LegendPlacement.beside,
         rest=(film or shot is not None) and agents is None,
     )
     gallery = _open_gallery(cache, settings)
@@ -144,7 +146,7 @@ def render(
     if film:
         _require_film_support()
     together = drawn if shot is None else _choose_frames(gallery, parse_frame_range(shot, "--shot"), every, False, True)
-    stills = Stills.of(folder, gallery.cache, settings, together)
+    stills = StillStore.of(folder, gallery.cache, settings, together)
     try:
         with raise_on_sigterm():
             if scheduler:
@@ -176,21 +178,21 @@ def render(
         raise CommandError(stop_exit_code(why), "stopped: all written pictures are complete", advice) from None
 
 
-def _parse_cut(text: str | None) -> Cut | None:
-    from antdsl.outputs.cutting import Cut
+def _parse_cut(text: str | None) -> CutPlane | None:
+    from antdsl.outputs.cutting import CutPlane
 
-    cut = Cut.of(text) if text is not None else None
+    cut = CutPlane.of(text) if text is not None else None
     if text is not None and cut is None:
         raise typer.BadParameter(f"`{text}` is not a plane such as `z > 0` or `x < -12.5`", param_hint="--cut")
     return cut
 
 
-def _parse_window(text: str) -> Window:
-    from antdsl.outputs.paths import MOST_SECONDS, Window
+def _parse_window(text: str) -> PathWindow:
+    from antdsl.outputs.paths import MAX_WINDOW_SECONDS, PathWindow
 
-    window = Window.of(text)
+    window = PathWindow.of(text)
     if window is None:
-        words = f"`{text}` is not a range of seconds such as `1..2`, of at most {MOST_SECONDS:g}"
+        words = f"`{text}` is not a range of seconds such as `1..2`, of at most {MAX_WINDOW_SECONDS:g}"
         raise typer.BadParameter(words, param_hint="--window")
     return window
 
@@ -213,13 +215,13 @@ def _parse_strengths(texts: list[str]) -> dict[str, float]:
 def _open_gallery(folder: Path, settings: DrawRequest) -> Gallery:
     from antdsl.outputs.cache.cache_reader import CacheError, open_cache
     from antdsl.outputs.cache.manifest import ManifestError
-    from antdsl.outputs.gallery import NoPicture
+    from antdsl.outputs.gallery import PictureUnavailable
 
     try:
         return settings.gallery(open_cache(folder))
     except (ManifestError, CacheError) as why:
         raise CommandError(ExitCode.INPUT_OUTPUT, f"error: {why}", "name the folder that `antdsl run` printed") from None
-    except NoPicture as why:
+    except PictureUnavailable as why:
         advice = "add it to `output: {attributes: …}` of the scene and run again"
         if "field" in str(why):
             advice = "`antdsl info CACHE` names its fields"
@@ -235,12 +237,12 @@ def _choose_frames(gallery: Gallery, between: Any, every: int | None, sheet: boo
         raise CommandError(ExitCode.INPUT_OUTPUT, message, "`antdsl info CACHE` says which it has")
     if every is not None:
         cache_frames = cache_frames[::every]
-        if not sheet or film or len(cache_frames) <= MOST:
+        if not sheet or film or len(cache_frames) <= MAX_PICTURES:
             return cache_frames
         words = f"error: {len(cache_frames)} pictures do not fit on a sheet"
-        raise CommandError(ExitCode.USAGE, words, f"use a larger `--every`, for at most {MOST} pictures")
+        raise CommandError(ExitCode.USAGE, words, f"use a larger `--every`, for at most {MAX_PICTURES} pictures")
     if sheet and not film:
-        steps = min(SHEET, len(cache_frames))
+        steps = min(SHEET_PICTURES, len(cache_frames))
         return sorted({cache_frames[round(k * (len(cache_frames) - 1) / max(steps - 1, 1))] for k in range(steps)})
     return cache_frames if between is not None or film else cache_frames[-1:]
 
@@ -255,37 +257,48 @@ def _parse_ids(text: str | None) -> tuple[int, ...]:
 
 
 def _draw_frames(
-    gallery: Gallery, settings: DrawRequest, frames: list[int], together: list[int], threads: int, stored_stills: Stills | None
+    gallery: Gallery,
+    settings: DrawRequest,
+    frames: list[int],
+    together: list[int],
+    threads: int,
+    stored_stills: StillStore | None,
 ) -> Iterator[tuple[int, Any, bool]]:
     """Yield frames with their pictures, and whether these were drawn (True) or taken from `stored_stills`. `together`: the frames
     for which the camera is chosen."""
     from antdsl.outputs.cache.cache_reader import CacheError
-    from antdsl.outputs.drawing import Drawer, NoAgent
-    from antdsl.outputs.gallery import NoPicture
+    from antdsl.outputs.drawing import AgentMissing, FrameDrawer
+    from antdsl.outputs.gallery import PictureUnavailable
     from antdsl.outputs.provenance import resume_command
 
-    drawer: Drawer | None = None
+    drawer: FrameDrawer | None = None
     try:
         for frame in frames:
             stored_image = None if stored_stills is None else stored_stills.read_still(frame)
             if stored_image is not None:
                 yield frame, stored_image, False
                 continue
-            drawer = drawer or Drawer(gallery, settings, together, threads)
+            drawer = drawer or FrameDrawer(gallery, settings, together, threads)
             yield frame, drawer.draw(frame), True
     except CacheError as why:
         advice = f"to compute damaged frames again: {resume_command(gallery.cache.folder)}"
         raise CommandError(ExitCode.INPUT_OUTPUT, f"error: {why}", advice) from None
-    except NoPicture as why:
+    except PictureUnavailable as why:
         raise CommandError(ExitCode.INPUT_OUTPUT, f"error: {why}", "run the scene again into another folder") from None
-    except NoAgent as why:
+    except AgentMissing as why:
         raise CommandError(ExitCode.FINDINGS, f"error: {why}") from None
     except ValueError as why:
         raise typer.BadParameter(str(why), param_hint="--show") from None
 
 
 def _draw_on_cluster(
-    where: Where, cache: Path, settings: DrawRequest, frames: list[int], together: list[int], folder: Path, fps: float | None
+    where: SchedulerAddress,
+    cache: Path,
+    settings: DrawRequest,
+    frames: list[int],
+    together: list[int],
+    folder: Path,
+    fps: float | None,
 ) -> None:
     """Draw stills on a cluster's workers, or, with `fps`, a film of them."""
     from antdsl.outputs.drawing import still_path
@@ -309,14 +322,14 @@ def _join_stills(paths: list[Path], path: Path, fps: float, pixels: int) -> None
     """Combine pictures of `pixels` pixels into a film, and remove them."""
     from antdsl.bounded import read_bounded
     from antdsl.cli.printing.reports import exit_on_errors
-    from antdsl.outputs.drawing import STILL_BYTES
+    from antdsl.outputs.drawing import MAX_STILL_BYTES
     from antdsl.outputs.pictures import write_film
     from antdsl.reader.image_request import ImageError, read_image_file
 
     def images() -> Iterator[Any]:
         for each in paths:
             try:
-                image = read_image_file(read_bounded(each, STILL_BYTES), "PNG", ("RGB",), pixels)
+                image = read_image_file(read_bounded(each, MAX_STILL_BYTES), "PNG", ("RGB",), pixels)
             except ImageError as why:
                 raise OSError(None, str(why), str(each)) from None
             if image.samples is None:
@@ -347,7 +360,7 @@ def _write_film(images: Iterator[Any], gallery: Gallery, folder: Path) -> None:
     print_note(str(path))
 
 
-def _write_sheet(pictures: list[tuple[int, Any]], stills: Stills) -> None:
+def _write_sheet(pictures: list[tuple[int, Any]], stills: StillStore) -> None:
     from antdsl.outputs.pictures import contact_sheet
     from antdsl.outputs.pictures.image_files import still
 
@@ -359,7 +372,7 @@ def _write_sheet(pictures: list[tuple[int, Any]], stills: Stills) -> None:
     print_note(str(picture))
 
 
-def _write_stills(drawn: Iterator[tuple[int, Any, bool]], stills: Stills) -> None:
+def _write_stills(drawn: Iterator[tuple[int, Any, bool]], stills: StillStore) -> None:
     existing_count, paths = 0, []
     for frame, image, new in drawn:
         existing_count += not new

@@ -19,25 +19,25 @@ from antdsl.cli.destinations import (
     write_result,
 )
 from antdsl.cli.exits import CommandError, ExitCode, explain_cache_errors, report_failures
-from antdsl.cli.memory_demand import ANY_MEMORY, require_memory
+from antdsl.cli.memory_demand import ANY_MEMORY_OPTION, require_memory
 from antdsl.cli.printing.messages import print_note
-from antdsl.cli.scheduler import NO_TLS, SCHEDULER, TLS, require_scheduler
+from antdsl.cli.scheduler import NO_TLS_OPTION, SCHEDULER_OPTION, TLS_OPTION, require_scheduler
 from antdsl.cli.shots import run_shots
 from antdsl.numerics.host import cores
 
 if TYPE_CHECKING:
     from antdsl.outputs.recording import Recording
-    from antdsl.pipeline import Choices, Shot
+    from antdsl.pipeline import RunChoices, Shot
     from antdsl.runtime import Options
 
 
-class Backend(StrEnum):
+class BackendName(StrEnum):
     numpy = "numpy"
     native = "native"
     reference = "reference"
 
 
-class OnFault(StrEnum):
+class FaultReaction(StrEnum):
     stop = "stop"
     quarantine = "quarantine"
 
@@ -67,9 +67,9 @@ def run(
     summary: Path = typer.Option(None, "--summary", metavar="FILE", help="Write counts, speeds and measures as JSON."),
     resume: bool = typer.Option(False, "--resume", help="Go on with the cache of an earlier run that was stopped."),
     force: bool = typer.Option(False, "--force", help="Write even into a folder that has other files."),
-    any_memory: bool = ANY_MEMORY,
-    backend: Backend = typer.Option(
-        Backend.native,
+    any_memory: bool = ANY_MEMORY_OPTION,
+    backend: BackendName = typer.Option(
+        BackendName.native,
         "--backend",
         help="`native`: as machine code once that is made; `numpy`: without; `reference`: one agent at a time, slow and plain. "
         "Changes no result.",
@@ -77,25 +77,27 @@ def run(
     shuffle: int = typer.Option(
         None, "--shuffle-rows", metavar="N", min=0, help="Put agents into rows in another order. Changes no result."
     ),
-    on_fault: OnFault = typer.Option(OnFault.stop, "--on-fault", help="What follows when an agent gets a number that is none."),
+    on_fault: FaultReaction = typer.Option(
+        FaultReaction.stop, "--on-fault", help="What follows when an agent gets a number that is none."
+    ),
     profile: bool = typer.Option(
         False, "--profile", help="Report at the end where the time went: phases, layers, lines. No result changes."
     ),
-    scheduler: str = SCHEDULER,
-    tls: Path = TLS,
-    no_tls: bool = NO_TLS,
+    scheduler: str = SCHEDULER_OPTION,
+    tls: Path = TLS_OPTION,
+    no_tls: bool = NO_TLS_OPTION,
     quiet: bool = typer.Option(False, "--quiet", "-q", help="Print nothing but problems."),
 ) -> None:
     """Simulate scenes and write their caches."""
     from antdsl.cli.arguments import parse_frame_range, parse_grants, parse_pairs, require_scene
     from antdsl.cli.printing.reports import exit_on_errors
     from antdsl.outputs.cache.cache_reader import NAMES
-    from antdsl.pipeline import Choices, open_scene
+    from antdsl.pipeline import RunChoices, open_scene
 
     require_scheduler(scheduler, tls, no_tls)
     for scene in scenes:
         require_scene(scene)
-    choices = Choices(parse_grants(root), parse_frame_range(frames), seed, parse_pairs(set_, "--set"))
+    choices = RunChoices(parse_grants(root), parse_frame_range(frames), seed, parse_pairs(set_, "--set"))
     if scheduler or len(scenes) > 1:
         if summary is not None or profile:
             flag = "--summary" if summary is not None else "--profile"
@@ -129,9 +131,9 @@ def run(
         recording = _begin_recording(shot, folder, options, choices, resume, force, quiet)
     with redirect_messages(summary) as output:
         if profile:
-            from antdsl.runtime.profiling import Meter
+            from antdsl.runtime.profiling import StepMeter
 
-            recording.meter = Meter(None)
+            recording.meter = StepMeter(None)
         _record_to_end(recording, quiet, again)
         if summary is not None:
             from antdsl.outputs.summary import summary_file
@@ -198,7 +200,7 @@ def _stop_in_set_up(again: str) -> Iterator[None]:
 
 
 def _begin_recording(
-    shot: Shot, folder: Path, options: Options, choices: Choices, resume: bool, force: bool, quiet: bool
+    shot: Shot, folder: Path, options: Options, choices: RunChoices, resume: bool, force: bool, quiet: bool
 ) -> Recording:
     from antdsl.cli.printing.progress import show_set_up
     from antdsl.cli.printing.reports import exit_on_errors, show

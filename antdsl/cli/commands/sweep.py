@@ -12,9 +12,17 @@ import typer
 
 from antdsl.cli.destinations import default_path, protect_inputs, require_writable_folder
 from antdsl.cli.exits import CommandError, ExitCode, report_failures
-from antdsl.cli.memory_demand import ANY_MEMORY, require_memory
+from antdsl.cli.memory_demand import ANY_MEMORY_OPTION, require_memory
 from antdsl.cli.printing.messages import note_output, print_note
-from antdsl.cli.scheduler import NO_TLS, SCHEDULER, TLS, open_engine, raise_on_sigterm, require_scheduler, stop_exit_code
+from antdsl.cli.scheduler import (
+    NO_TLS_OPTION,
+    SCHEDULER_OPTION,
+    TLS_OPTION,
+    open_engine,
+    raise_on_sigterm,
+    require_scheduler,
+    stop_exit_code,
+)
 from antdsl.whole import write_atomically
 
 if TYPE_CHECKING:
@@ -22,7 +30,7 @@ if TYPE_CHECKING:
     from antdsl.sweep.study import Study
     from antdsl.sweep.table import Result
 
-RESULTS = (
+RESULT_FILE_NAMES = (
     "table.txt",
     "table.csv",
     "runs.csv",
@@ -33,12 +41,12 @@ RESULTS = (
     "factors.png",
     "asked.json",
 )
-SEED = 1  # of a design, where none is named
-MOST_PANELS = 24  # of one picture
-MOST_LINES = 60  # of a table that is printed
+DEFAULT_DESIGN_SEED = 1  # of a design, where none is named
+MAX_PLOT_PANELS = 24  # of one picture
+MAX_PRINTED_LINES = 60  # of a table that is printed
 
 
-class DesignWord(StrEnum):
+class DesignName(StrEnum):
     grid = "grid"
     latin = "latin"
     sobol = "sobol"
@@ -56,15 +64,15 @@ def sweep(
         metavar="NAME=A,B,C",
         help="Values of a param: forager.smell=30mm,50mm, or a range: 30mm..90mm. Several params give all combinations.",
     ),
-    design: DesignWord = typer.Option(
-        DesignWord.grid,
+    design: DesignName = typer.Option(
+        DesignName.grid,
         "--design",
         help="Which values are run: all combinations; points of a Latin hypercube or of a Sobol sequence; Saltelli's sample or "
         "Morris' trajectories, which tell how much each param matters.",
     ),
     points: int = typer.Option(None, "--points", metavar="N", min=2, max=1_000_000, help="Number of points of a design."),
     design_seed: int = typer.Option(
-        SEED, "--design-seed", metavar="N", min=1, max=2**31 - 1, help="Seed of the design's random draws."
+        DEFAULT_DESIGN_SEED, "--design-seed", metavar="N", min=1, max=2**31 - 1, help="Seed of the design's random draws."
     ),
     seeds: str = typer.Option("5", "--seeds", metavar="N", help="Run each combination with the seeds 1 to N, or A..B."),
     jobs: int = typer.Option(
@@ -90,11 +98,11 @@ def sweep(
         False, "--resume", help="Continue the sweep in --out with its own options. Repeating its command does the same."
     ),
     again: bool = typer.Option(False, "--again", help="Run everything again, including finished runs."),
-    scheduler: str = SCHEDULER,
-    tls: Path = TLS,
-    no_tls: bool = NO_TLS,
+    scheduler: str = SCHEDULER_OPTION,
+    tls: Path = TLS_OPTION,
+    no_tls: bool = NO_TLS_OPTION,
     plots: bool = typer.Option(True, "--plots/--no-plots", help="Draw the table as well, if matplotlib is installed."),
-    any_memory: bool = ANY_MEMORY,
+    any_memory: bool = ANY_MEMORY_OPTION,
     quiet: bool = typer.Option(False, "--quiet", "-q", help="Print the table and problems only."),
 ) -> None:
     """Run scenes with other values and seeds, and tell medians and quartiles."""
@@ -130,8 +138,8 @@ def sweep(
     widths, first = parse_widths(request), Path(request.scenes[0])
     folder = out if out is not None else default_path(first.resolve().parent, "out", "sweep")
     if first.is_file():  # else there is no folder beside it to ask
-        require_writable_folder(folder, "--out", *RESULTS)
-    with protect_inputs({}, {"--out": (folder, (*RESULTS, "runs"))}) as inputs, record_sought() as read:
+        require_writable_folder(folder, "--out", *RESULT_FILE_NAMES)
+    with protect_inputs({}, {"--out": (folder, (*RESULT_FILE_NAMES, "runs"))}) as inputs, record_sought() as read:
         inputs += map(Path, request.scenes)
         study, runs, report = build_study(request)
     exit_on_errors(report)
@@ -242,7 +250,7 @@ def _write_tables(
     for remark in remarks:
         print_note(f"note: {remark}", err=True)
     drawn = []
-    if plots and is_available() and len(measures) <= MOST_PANELS:
+    if plots and is_available() and len(measures) <= MAX_PLOT_PANELS:
         if study.ranges:
             draw_factors(study, results, measures, effects, run_store.folder / "factors.png")
             drawn.append("factors.png")
@@ -257,8 +265,10 @@ def _write_tables(
 def _first_lines(lines: str) -> str:
     """What is printed of a table: its first lines."""
     each = lines.splitlines(keepends=True)
-    omitted_count = len(each) - 1 - MOST_LINES
-    return "".join(each[: MOST_LINES + 1]) + (f"… and {omitted_count} lines more, in table.txt\n" if omitted_count > 0 else "")
+    omitted_count = len(each) - 1 - MAX_PRINTED_LINES
+    return "".join(each[: MAX_PRINTED_LINES + 1]) + (
+        f"… and {omitted_count} lines more, in table.txt\n" if omitted_count > 0 else ""
+    )
 
 
 class _RunProgress:

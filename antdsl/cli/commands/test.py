@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import typer
 
-from antdsl.cli.commands.run import Backend
+from antdsl.cli.commands.run import BackendName
 from antdsl.cli.destinations import (
     protect_inputs,
     redirect_messages,
@@ -43,8 +43,8 @@ def test(
     threads: int = typer.Option(
         0, "--threads", min=0, max=256, help="Threads for rays, kernels and NumPy's chunks; 0 takes all cores that it may use."
     ),
-    backend: Backend = typer.Option(
-        Backend.native,
+    backend: BackendName = typer.Option(
+        BackendName.native,
         "--backend",
         help="Like in `run`; `reference` is slow but simple: one agent at a time. No verdict changes.",
     ),
@@ -59,7 +59,7 @@ def test(
     from antdsl.specs import Work, collect_cases, run_cases
     from antdsl.specs.cases import settle_verdicts
     from antdsl.specs.failure_cache import FailureSaver
-    from antdsl.specs.golden.comparing import Goldens
+    from antdsl.specs.golden.comparing import GoldenComparison
     from antdsl.specs.golden.recorded import golden_path
     from antdsl.specs.reports import as_json, as_junit
     from antdsl.specs.text_report import (
@@ -85,7 +85,7 @@ def test(
         raise CommandError(ExitCode.USAGE, f"error: {what}", 'write one in a program: `spec "…" on "scene.yaml" { always: … }`')
 
     with redirect_messages(junit, json) as output:
-        progress = _Progress(quiet, len(runs))
+        progress = _TestProgress(quiet, len(runs))
 
         def report_case(case: Case) -> None:
             progress.clear()
@@ -96,7 +96,7 @@ def test(
 
         options = Options(backend=backend.value, threads=choose_threads(threads, quiet))
         failure_saver = None if no_keep else FailureSaver(keep, parse_grants(root), options)
-        work = Work(options, failure_saver=failure_saver, goldens=Goldens(update), report_case=report_case)
+        work = Work(options, failure_saver=failure_saver, goldens=GoldenComparison(update), report_case=report_case)
         coverage, goldens = work.coverage, work.goldens
         assert goldens is not None
         stopped = False
@@ -160,7 +160,7 @@ def _interrupt_between_frames() -> Iterator[Callable[[], None]]:
         signal.signal(signal.SIGINT, previous_handler)
 
 
-class _Progress:
+class _TestProgress:
     """The current run and its frame, shown on a terminal; nothing elsewhere."""
 
     def __init__(self, quiet: bool, runs: int) -> None:

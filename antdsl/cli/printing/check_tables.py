@@ -8,16 +8,16 @@ from typing import TYPE_CHECKING
 
 from antdsl.diagnostics.places import escape_text
 from antdsl.program.cost import StateCost, costs
-from antdsl.program.kinds import Kind
-from antdsl.program.model import Const, Param, Program, Species
+from antdsl.program.kinds import TypeKind
+from antdsl.program.model import Constant, Param, Program, Species
 from antdsl.program.tables.units import measure
 from antdsl.source import Span
 
 if TYPE_CHECKING:
     from antdsl.diagnostics import Report
-    from antdsl.pipeline import Choices, Shot
+    from antdsl.pipeline import RunChoices, Shot
 
-Programs = Sequence[tuple[Path, Program]]
+CheckedPrograms = Sequence[tuple[Path, Program]]
 
 
 def _align_rows(rows: Sequence[Sequence[str]]) -> Iterator[str]:
@@ -31,7 +31,7 @@ def _align_rows(rows: Sequence[Sequence[str]]) -> Iterator[str]:
 # --- params ----------------------------------------------------------------------------------------------------------
 
 
-def params_table(programs: Programs) -> Iterator[str]:
+def params_table(programs: CheckedPrograms) -> Iterator[str]:
     """Yield the params, each below the first file that has it."""
     listed: set[Span] = set()
     for file, program in programs:
@@ -49,10 +49,10 @@ def _param_row(param: Param) -> tuple[str, ...]:
     source."""
     known = measure(param.unit) if param.unit else None
 
-    def cell(value: Const | None) -> str:
+    def cell(value: Constant | None) -> str:
         if value is None:
             return "…"
-        if param.type.kind is Kind.BOOL:
+        if param.type.kind is TypeKind.BOOL:
             return "true" if value.number else "false"
         if known is None or (known.u, known.step) != (value.u, value.step):
             return " ".join(value.span.text.split()) if param.unit else f"{value.number:.6g}"
@@ -66,7 +66,7 @@ def _param_row(param: Param) -> tuple[str, ...]:
 # --- cost ------------------------------------------------------------------------------------------------------------
 
 
-def cost_table(programs: Programs) -> Iterator[str]:
+def cost_table(programs: CheckedPrograms) -> Iterator[str]:
     """Yield the queries of each state and the memory of an agent, below the first file that has the species."""
     listed: set[Span] = set()
     for file, program in programs:
@@ -93,7 +93,7 @@ def _list_uses(part: StateCost) -> Iterator[str]:
             yield f"{kind}: {', '.join(words)}"
 
 
-_ROLE_WORDS = {"attribute": "attributes", "pair": "values per pair", "memory": "memory"}
+_ROLE_PHRASES = {"attribute": "attributes", "pair": "values per pair", "memory": "memory"}
 
 
 def _describe_memory(program: Program) -> dict[str, str]:
@@ -107,8 +107,8 @@ def _describe_memory(program: Program) -> dict[str, str]:
     memory_words = {}
     for name, species in passes.optimise(lowered).species.items():
         size = bytes_by_purpose(species)
-        role_sizes = [f"{size[role]} {words}" for role, words in _ROLE_WORDS.items() if size[role] or role != "pair"]
-        of_all = sum(size[role] for role in _ROLE_WORDS)
+        role_sizes = [f"{size[role]} {words}" for role, words in _ROLE_PHRASES.items() if size[role] or role != "pair"]
+        of_all = sum(size[role] for role in _ROLE_PHRASES)
         memory_words[name] = f", {of_all} bytes an agent ({', '.join(role_sizes)}), {size['temp']} more in a step"
     return memory_words
 
@@ -116,7 +116,7 @@ def _describe_memory(program: Program) -> dict[str, str]:
 # --- imports ---------------------------------------------------------------------------------------------------------
 
 
-def import_table(files: Sequence[Path], reports: Mapping[Path, Report], choices: Choices) -> Iterator[str]:
+def import_table(files: Sequence[Path], reports: Mapping[Path, Report], choices: RunChoices) -> Iterator[str]:
     """Yield what was read of each mesh of the scenes among some files, and what was changed; also for scenes with errors."""
     from antdsl.pipeline import mesh_imports
     from antdsl.scene.geometry.import_notes import import_lines

@@ -12,12 +12,14 @@ from contextlib import contextmanager, suppress
 from typing import Any, TextIO
 
 # Nothing reads the stream any more, or the caller closed it: the text is discarded, as by /dev/null.
-_UNREAD = frozenset((errno.EPIPE, errno.EBADF, errno.EIO, errno.ENXIO, errno.ECONNRESET, errno.ESHUTDOWN, errno.EINVAL))
-_BACKLOG = 8 << 20  # bytes of notes that wait for a slow reader; further notes are dropped
-_BLOCK = 512  # bytes that a pipe takes without blocking once it is ready, at least
+_CLOSED_READER_ERRORS = frozenset(
+    (errno.EPIPE, errno.EBADF, errno.EIO, errno.ENXIO, errno.ECONNRESET, errno.ESHUTDOWN, errno.EINVAL)
+)
+_MAX_BACKLOG_BYTES = 8 << 20  # bytes of notes that wait for a slow reader; further notes are dropped
+_PIPE_BLOCK_BYTES = 512  # bytes that a pipe takes without blocking once it is ready, at least
 
 
-class Terminal(io.RawIOBase):
+class TerminalWriter(io.RawIOBase):
     """The raw end of standard output or standard error. Writing never raises OSError.
 
     Results wait for a slow reader. Notes do not: they wait in a backlog while the work continues, until `settle`.
@@ -38,10 +40,10 @@ class Terminal(io.RawIOBase):
         if not self.is_note:
             self.flush_backlog()
             self._send(view)
-        elif len(self.backlog) + len(view) <= _BACKLOG:
+        elif len(self.backlog) + len(view) <= _MAX_BACKLOG_BYTES:
             self.backlog += view
             while self.backlog and self._is_ready():
-                self._send_backlog(_BLOCK)
+                self._send_backlog(_PIPE_BLOCK_BYTES)
         return len(view)
 
     def flush_backlog(self) -> None:
@@ -61,7 +63,7 @@ class Terminal(io.RawIOBase):
             except OSError as problem:
                 if problem.errno in (errno.EAGAIN, errno.EWOULDBLOCK):
                     count = None
-                elif problem.errno in _UNREAD:
+                elif problem.errno in _CLOSED_READER_ERRORS:
                     self.is_unread = True
                     self.backlog.clear()
                     return
@@ -108,7 +110,7 @@ def guard_streams() -> None:
         stream = getattr(sys, name)
         encoding = "utf-8" if stream is None else stream.encoding
         raw = io.FileIO(number, "w", closefd=False) if stream is None else getattr(stream.buffer, "raw", stream.buffer)
-        terminal = Terminal(raw)
+        terminal = TerminalWriter(raw)
         is_line_buffered = number == 2 or terminal.isatty()
         writer = io.BufferedWriter(terminal)
         setattr(sys, name, io.TextIOWrapper(writer, encoding, "backslashreplace", line_buffering=is_line_buffered))
@@ -139,9 +141,9 @@ def close_streams() -> OSError | None:
     return None if terminal is None else terminal.loss
 
 
-def _terminal(stream: TextIO) -> Terminal | None:
+def _terminal(stream: TextIO) -> TerminalWriter | None:
     raw = getattr(getattr(stream, "buffer", None), "raw", None)
-    return raw if isinstance(raw, Terminal) else None
+    return raw if isinstance(raw, TerminalWriter) else None
 
 
 @contextmanager

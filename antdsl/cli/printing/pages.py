@@ -5,14 +5,14 @@ from __future__ import annotations
 import sys
 
 from antdsl.cli.printing.messages import print_result
-from antdsl.diagnostics.codes import CODES
+from antdsl.diagnostics.codes import CODE_DESCRIPTIONS
 from antdsl.resources import code_page
 
 
 def show_page(code: str) -> None:
     """Print the page of a known code; only its one-line meaning if the pages are not installed."""
     path = code_page(code)
-    show(f"# {code}\n\n{CODES[code]}\n" if path is None else path.read_text(encoding="utf-8"))
+    show(f"# {code}\n\n{CODE_DESCRIPTIONS[code]}\n" if path is None else path.read_text(encoding="utf-8"))
 
 
 def show(text: str) -> None:

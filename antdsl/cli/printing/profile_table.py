@@ -11,15 +11,15 @@ from rich.table import Table
 from rich.text import Text
 
 from antdsl.cli.printing.messages import print_note
-from antdsl.runtime.profiling import Profile
+from antdsl.runtime.profiling import StepProfile
 
-MOST = 10  # number of reported lines
-_FIGURE, _SHARE = 8, 3  # letters of a figure
-_PLACE = 28  # letters of a file and a line, at most
-_LEAST = 12  # letters of a text that are shown, however narrow the terminal
+MAX_LISTED_LINES = 10  # number of reported lines
+_FIGURE_CHARACTERS, _SHARE_CHARACTERS = 8, 3  # letters of a figure
+_MAX_LOCATION_CHARACTERS = 28  # letters of a file and a line, at most
+_MIN_TEXT_CHARACTERS = 12  # letters of a text that are shown, however narrow the terminal
 
 
-def show(profile: Profile, *, lines: bool) -> None:
+def show(profile: StepProfile, *, lines: bool) -> None:
     """Print a profile. `lines` is false where the backend measures phases only."""
     console = Console(highlight=False, soft_wrap=True)
     with console.capture() as capture:
@@ -27,7 +27,7 @@ def show(profile: Profile, *, lines: bool) -> None:
     print_note(capture.get(), newline=False)
 
 
-def _print_tables(console: Console, profile: Profile, lines: bool) -> None:
+def _print_tables(console: Console, profile: StepProfile, lines: bool) -> None:
     if not profile.frames:
         console.print("nothing to report: no frame was simulated after the first")
         return
@@ -42,11 +42,11 @@ def _print_tables(console: Console, profile: Profile, lines: bool) -> None:
         return
     layers = sorted(profile.layers, key=lambda each: -each.ms)
     _print_table(console, "layer", ((each.span.text, each.species, each.ms) for each in layers), total)
-    dearest = profile.lines[:MOST]
+    dearest = profile.lines[:MAX_LISTED_LINES]
     _print_table(console, "line", ((each.text, f"{_short_path(each.file)}:{each.line}", each.ms) for each in dearest), total)
 
 
-def _describe_backend(profile: Profile) -> str:
+def _describe_backend(profile: StepProfile) -> str:
     """What ran the lines, and what is left out."""
     if len(profile.by) < 2:
         return "".join(f", by {name}" for name in profile.by)
@@ -65,19 +65,28 @@ def _print_table(
     rows = list(rows)
     if not rows:
         return
-    place = min(_PLACE, max(len(where) for _, where, _ in rows))
+    place = min(_MAX_LOCATION_CHARACTERS, max(len(where) for _, where, _ in rows))
     table = Table(box=None, pad_edge=False, padding=(0, 2, 0, 0), header_style="")
-    figures = [("ms", _FIGURE), *([("cpu ms", _FIGURE)] if worked is not None else []), ("%", _SHARE)]
+    figures = [
+        ("ms", _FIGURE_CHARACTERS),
+        *([("cpu ms", _FIGURE_CHARACTERS)] if worked is not None else []),
+        ("%", _SHARE_CHARACTERS),
+    ]
     for title, width in figures:
         table.add_column(title, justify="right", no_wrap=True, width=width)
     if place:
         table.add_column("of" if what == "layer" else "in", no_wrap=True, width=place)
     text_width = console.width - sum(width + 2 for _, width in figures) - (place + 2 if place else 0)
-    table.add_column(what, no_wrap=True, max_width=max(text_width, _LEAST))
+    table.add_column(what, no_wrap=True, max_width=max(text_width, _MIN_TEXT_CHARACTERS))
     for text, where, ms in rows:
         cells = [f"{ms:.2f}", *([f"{worked.get(text, 0.0):.2f}"] if worked is not None else [])]
         cells.append(f"{100 * ms / max(total, 1e-12):.0f}")
-        table.add_row(*map(Text, [*cells, *([_shorten(where, place)] if place else []), _shorten(text, max(text_width, _LEAST))]))
+        table.add_row(
+            *map(
+                Text,
+                [*cells, *([_shorten(where, place)] if place else []), _shorten(text, max(text_width, _MIN_TEXT_CHARACTERS))],
+            )
+        )
     console.print()
     console.print(table)
 

@@ -13,8 +13,8 @@ from antdsl.numerics import stages
 from antdsl.outputs.recording import Recording
 from antdsl.outputs.summary import states
 
-_EVERY = 5.0  # seconds between plain lines
-_ENCODES = "█"
+_LINE_INTERVAL_SECONDS = 5.0  # seconds between plain lines
+_BAR_CHARACTER = "█"
 
 
 class ProgressDisplay:
@@ -60,7 +60,7 @@ class LineProgress(ProgressDisplay):
 
     def _print_line(self, line: str, always: bool = False) -> None:
         now = time.perf_counter()
-        if always or now - self.said > _EVERY:
+        if always or now - self.said > _LINE_INTERVAL_SECONDS:
             self.said = now
             print_note(line)
 
@@ -108,7 +108,7 @@ def _make_stage_printer() -> Callable[[str], None]:
 
     def show(words: str) -> None:
         nonlocal said
-        if (now := time.perf_counter()) - said > _EVERY:
+        if (now := time.perf_counter()) - said > _LINE_INTERVAL_SECONDS:
             said = now
             print_note(f"set up: {words}")
 
@@ -142,7 +142,7 @@ def can_draw_bar() -> bool:
     if not sys.stdout.isatty():
         return False
     try:
-        _ENCODES.encode(sys.stdout.encoding or "ascii")
+        _BAR_CHARACTER.encode(sys.stdout.encoding or "ascii")
     except (UnicodeEncodeError, LookupError):
         return False
     return True

@@ -7,7 +7,7 @@ import sys
 from antdsl.cli.exits import CommandError, ExitCode
 from antdsl.diagnostics import Report
 
-_FILES = frozenset(("cannot-read", "cannot-write", "no-such-file", "not-a-file", "file-too-large"))
+_FILE_ERROR_CODES = frozenset(("cannot-read", "cannot-write", "no-such-file", "not-a-file", "file-too-large"))
 
 
 def show(report: Report, format: str = "full", *, to_stderr: bool = False) -> None:
@@ -34,6 +34,6 @@ def exit_on_errors(report: Report) -> None:
 def report_exit_code(report: Report) -> ExitCode:
     """Return the exit code for a report: input/output for a file that cannot be read or written, findings for everything else."""
     errors = [d for d in report.diagnostics if d.severity == "error"]
-    if errors and all(d.span is None and d.code in _FILES for d in errors):
+    if errors and all(d.span is None and d.code in _FILE_ERROR_CODES for d in errors):
         return ExitCode.INPUT_OUTPUT
     return ExitCode.FINDINGS if errors else ExitCode.FINE

@@ -8,23 +8,25 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl.ground.mesh.face_table import CORNER, EDGE1, EDGE2, WIDTH
+from antdsl.ground.mesh.face_table import CORNER_OFFSET, EDGE1_OFFSET, EDGE2_OFFSET, ROW_FLOATS
 from antdsl.machine_code.kernels import BOOL, F64, I32, I64, Array1, Array2, called, fetch_ahead, inlined, scratch
-from antdsl.numerics.kernel_vectors import Vec3, Weights, at, cross, dot, minus
+from antdsl.numerics.kernel_vectors import TriangleWeights, Vec3, at, cross, dot, minus
 from antdsl.numerics.sorting import morton_codes
 
 Floats = NDArray[np.float64]
 Index = NDArray[np.int64]
 
-WIDE = 4  # boxes in one box
-EDGE = 1e-9  # of a triangle's weights: how far beside it a way still meets it, so that none slips between two that share an edge
-FARTHEST = 1e6  # times its length that a way is made longer, at most
-LEVEL = 1e-12  # sine between a way and a plane, below which it lies along it and meets nothing
-_FINE = 1 << 21  # places along an axis that the order tells apart
-_MOST_WAITING = 128  # boxes that wait to be opened: more than trees of 2**40 triangles ever need
+BOXES_PER_NODE = 4  # boxes in one box
+EDGE_TOLERANCE = (
+    1e-9  # of a triangle's weights: how far beside it a way still meets it, so that none slips between two that share an edge
+)
+MAX_LENGTHENING = 1e6  # times its length that a way is made longer, at most
+MIN_PLANE_SINE = 1e-12  # sine between a way and a plane, below which it lies along it and meets nothing
+_GRID_STEPS_PER_AXIS = 1 << 21  # places along an axis that the order tells apart
+_MAX_OPEN_BOXES = 128  # boxes that wait to be opened: more than trees of 2**40 triangles ever need
 
 
-class Tree(NamedTuple):
+class BoxTree(NamedTuple):
     """The arrays of `Boxes`, as kernels read them."""
 
     order: Array1[I64]
@@ -44,11 +46,11 @@ class BoxHit(NamedTuple):
 
     face: I64
     part: F64
-    weights: Weights
+    weights: TriangleWeights
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Boxes:
+class FaceBoxes:
     """Triangles in the `order` of the smallest boxes, one triangle each, and the `bounds` (n, 6) of all boxes: least x, y, z,
     then greatest. The boxes of level k are `first[k]` to `first[k + 1]` (exclusive); each holds `WIDE` boxes of the level
     below."""
@@ -58,15 +60,15 @@ class Boxes:
     bounds: Floats
 
     @staticmethod
-    def of(vertices: Floats, faces: NDArray[np.int32], live: Index, group: NDArray[np.int32]) -> Boxes:
+    def of(vertices: Floats, faces: NDArray[np.int32], live: Index, group: NDArray[np.int32]) -> FaceBoxes:
         """Build the tree of the `live` triangles; those of one `group` int32[m] are consecutive. Within a group they are in
         Morton order, so that neighbours share boxes (Lauterbach et al., Fast BVH Construction on GPUs, 2009, p. 376-378)."""
         order = live[np.lexsort((_morton_numbers(vertices[faces[live]].mean(axis=1)), group[live]))]
         counts = [live.size]
         while counts[-1] > 1:
-            counts.append(-(-counts[-1] // WIDE))
+            counts.append(-(-counts[-1] // BOXES_PER_NODE))
         first = np.cumsum([0, *counts])
-        boxes = Boxes(order, first, np.empty((int(first[-1]), 6)))
+        boxes = FaceBoxes(order, first, np.empty((int(first[-1]), 6)))
         boxes.refit(vertices, faces)
         return boxes
 
@@ -76,15 +78,17 @@ class Boxes:
         ends = np.concatenate([np.minimum(np.minimum(a, b), c), np.maximum(np.maximum(a, b), c)], axis=1)
         self.bounds[since : self.first[1]] = ends
         for k in range(1, len(self.first) - 1):
-            since //= WIDE
-            ends = self.bounds[self.first[k - 1] + WIDE * since : self.first[k]]
-            ends = np.concatenate([ends, np.repeat(ends[-1:], -len(ends) % WIDE, axis=0)]).reshape(-1, WIDE, 6)
+            since //= BOXES_PER_NODE
+            ends = self.bounds[self.first[k - 1] + BOXES_PER_NODE * since : self.first[k]]
+            ends = np.concatenate([ends, np.repeat(ends[-1:], -len(ends) % BOXES_PER_NODE, axis=0)]).reshape(
+                -1, BOXES_PER_NODE, 6
+            )
             rows = slice(self.first[k] + since, self.first[k + 1])
             self.bounds[rows, :3], self.bounds[rows, 3:] = ends[:, :, :3].min(axis=1), ends[:, :, 3:].max(axis=1)
 
-    def tree(self) -> Tree:
+    def tree(self) -> BoxTree:
         """Its arrays."""
-        return Tree(self.order, self.first, self.bounds)
+        return BoxTree(self.order, self.first, self.bounds)
 
     def overlapping_pairs(self, low: Floats, high: Floats) -> tuple[Index, Index]:
         """Return pairs of a query box (3, k) and a triangle with a box that overlaps it."""
@@ -98,15 +102,15 @@ class Boxes:
                 over &= (bounds[axis] <= high[axis].take(box_numbers)) & (bounds[3 + axis] >= low[axis].take(box_numbers))
             box_numbers, node = box_numbers[over], node[over]
             if k:
-                node = (WIDE * node[:, None] + np.arange(WIDE)).ravel()
+                node = (BOXES_PER_NODE * node[:, None] + np.arange(BOXES_PER_NODE)).ravel()
                 real = node < self.first[k] - self.first[k - 1]
-                box_numbers, node = np.repeat(box_numbers, WIDE)[real], node[real]
+                box_numbers, node = np.repeat(box_numbers, BOXES_PER_NODE)[real], node[real]
         return box_numbers, self.order.take(node)
 
 
 @called
 def gather_faces(
-    pieces: Array1[I32], boxes: Tree, one: Vec3, two: Vec3, size: F64, face: I64, piece: I64, face_list: FaceList
+    pieces: Array1[I32], boxes: BoxTree, one: Vec3, two: Vec3, size: F64, face: I64, piece: I64, face_list: FaceList
 ) -> I64:
     """Write the triangles with boxes that overlap a query box into `face_list`, an array and a start index. Return how many. The
     query box is that around the points `one` and `two`, `size` mm larger. Triangles are positions in the order of all triangles,
@@ -116,21 +120,21 @@ def gather_faces(
     count, waiting = 0, 0
     low_x, low_y, low_z = min(one[0], two[0]) - size, min(one[1], two[1]) - size, min(one[2], two[2]) - size
     high_x, high_y, high_z = max(one[0], two[0]) + size, max(one[1], two[1]) + size, max(one[2], two[2]) + size
-    levels, nodes = scratch(_MOST_WAITING, I64), scratch(_MOST_WAITING, I64)
+    levels, nodes = scratch(_MAX_OPEN_BOXES, I64), scratch(_MAX_OPEN_BOXES, I64)
     if order.size:
         levels[0], nodes[0], waiting = first.size - 2, 0, 1
     while waiting:
         waiting -= 1
         level, node = levels[waiting], nodes[waiting]
-        for child in range(node, min(node + WIDE, first[level + 1] - first[level])):
+        for child in range(node, min(node + BOXES_PER_NODE, first[level + 1] - first[level])):
             b = first[level] + child
             if _is_disjoint(bounds, b, low_x, low_y, low_z, high_x, high_y, high_z):
                 continue
             if level > 0:
-                levels[waiting], nodes[waiting] = level - 1, WIDE * child
+                levels[waiting], nodes[waiting] = level - 1, BOXES_PER_NODE * child
                 waiting += 1
                 for line in (0, 8, 16):
-                    fetch_ahead(bounds, 6 * (first[level - 1] + WIDE * child) + line)
+                    fetch_ahead(bounds, 6 * (first[level - 1] + BOXES_PER_NODE * child) + line)
             elif order[child] != face and pieces[order[child]] != piece:
                 numbers[behind + count] = child
                 count += 1
@@ -138,7 +142,7 @@ def gather_faces(
 
 
 @called
-def first_hit(table: Array1[F64], boxes: Tree, face_list: FaceList, count: I64, origin: Vec3, step: Vec3, fine: F64) -> BoxHit:
+def first_hit(table: Array1[F64], boxes: BoxTree, face_list: FaceList, count: I64, origin: Vec3, step: Vec3, fine: F64) -> BoxHit:
     """Return the first triangle hit of the first `count` in `face_list` (-1 for none), the part of the way before it, and its
     weights there. The way is extended by `fine` mm. `table` is `packed`.
 
@@ -150,7 +154,7 @@ def first_hit(table: Array1[F64], boxes: Tree, face_list: FaceList, count: I64, 
     if count == 0:
         return BoxHit(face, part, (b1, b2))
     square = dot(step, step)
-    long = 1.0 + min(fine / max(np.sqrt(square), 1e-300), FARTHEST)
+    long = 1.0 + min(fine / max(np.sqrt(square), 1e-300), MAX_LENGTHENING)
     end_x, end_y, end_z = origin[0] + step[0] * long, origin[1] + step[1] * long, origin[2] + step[2] * long
     low_x, low_y, low_z = min(origin[0], end_x), min(origin[1], end_y), min(origin[2], end_z)
     high_x, high_y, high_z = max(origin[0], end_x), max(origin[1], end_y), max(origin[2], end_z)
@@ -159,15 +163,15 @@ def first_hit(table: Array1[F64], boxes: Tree, face_list: FaceList, count: I64, 
         if _is_disjoint(bounds, b, low_x, low_y, low_z, high_x, high_y, high_z):
             continue
         f = order[b]
-        row = WIDTH * f
-        e1, e2, s = at(table, row + EDGE1), at(table, row + EDGE2), minus(origin, at(table, row + CORNER))
+        row = ROW_FLOATS * f
+        e1, e2, s = at(table, row + EDGE1_OFFSET), at(table, row + EDGE2_OFFSET), minus(origin, at(table, row + CORNER_OFFSET))
         p = cross(step, e2)
         det = dot(e1, p)
-        if abs(det) <= LEVEL * np.sqrt(square * dot(e1, e1) * dot(e2, e2)):
+        if abs(det) <= MIN_PLANE_SINE * np.sqrt(square * dot(e1, e1) * dot(e2, e2)):
             continue
         q = cross(s, e1)
         u, v, t = dot(s, p) / det, dot(step, q) / det, dot(e2, q) / det
-        hit = u >= -EDGE and v >= -EDGE and u + v <= 1.0 + EDGE and t >= 0 and t <= long
+        hit = u >= -EDGE_TOLERANCE and v >= -EDGE_TOLERANCE and u + v <= 1.0 + EDGE_TOLERANCE and t >= 0 and t <= long
         if hit and (t < part or (t == part and f < face)):
             face, part, b1, b2 = f, t, u, v
     return BoxHit(face, part, (b1, b2))
@@ -187,5 +191,5 @@ def _morton_numbers(positions: Floats) -> NDArray[np.uint64]:
         return np.empty(0, np.uint64)
     low = positions.min(axis=0)
     size = max(float((positions.max(axis=0) - low).max()), 1e-300)
-    cell = np.minimum((positions - low) / size * _FINE, _FINE - 1).astype(np.uint64)
+    cell = np.minimum((positions - low) / size * _GRID_STEPS_PER_AXIS, _GRID_STEPS_PER_AXIS - 1).astype(np.uint64)
     return morton_codes(cell)

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from antdsl.casting.grid_filters import greatest_around, least_around
 from antdsl.casting.rasterise import triangle_cells
 from antdsl.casting.rays import RayScene
-from antdsl.ground.mesh.topology import NO_LINK, Topology
+from antdsl.ground.mesh.topology import NO_LINK, MeshTopology
 from antdsl.machine_code.kernels import BOOL, F64, I32, I64, Array1, Array3, Strided2, as_bits, inlined, kernel
 from antdsl.numerics import parallel, stored_tables
 
@@ -20,18 +20,18 @@ Floats = NDArray[np.float64]
 Index = NDArray[np.int64]
 Ints = NDArray[np.int32]
 
-_SAMPLES = 5  # places along a crease from which distances are measured
-_PIECES = 64  # pieces of a ground above which each face counts as near another
-_FAR = 0.1  # of the size of what else there is
-_NOISE = 1e-4  # of a ground's extent: distances in float32 err by less
-_ALONG = 192  # cells along the longest side of a ground
-_SMOOTH = 0.7071067811865476  # cosine of the turn up to which normals are smoothed over an edge
-_NONE = np.iinfo(np.int32).max
+_SAMPLES_PER_CREASE = 5  # places along a crease from which distances are measured
+_MAX_SEPARATE_PIECES = 64  # pieces of a ground above which each face counts as near another
+_MAX_RELATIVE_DISTANCE = 0.1  # of the size of what else there is
+_DISTANCE_NOISE = 1e-4  # of a ground's extent: distances in float32 err by less
+_MAX_CELLS_PER_AXIS = 192  # cells along the longest side of a ground
+_SMOOTH_EDGE_COSINE = 0.7071067811865476  # cosine of the turn up to which normals are smoothed over an edge
+_NO_CELL = np.iinfo(np.int32).max
 _PLACES_PER_THREAD = 512  # places for which a thread pays
-_EXPONENT = 1022  # more than the power of two below which a number of these bits is
+_EXPONENT_BIAS = 1022  # more than the power of two below which a number of these bits is
 
 
-def inner_creases(table: Topology, corners: Floats) -> Index:
+def inner_creases(table: MeshTopology, corners: Floats) -> Index:
     """Return half-edges at which, seen from one side of a face, the face beyond rises more steeply than a smooth edge."""
     is_crease = np.zeros(table.link.shape[1], np.bool_)
     for side, sign in ((0, 1.0), (1, -1.0)):
@@ -42,22 +42,22 @@ def inner_creases(table: Topology, corners: Floats) -> Index:
         beyond = table.normal.take(other_face, axis=1) * np.where(flip, -sign, sign)
         far = corners[other_face, k].T - corners[face, (half % 3 + 1) % 3].T
         is_rising = up[0] * far[0] + up[1] * far[1] + up[2] * far[2] > 0
-        sharp = up[0] * beyond[0] + up[1] * beyond[1] + up[2] * beyond[2] < _SMOOTH
+        sharp = up[0] * beyond[0] + up[1] * beyond[1] + up[2] * beyond[2] < _SMOOTH_EDGE_COSINE
         is_crease[half[is_rising & sharp]] = True
     return np.flatnonzero(is_crease)
 
 
-class Creases:
+class CreaseMap:
     """A grid that tells whether an inner crease, another piece or a face that cuts its own piece is within reach of a position.
 
     `corners` float64[m,3,3] of the faces, the `table` of their topology, and which faces to consider."""
 
-    def __init__(self, corners: Floats, table: Topology, minded: NDArray[np.bool_]) -> None:
+    def __init__(self, corners: Floats, table: MeshTopology, minded: NDArray[np.bool_]) -> None:
         live = np.flatnonzero(table.live & minded)
         self._around: dict[int, NDArray[np.bool_]] = {}
         self._low = corners[live].min(axis=(0, 1)) if live.size else np.zeros(3)
         size = (corners[live].max(axis=(0, 1)) if live.size else np.zeros(3)) - self._low
-        self._width = max(float(size.max()) / _ALONG, 1e-9)
+        self._width = max(float(size.max()) / _MAX_CELLS_PER_AXIS, 1e-9)
         self._shape = np.floor(size / self._width).astype(np.int64) + 1
         self._first = int(np.frexp(self._width)[1])
         # least and greatest distance (mm) that is distinguished
@@ -76,7 +76,7 @@ class Creases:
         sharp |= self._mark_cells(corners[np.flatnonzero(table.cuts.cut & minded)])
         if len(np.unique(table.piece[live])) < 2:
             return (sharp,)
-        least, most = np.full(self._shape, _NONE, np.int32), np.full(self._shape, -1, np.int32)
+        least, most = np.full(self._shape, _NO_CELL, np.int32), np.full(self._shape, -1, np.int32)
         for cell, which in triangle_cells((corners[live] - self._low) / self._width, exact=False):
             at = tuple(np.clip(cell, 0, self._shape - 1).T)
             np.minimum.at(least, at, table.piece[live[which]])
@@ -120,7 +120,7 @@ class Creases:
         return {"near": is_near}
 
 
-def _stored_clearance(corners: Floats, table: Topology) -> Floats:
+def _stored_clearance(corners: Floats, table: MeshTopology) -> Floats:
     """As `rise_clearance`, stored for other runs."""
     inputs = (corners, table.live, table.link, table.piece, table.cuts.cut)
     tables = stored_tables.get_or_compute(
@@ -130,7 +130,7 @@ def _stored_clearance(corners: Floats, table: Topology) -> Floats:
     return clear
 
 
-def rise_clearance(corners: Floats, table: Topology) -> Floats:
+def rise_clearance(corners: Floats, table: MeshTopology) -> Floats:
     """Return, for each face, float64[m], a distance (mm) within which there is no inner crease and no other piece. It is 0 for
     faces that cut their own piece, inf if the ground has none of these."""
     from scipy.spatial import cKDTree
@@ -141,17 +141,17 @@ def rise_clearance(corners: Floats, table: Topology) -> Floats:
     half = inner_creases(table, corners)
     if half.size:
         one, two = (corners[half // 3, (half % 3 + k) % 3] for k in (1, 2))
-        part = np.linspace(0.0, 1.0, _SAMPLES)[:, None, None]
-        reach = np.sqrt(((two - one) ** 2).sum(axis=1).max()) / (2 * (_SAMPLES - 1))
+        part = np.linspace(0.0, 1.0, _SAMPLES_PER_CREASE)[:, None, None]
+        reach = np.sqrt(((two - one) ** 2).sum(axis=1).max()) / (2 * (_SAMPLES_PER_CREASE - 1))
         samples = (one + part * (two - one)).reshape(-1, 3)  # most of them twice, from both sides of the crease
         samples = samples[np.lexsort(samples.T)]
         fresh = np.concatenate(([True], (samples[1:] != samples[:-1]).any(axis=1)))
         distances = cKDTree(samples[fresh]).query(middle)[0] - radius - reach
     pieces = np.unique(table.piece[table.live]).astype(np.int64)
-    if pieces.size > _PIECES:
+    if pieces.size > _MAX_SEPARATE_PIECES:
         distances[:] = 0.0
     elif pieces.size > 1:
-        noise = _NOISE * float((corners.max(axis=(0, 1)) - corners.min(axis=(0, 1))).max())
+        noise = _DISTANCE_NOISE * float((corners.max(axis=(0, 1)) - corners.min(axis=(0, 1))).max())
         distances = np.minimum(distances, _distance_to_pieces(corners, table.piece, pieces, middle, radius + noise))
     distances[table.cuts.cut] = 0.0
     clear: Floats = np.maximum(distances, 0.0)
@@ -173,7 +173,7 @@ def _distance_to_pieces(corners: Floats, piece: Ints, pieces: Index, middle: Flo
         others = np.arange(len(own)) != k
         least, most = low[others].min(axis=0), high[others].max(axis=0)
         away = _distance_from_box(middle[rows].T, least, most)
-        far = away - error[rows] > _FAR * float((most - least).max())
+        far = away - error[rows] > _MAX_RELATIVE_DISTANCE * float((most - least).max())
         distances[rows[far]] = (away - error[rows])[far]
         near.append(rows[~far])
     rows = np.concatenate(near)
@@ -198,18 +198,18 @@ def _distance_from_box(positions: Floats, low: Floats, high: Floats) -> Floats:
     return away
 
 
-class RiseMap:
+class SlopeMap:
     """Where a surface may rise ahead of agents on a ground: `corners` float64[m,3,3] of its faces, the `table` of their topology.
     For each moving mesh, bool[m] marks its faces."""
 
-    def __init__(self, corners: Floats, table: Topology, moving: Sequence[NDArray[np.bool_]]) -> None:
+    def __init__(self, corners: Floats, table: MeshTopology, moving: Sequence[NDArray[np.bool_]]) -> None:
         still = np.ones(len(corners), np.bool_)
         for own in moving:
             still &= ~own
         self._clear = _stored_clearance(corners, table) if not moving else np.zeros(len(corners))
         self._least = float(self._clear.min(initial=np.inf))
         self._size: Floats = np.sqrt(((corners - np.roll(corners, 1, axis=1)) ** 2).sum(axis=2).max(axis=1))
-        self._creases = Creases(corners, table, still)
+        self._creases = CreaseMap(corners, table, still)
 
     def rows_near_rises(
         self,
@@ -241,7 +241,7 @@ class RiseMap:
 @inlined
 def _rung(reach: F64, width: F64, largest: F64) -> I64:
     """As the exponent of np.frexp."""
-    return ((as_bits(min(max(reach, width), largest)) >> 52) & 0x7FF) - _EXPONENT
+    return ((as_bits(min(max(reach, width), largest)) >> 52) & 0x7FF) - _EXPONENT_BIAS
 
 
 @kernel

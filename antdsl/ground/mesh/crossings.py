@@ -4,20 +4,33 @@ from __future__ import annotations
 
 import numpy as np
 
-from antdsl.ground.mesh.face_table import AXIS1, AXIS2, CORNER, EDGE1, EDGE2, NORMAL, RATE1, RATE2, SHEAR, WIDTH
+from antdsl.ground.mesh.face_table import (
+    AXIS1_OFFSET,
+    AXIS2_OFFSET,
+    CORNER_OFFSET,
+    EDGE1_OFFSET,
+    EDGE2_OFFSET,
+    NORMAL_OFFSET,
+    RATE1_OFFSET,
+    RATE2_OFFSET,
+    ROW_FLOATS,
+    SHEAR_OFFSET,
+)
 from antdsl.ground.mesh.surroundings import stance_of
 from antdsl.ground.mesh.topology import NO_LINK
-from antdsl.ground.mesh.walkers import Cuts, Landing, Surface, Surroundings, Walker
+from antdsl.ground.mesh.walkers import CutTables, FaceWalker, NearbySurfaces, SurfaceLanding, SurfaceTables
 from antdsl.machine_code.kernels import BOOL, F64, I32, I64, Array1, Array2, called, inlined
-from antdsl.numerics.kernel_vectors import Vec3, Weights, at, clamp_weights, dot, fmax, minus, plus, times
+from antdsl.numerics.kernel_vectors import TriangleWeights, Vec3, at, clamp_weights, dot, fmax, minus, plus, times
 
-OFF = 16.0  # touches that feet are put off the face they left: beyond all that is taken for its border
-STEEP = 1e-6  # square of the sine of the angle of a cut, below which feet are not moved further off it
-LEANING = 1e3  # way along a face for each mm up, above which it is as good as lying
+OFF_FACE_TOUCHES = 16.0  # touches that feet are put off the face they left: beyond all that is taken for its border
+MIN_SQUARED_CUT_SINE = 1e-6  # square of the sine of the angle of a cut, below which feet are not moved further off it
+MAX_SLOPE_RUN = 1e3  # way along a face for each mm up, above which it is as good as lying
 
 
 @called
-def find_crossing(surface: Surface, around: Surroundings, cuts: Cuts, walker: Walker, length: F64) -> Landing:
+def find_crossing(
+    surface: SurfaceTables, around: NearbySurfaces, cuts: CutTables, walker: FaceWalker, length: F64
+) -> SurfaceLanding:
     """Return the first face of the same piece that cuts the current face across the path; the path continues on it. The path ends
     before the other side of an open sheet, and where there is no space.
 
@@ -30,15 +43,15 @@ def find_crossing(surface: Surface, around: Surroundings, cuts: Cuts, walker: Wa
     face, best, best_distance, soonest = -1, np.inf, length, np.inf
     for k in range(first[f], first[f + 1]):
         other = others[k]
-        row = WIDTH * other
-        normal, corner = at(table, row + NORMAL), at(table, row + CORNER)
+        row = ROW_FLOATS * other
+        normal, corner = at(table, row + NORMAL_OFFSET), at(table, row + CORNER_OFFSET)
         begins = dot(normal, minus(place, corner))
         towards = dot(normal, direction)
         ends = begins + towards * length
         if not (begins * ends <= 0 or (abs(ends) <= touch and abs(ends) < abs(begins))) or not abs(begins) > touch:
             continue
         # A face that does not go up from the plane of the feet is under the sheet that is walked on.
-        rise = fmax(fmax(dot(up, at(table, row + EDGE1)), dot(up, at(table, row + EDGE2))), 0.0)
+        rise = fmax(fmax(dot(up, at(table, row + EDGE1_OFFSET)), dot(up, at(table, row + EDGE2_OFFSET))), 0.0)
         if not dot(up, minus(corner, place)) + rise > touch:
             continue
         crossing_distance = min(max(begins / (begins - ends if begins != ends else 1.0), 0.0), 1.0) * length
@@ -50,46 +63,48 @@ def find_crossing(surface: Surface, around: Surroundings, cuts: Cuts, walker: Wa
         # Keep off the surface that was left: otherwise the next step could not tell on which side the feet are. So the face that
         # is first at that distance counts.
         leans = -dot(up, normal) / (towards if towards != 0 else 1.0)
-        late = crossing_distance + OFF * touch * min(max(leans, -LEANING), LEANING)
+        late = crossing_distance + OFF_FACE_TOUCHES * touch * min(max(leans, -MAX_SLOPE_RUN), MAX_SLOPE_RUN)
         soonest = min(soonest, crossing_distance)
         if late < best or (late == best and other < face):
             face, best, best_distance = other, late, crossing_distance
     if face < 0:
-        return Landing(-1, (0.0, 0.0), 1.0, length, 0.0, False)
-    row = WIDTH * face
-    normal = at(table, row + NORMAL)
+        return SurfaceLanding(-1, (0.0, 0.0), 1.0, length, 0.0, False)
+    row = ROW_FLOATS * face
+    normal = at(table, row + NORMAL_OFFSET)
     crossing_place, towards = plus(place, times(direction, best_distance)), dot(normal, direction)
     steep = minus(up, times(normal, dot(up, normal)))
-    off = times(steep, OFF * touch / max(dot(steep, steep), STEEP))
+    off = times(steep, OFF_FACE_TOUCHES * touch / max(dot(steep, steep), MIN_SQUARED_CUT_SINE))
     pieces, side_groups = around.sides
     back = pieces[f] == pieces[face] and side_groups[1 if side < 0 else 0, f] != side_groups[1 if towards > 0 else 0, face]
     if back or _is_tight(table, cuts, face, f, crossing_place, off, touch):
         # Up to where feet keep off what they come to, or, in a corner, not at all.
         near = 0.0
         if back:
-            near = max(soonest - OFF * touch / max(abs(towards), 1 / LEANING), 0.0)
-        weights = _landing(table, WIDTH * f, plus(place, times(direction, near)))
-        return Landing(f, weights, (-1.0 if -dot(at(table, WIDTH * f + NORMAL), up) > 0 else 1.0), near, 0.0, True)
-    return Landing(
+            near = max(soonest - OFF_FACE_TOUCHES * touch / max(abs(towards), 1 / MAX_SLOPE_RUN), 0.0)
+        weights = _landing(table, ROW_FLOATS * f, plus(place, times(direction, near)))
+        return SurfaceLanding(
+            f, weights, (-1.0 if -dot(at(table, ROW_FLOATS * f + NORMAL_OFFSET), up) > 0 else 1.0), near, 0.0, True
+        )
+    return SurfaceLanding(
         face, _landing(table, row, plus(crossing_place, off)), (-1.0 if towards > 0 else 1.0), best_distance, 0.0, False
     )
 
 
 @inlined
 def _in_frame(table: Array1[F64], row: I64, place: Vec3) -> tuple[F64, F64]:
-    off = minus(place, at(table, row + CORNER))
-    return dot(at(table, row + AXIS1), off), dot(at(table, row + AXIS2), off)
+    off = minus(place, at(table, row + CORNER_OFFSET))
+    return dot(at(table, row + AXIS1_OFFSET), off), dot(at(table, row + AXIS2_OFFSET), off)
 
 
 @inlined
-def _weights(table: Array1[F64], row: I64, place: Vec3) -> Weights:
+def _weights(table: Array1[F64], row: I64, place: Vec3) -> TriangleWeights:
     """Return the weights of the point of a face below a nearby position, clamped to the triangle."""
     c, s = _in_frame(table, row, place)
-    return clamp_weights(c * table[row + RATE1] - s * table[row + SHEAR] + 0.0, s * table[row + RATE2] + 0.0)
+    return clamp_weights(c * table[row + RATE1_OFFSET] - s * table[row + SHEAR_OFFSET] + 0.0, s * table[row + RATE2_OFFSET] + 0.0)
 
 
 @inlined
-def _landing(table: Array1[F64], row: I64, place: Vec3) -> Weights:
+def _landing(table: Array1[F64], row: I64, place: Vec3) -> TriangleWeights:
     b1, b2 = _weights(table, row, place)
     return clamp_weights(b1 + 0.0, b2 + 0.0)  # again: it may move them by another rounding
 
@@ -98,7 +113,7 @@ def _landing(table: Array1[F64], row: I64, place: Vec3) -> Weights:
 def _is_within(table: Array1[F64], row: I64, place: Vec3, touch: F64) -> BOOL:
     """Return whether a position in the plane of a face is in it, or outside by at most about `touch` mm."""
     c, s = _in_frame(table, row, place)
-    rate1, rate2, shear = table[row + RATE1], table[row + RATE2], table[row + SHEAR]
+    rate1, rate2, shear = table[row + RATE1_OFFSET], table[row + RATE2_OFFSET], table[row + SHEAR_OFFSET]
     b1, b2 = c * rate1 - s * shear, s * rate2
     over = touch * (abs(rate1) + abs(rate2) + abs(shear))
     return b1 >= -over and b2 >= -over and b1 + b2 <= 1 + over
@@ -108,10 +123,10 @@ def _is_within(table: Array1[F64], row: I64, place: Vec3, touch: F64) -> BOOL:
 def _lowest_corner(table: Array1[F64], face: I64, other: I64, sign: F64) -> F64:
     """Return the height of a face's lowest corner over the plane of another. The upper side of that plane is its normal times
     `sign`."""
-    row, other_row = WIDTH * face, WIDTH * other
-    up = times(at(table, other_row + NORMAL), sign)
-    first = dot(up, minus(at(table, row + CORNER), at(table, other_row + CORNER)))
-    return first + min(min(dot(up, at(table, row + EDGE1)), dot(up, at(table, row + EDGE2))), 0.0)
+    row, other_row = ROW_FLOATS * face, ROW_FLOATS * other
+    up = times(at(table, other_row + NORMAL_OFFSET), sign)
+    first = dot(up, minus(at(table, row + CORNER_OFFSET), at(table, other_row + CORNER_OFFSET)))
+    return first + min(min(dot(up, at(table, row + EDGE1_OFFSET)), dot(up, at(table, row + EDGE2_OFFSET))), 0.0)
 
 
 @inlined
@@ -124,7 +139,7 @@ def _leads_through(
     sign = -1.0 if begins < 0 else 1.0
     if not _lowest_corner(table, f, other, sign) >= -touch:
         return True
-    b1, b2 = _weights(table, WIDTH * f, crossing_place)
+    b1, b2 = _weights(table, ROW_FLOATS * f, crossing_place)
     edge, least = 0, 1.0 - b1 - b2
     if b1 < least:
         edge, least = 1, b1
@@ -137,7 +152,7 @@ def _leads_through(
 
 
 @inlined
-def _is_tight(table: Array1[F64], cuts: Cuts, face: I64, own: I64, place: Vec3, off: Vec3, touch: F64) -> BOOL:
+def _is_tight(table: Array1[F64], cuts: CutTables, face: I64, own: I64, place: Vec3, off: Vec3, touch: F64) -> BOOL:
     """Return whether three sheets meet. Feet placed on a face at a position, `off` from their own face, would pass or touch a
     third sheet; then they stay."""
     first, others = cuts
@@ -146,10 +161,10 @@ def _is_tight(table: Array1[F64], cuts: Cuts, face: I64, own: I64, place: Vec3, 
         third = others[k]
         if third == own:
             continue
-        row = WIDTH * third
-        normal = at(table, row + NORMAL)
-        begins = dot(normal, minus(place, at(table, row + CORNER)))
+        row = ROW_FLOATS * third
+        normal = at(table, row + NORMAL_OFFSET)
+        begins = dot(normal, minus(place, at(table, row + CORNER_OFFSET)))
         ends = begins + dot(normal, off)
         is_touched = (begins * ends < 0 and abs(begins) > touch) or abs(ends) <= touch
-        is_tight = is_tight or (is_touched and _is_within(table, row, place, 2 * OFF * touch))
+        is_tight = is_tight or (is_touched and _is_within(table, row, place, 2 * OFF_FACE_TOUCHES * touch))
     return is_tight

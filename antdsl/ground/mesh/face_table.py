@@ -7,30 +7,43 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl.ground.mesh.topology import Topology
+from antdsl.ground.mesh.topology import MeshTopology
 
 Floats = NDArray[np.float64]
 
-WIDTH = 40  # five whole lines of a cache
+ROW_FLOATS = 40  # five whole lines of a cache
 # In the order in which a walk reads them, four at a time. At EDGES are four numbers of each edge: its direction, its link, and
 # one that belongs elsewhere, the face's mesh and the first two of nine smooth normals, of which the other seven are at SMOOTH.
-AXIS1, AXIS2, NORMAL, RATE1, RATE2, SHEAR, EDGES, MESH, CORNER, EDGE1, EDGE2, SMOOTH = 0, 3, 6, 9, 10, 11, 12, 15, 24, 27, 30, 33
-EDGE_C, EDGE_S, LINK = 0, 1, 2  # from EDGES and 4 times the edge on
-OPEN = -2  # the link of a border beyond which there is nothing, see `open_borders`
+(
+    AXIS1_OFFSET,
+    AXIS2_OFFSET,
+    NORMAL_OFFSET,
+    RATE1_OFFSET,
+    RATE2_OFFSET,
+    SHEAR_OFFSET,
+    EDGES_OFFSET,
+    MESH_OFFSET,
+    CORNER_OFFSET,
+    EDGE1_OFFSET,
+    EDGE2_OFFSET,
+    SMOOTH_NORMALS_OFFSET,
+) = 0, 3, 6, 9, 10, 11, 12, 15, 24, 27, 30, 33
+EDGE_COSINE, EDGE_SINE, EDGE_LINK = 0, 1, 2  # from EDGES and 4 times the edge on
+OPEN_BORDER_LINK = -2  # the link of a border beyond which there is nothing, see `open_borders`
 
 
-def pack_table(table: Topology, mesh_of: NDArray[np.int32]) -> Floats:
+def pack_table(table: MeshTopology, mesh_of: NDArray[np.int32]) -> Floats:
     """Return the numbers of each face contiguously, float64[40 m], with the links of the normal's side and the mesh of the
     face."""
     m = table.rate1.size
-    space = np.empty(WIDTH * m + 8)
+    space = np.empty(ROW_FLOATS * m + 8)
     start = -space.ctypes.data % 64 // 8
-    result = space[start : start + WIDTH * m]
+    result = space[start : start + ROW_FLOATS * m]
     pack_rows(result, table, mesh_of, slice(0, m))
     return result
 
 
-def pack_rows(into: Floats, table: Topology, mesh_of: NDArray[np.int32], rows: slice) -> None:
+def pack_rows(into: Floats, table: MeshTopology, mesh_of: NDArray[np.int32], rows: slice) -> None:
     """Write the numbers of some faces into a packed table."""
     m = rows.stop - rows.start
     halves = slice(3 * rows.start, 3 * rows.stop)
@@ -42,9 +55,9 @@ def pack_rows(into: Floats, table: Topology, mesh_of: NDArray[np.int32], rows: s
     parts += [v[rows].reshape(m, 1) for v in (table.rate1, table.rate2, table.shear)]
     parts += [edges.reshape(m, 12)]
     parts += [v[:, rows].T for v in (table.corner, table.edge1, table.edge2, table.smooth[2:])]
-    np.concatenate(parts, axis=1, out=into.reshape(-1, WIDTH)[rows])
+    np.concatenate(parts, axis=1, out=into.reshape(-1, ROW_FLOATS)[rows])
 
 
 def mark_open(into: Floats, half: NDArray[np.int64], link: int) -> None:
     """Write `link`, NO_LINK or OPEN, for some half-edges without a link into a packed table."""
-    into.reshape(-1, WIDTH)[half // 3, EDGES + 4 * (half % 3) + LINK] = link
+    into.reshape(-1, ROW_FLOATS)[half // 3, EDGES_OFFSET + 4 * (half % 3) + EDGE_LINK] = link

@@ -6,7 +6,7 @@ import numpy as np
 
 from antdsl.machine_code.kernels import BOOL, F64, I8, I32, I64, Array1, Array2, fetch_ahead, kernel
 
-_FETCHED = 64  # footings with vertices prefetched together
+_PREFETCH_GROUP_SIZE = 64  # footings with vertices prefetched together
 
 
 @kernel
@@ -24,9 +24,9 @@ def write_positions(
 ) -> BOOL:
     """Write the position of each footing, [n,3], 0 for nowhere; return whether all face numbers are valid. Meshes have their
     `faces`, with a `normal` (3, m), from `first` on. `vertices`: three numbers each."""
-    for begin in range(0, mesh.size, _FETCHED):
-        end = min(begin + _FETCHED, mesh.size)
-        for n in range(end, min(end + _FETCHED, mesh.size)):
+    for begin in range(0, mesh.size, _PREFETCH_GROUP_SIZE):
+        end = min(begin + _PREFETCH_GROUP_SIZE, mesh.size)
+        for n in range(end, min(end + _PREFETCH_GROUP_SIZE, mesh.size)):
             if mesh[n] >= 0 and face[n] >= 0 and mesh[n] < first.size:
                 fetch_ahead(faces, 3 * (first[mesh[n]] + face[n]))
         for n in range(begin, end):

@@ -5,39 +5,44 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl.ground.mesh.boxes import Boxes
-from antdsl.ground.mesh.surroundings import GAP, HIGH, LIFT, GroundScale
-from antdsl.ground.mesh.topology import NO_LINK, Topology
+from antdsl.ground.mesh.boxes import FaceBoxes
+from antdsl.ground.mesh.surroundings import BORDER_GAP_PER_BODY, BORDER_RAY_HEIGHT_PER_BODY, EYE_HEIGHT_PER_BODY, GroundScale
+from antdsl.ground.mesh.topology import NO_LINK, MeshTopology
 from antdsl.numerics.vectors import dot
 
 Index = NDArray[np.int64]
 
-_MOST = 10_000  # borders
-_PAIRS, _AT_ONCE = 1_000_000, 50_000  # of a border and a face near it: looked at for a ground, and together
+_MAX_BORDERS = 10_000  # borders
+_MAX_BORDER_PAIRS, _PAIRS_PER_CHUNK = 1_000_000, 50_000  # of a border and a face near it: looked at for a ground, and together
 # Of what is fine: more than rounding takes a corner off the plane that it lies in, and less than any way looks aside.
-_LEVEL = 1e-4
+_PLANE_TOLERANCE = 1e-4
 
 
-def find_open_borders(table: Topology, boxes: Boxes, scale: GroundScale, widest: float) -> Index:
+def find_open_borders(table: MeshTopology, boxes: FaceBoxes, scale: GroundScale, widest: float) -> Index:
     """Return half-edges without a link on either side, from which `beyond` finds no landing for bodies of up to `widest` mm. Not
     all are found on a ground that is mostly borders, or has faces much finer than the bodies: that search would take long.
 
     The search paths of `beyond` lie in the plane across the edge, above or below the face, except beyond the border. They meet
     nothing under two conditions: all other nearby faces lie in the plane of the edge's face, and none extends over the edge's
     line. Paths along that plane, and those beyond the line, stay at least the gap away from these faces."""
-    half = np.flatnonzero((table.link[0] == NO_LINK) & (table.link[1] == NO_LINK) & np.repeat(table.live, 3))[:_MOST]
-    reach = 1.01 * ((HIGH + GAP) * float(np.fmax(widest, scale.least / LIFT)) + 4 * scale.fine)
-    batches, begin, many, left = [half[:0]], 0, 1, _PAIRS
+    half = np.flatnonzero((table.link[0] == NO_LINK) & (table.link[1] == NO_LINK) & np.repeat(table.live, 3))[:_MAX_BORDERS]
+    reach = 1.01 * (
+        (BORDER_RAY_HEIGHT_PER_BODY + BORDER_GAP_PER_BODY) * float(np.fmax(widest, scale.least / EYE_HEIGHT_PER_BODY))
+        + 4 * scale.fine
+    )
+    batches, begin, many, left = [half[:0]], 0, 1, _MAX_BORDER_PAIRS
     while begin < len(half) and left > 0:
         batch = half[begin : begin + many]
         free, pairs = _select_open(table, boxes, scale, reach, batch)
         batches.append(batch[free])
         begin, left = begin + many, left - pairs
-        many = max(1, min(2 * many, _AT_ONCE * len(batch) // max(pairs, 1)))
+        many = max(1, min(2 * many, _PAIRS_PER_CHUNK * len(batch) // max(pairs, 1)))
     return np.concatenate(batches)
 
 
-def _select_open(table: Topology, boxes: Boxes, scale: GroundScale, reach: float, half: Index) -> tuple[NDArray[np.bool_], int]:
+def _select_open(
+    table: MeshTopology, boxes: FaceBoxes, scale: GroundScale, reach: float, half: Index
+) -> tuple[NDArray[np.bool_], int]:
     """Return which of some half-edges are open borders, and how many pairs of a half-edge and a face within `reach` mm of its box
     were checked."""
     face, k = half // 3, half % 3
@@ -46,14 +51,14 @@ def _select_open(table: Topology, boxes: Boxes, scale: GroundScale, reach: float
     edge_rows, near_faces = (each[near_faces != face.take(edge_rows)] for each in (edge_rows, near_faces))
     out = table.to_space(face, table.edge_s.take(half), -table.edge_c.take(half)).take(edge_rows, axis=1)
     normal, begin = table.normal.take(face.take(edge_rows), axis=1), one.take(edge_rows, axis=1)
-    free, least = np.ones(len(half), np.bool_), _LEVEL * scale.fine
+    free, least = np.ones(len(half), np.bool_), _PLANE_TOLERANCE * scale.fine
     for corner in range(3):
         away = _corners(table, near_faces, np.full(len(near_faces), corner)) - begin
         free[edge_rows[~((np.abs(dot(away, normal)) <= least) & (dot(away, out) <= least))]] = False
     return free, len(edge_rows)
 
 
-def _corners(table: Topology, face: Index, k: Index) -> NDArray[np.float64]:
+def _corners(table: MeshTopology, face: Index, k: Index) -> NDArray[np.float64]:
     """The corner `k` of each face, (3, n)."""
     edge = np.where(k == 1, table.edge1.take(face, axis=1), table.edge2.take(face, axis=1))
     corners: NDArray[np.float64] = table.corner.take(face, axis=1) + np.where(k == 0, 0.0, edge)

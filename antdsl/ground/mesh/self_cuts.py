@@ -16,15 +16,15 @@ Floats = NDArray[np.float64]
 Ints = NDArray[np.int32]
 Index = NDArray[np.int64]
 
-_PAIRS = 2_000_000  # of faces in one cell, looked at together
-_CELL = 2.0  # median sizes of faces: width of a cell
-_LARGE = 8.0  # cells that a face may be long, or it is looked at among the larger ones
-_COPLANAR = 1 - 1e-12  # cosine between the normals of faces that cannot cut each other
-_MOST_CELLS = 1 << 20  # along an axis
+_PAIRS_PER_CHUNK = 2_000_000  # of faces in one cell, looked at together
+_CELL_WIDTH_IN_FACES = 2.0  # median sizes of faces: width of a cell
+_MAX_FACE_CELLS = 8.0  # cells that a face may be long, or it is looked at among the larger ones
+_COPLANAR_COSINE = 1 - 1e-12  # cosine between the normals of faces that cannot cut each other
+_MAX_CELLS_PER_AXIS = 1 << 20  # along an axis
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Cuts:
+class SelfCuts:
     """Face f is cut by the faces `other[first[f]:first[f + 1]]` of the same piece, and cuts these."""
 
     first: Index
@@ -43,7 +43,7 @@ class Cuts:
         return which, self.other.take(np.repeat(self.first.take(face), count) + step)
 
 
-def find_cuts(corners: Floats, weld: Ints, piece: Ints, grain: float) -> Cuts:
+def find_cuts(corners: Floats, weld: Ints, piece: Ints, grain: float) -> SelfCuts:
     """Return the cuts between faces with corners float64[m,3,3], numbered by position in `weld` (m, 3), of the pieces int32[m]
     (-1 for none). A face nearer to another than `grain` (mm) touches it, and touching counts."""
     flat = weld.ravel()
@@ -52,7 +52,7 @@ def find_cuts(corners: Floats, weld: Ints, piece: Ints, grain: float) -> Cuts:
     one, two = _cutting_pairs(one_place[weld], weld, piece, grain)
     face, other = np.concatenate([one, two]), np.concatenate([two, one])
     order = np.lexsort((other, face))
-    return Cuts(np.concatenate([[0], np.cumsum(np.bincount(face, minlength=len(piece)))]), other[order])
+    return SelfCuts(np.concatenate([[0], np.cumsum(np.bincount(face, minlength=len(piece)))]), other[order])
 
 
 def _cutting_pairs(corners: Floats, weld: Ints, piece: Ints, grain: float) -> tuple[Index, Index]:
@@ -68,7 +68,7 @@ def _cutting_pairs(corners: Floats, weld: Ints, piece: Ints, grain: float) -> tu
         # Who share an edge fold along it and cannot cut each other. Who share a corner can.
         count = sum(each.view(np.int8) for row in same for each in row)
         pair_rows = np.flatnonzero(count < 2)
-        pair_rows = pair_rows[np.abs(dot(normal[one[pair_rows]], normal[two[pair_rows]])) < _COPLANAR]
+        pair_rows = pair_rows[np.abs(dot(normal[one[pair_rows]], normal[two[pair_rows]])) < _COPLANAR_COSINE]
         one, two = one[pair_rows], two[pair_rows]
         same = [[each[pair_rows] for each in row] for row in same]
         shared = [[a | b | c for a, b, c in rows] for rows in (same, zip(*same, strict=True))]
@@ -97,8 +97,8 @@ def _overlapping_pairs(corners: Floats, live: Index) -> Iterator[tuple[Index, In
     size = (high - low).max(axis=0)
     smaller, left = live[:0], live
     while left.size:
-        width = _CELL * float(np.median(size[left]))
-        fits = size[left] <= _LARGE * width
+        width = _CELL_WIDTH_IN_FACES * float(np.median(size[left]))
+        fits = size[left] <= _MAX_FACE_CELLS * width
         now, left = left[fits], left[~fits]
         for one, two in _pairs_in_cells(corners, now, smaller, width):
             for least, most in zip(low, high, strict=True):  # of axis after axis: less is left to look at
@@ -115,7 +115,7 @@ def _pairs_in_cells(corners: Floats, now: Index, smaller: Index, width: float) -
         return
     listed_corners = corners[listed]
     begin = listed_corners.min(axis=(0, 1))
-    width = max(width, float((listed_corners.max(axis=(0, 1)) - begin).max()) / _MOST_CELLS, 1e-300)
+    width = max(width, float((listed_corners.max(axis=(0, 1)) - begin).max()) / _MAX_CELLS_PER_AXIS, 1e-300)
     keys, names = [], []
     for cell, which in triangle_cells((listed_corners - begin) / width, exact=False):
         keys.append((cell[:, 0] << 42) | (cell[:, 1] << 21) | cell[:, 2])
@@ -130,7 +130,7 @@ def _pairs_in_cells(corners: Floats, now: Index, smaller: Index, width: float) -
     stop = np.cumsum(count)
     start = 0
     while start < key.size:
-        end = max(int(np.searchsorted(stop, (stop[start - 1] if start else 0) + _PAIRS, "right")), start + 1)
+        end = max(int(np.searchsorted(stop, (stop[start - 1] if start else 0) + _PAIRS_PER_CHUNK, "right")), start + 1)
         counts = count[start:end]
         one = np.repeat(np.arange(start, end), counts)
         two = one + 1 + np.arange(one.size) - np.repeat(np.cumsum(counts) - counts, counts)

@@ -4,24 +4,35 @@ from __future__ import annotations
 
 import numpy as np
 
-from antdsl.ground.mesh.face_table import AXIS1, AXIS2, CORNER, EDGE1, EDGE2, EDGES, NORMAL, RATE1, SMOOTH, WIDTH
+from antdsl.ground.mesh.face_table import (
+    AXIS1_OFFSET,
+    AXIS2_OFFSET,
+    CORNER_OFFSET,
+    EDGE1_OFFSET,
+    EDGE2_OFFSET,
+    EDGES_OFFSET,
+    NORMAL_OFFSET,
+    RATE1_OFFSET,
+    ROW_FLOATS,
+    SMOOTH_NORMALS_OFFSET,
+)
 from antdsl.ground.mesh.topology import NO_LINK
-from antdsl.ground.mesh.walkers import Clearances, Direction, Progress, Stop, Surface, Walker
+from antdsl.ground.mesh.walkers import ClearanceTables, FaceDirection, FaceWalker, SurfaceTables, WalkProgress, WalkStop
 from antdsl.machine_code.kernels import BOOL, F64, I64, Array1, fetch_ahead, inlined, load_consecutive, nearest_integer
-from antdsl.numerics.kernel_vectors import Pose, Vec3, Weights, clamp_weights, plus, times
+from antdsl.numerics.kernel_vectors import AgentPose, TriangleWeights, Vec3, clamp_weights, plus, times
 
-CROSSINGS = 400  # of edges in one step, after which an agent waits for the next
-STUCK = 24  # crossings after which a walker is moved off the corner that it may be circling
-GRAIN = 1e-7  # of a face: how far it is moved
-INWARD = 1e-6  # of a direction along a border: off it, or rounding would ask about it again and again
-HOPS = 6  # from surface to surface, or turns along a border, in one step
-AHEAD, BORDER, HANG = 1, 2, 3  # something may be in the way, or beyond the border; over one already
+MAX_EDGE_CROSSINGS = 400  # of edges in one step, after which an agent waits for the next
+CROSSINGS_BEFORE_NUDGE = 24  # crossings after which a walker is moved off the corner that it may be circling
+NUDGE_FRACTION = 1e-7  # of a face: how far it is moved
+BORDER_INWARD_SHARE = 1e-6  # of a direction along a border: off it, or rounding would ask about it again and again
+MAX_SURFACE_HOPS = 6  # from surface to surface, or turns along a border, in one step
+LOOK_AHEAD_EVENT, BORDER_EVENT, OVERHANG_EVENT = 1, 2, 3  # something may be in the way, or beyond the border; over one already
 
 
 @inlined
 def frame(table: Array1[F64], row: I64) -> tuple[Vec3, Vec3, Vec3]:
     """Both axes of a face, and its normal."""
-    ax, ay, az, bx, by, bz, nx, ny, nz, _, _, _ = load_consecutive(table, row + AXIS1, 12)
+    ax, ay, az, bx, by, bz, nx, ny, nz, _, _, _ = load_consecutive(table, row + AXIS1_OFFSET, 12)
     return (ax, ay, az), (bx, by, bz), (nx, ny, nz)
 
 
@@ -39,7 +50,7 @@ def lay_on_face(axis1: Vec3, axis2: Vec3, x: F64, y: F64, z: F64, c0: F64, s0: F
 
 
 @inlined
-def free_distance(near: Clearances, f: I64, weights: Weights) -> F64:
+def free_distance(near: ClearanceTables, f: I64, weights: TriangleWeights) -> F64:
     """Return a distance (mm) within which a position has no other piece, see `Parts`; at most `reach`."""
     n = near.counts[f]
     if n == 0:
@@ -50,8 +61,14 @@ def free_distance(near: Clearances, f: I64, weights: Weights) -> F64:
 
 @inlined
 def walk_stretches(
-    surface: Surface, near: Clearances, high: F64, looked: BOOL, along_open: BOOL, walker: Walker, progress: Progress
-) -> tuple[Walker, Progress, Stop]:
+    surface: SurfaceTables,
+    near: ClearanceTables,
+    high: F64,
+    looked: BOOL,
+    along_open: BOOL,
+    walker: FaceWalker,
+    progress: WalkProgress,
+) -> tuple[FaceWalker, WalkProgress, WalkStop]:
     """Walk across faces until the way is used up, or until an event. Stop at stretches that may have another piece within their
     length and `high`, but not at the first if `looked`. Where no stretch may meet another piece and `along_open` is set, follow
     borders with nothing beyond them."""
@@ -59,13 +76,13 @@ def walk_stretches(
     f, (b1, b2), side, (c, s), (heading_c, heading_s) = walker
     left, distance, turn = progress
     event, edge, length, hops = 0, 0, 0.0, 0
-    while turn < CROSSINGS and left > 0:
-        if turn >= STUCK:  # noqa: SIM102 # tested first: it is rarely true, and the remainder of a division is expensive
-            if turn % STUCK == 0 and not looked:
-                b1 = b1 * (1 - GRAIN) + GRAIN / 3
-                b2 = b2 * (1 - GRAIN) + GRAIN / 3
-        row = WIDTH * f
-        _, along, across, shear = load_consecutive(table, row + RATE1 - 1, 4)
+    while turn < MAX_EDGE_CROSSINGS and left > 0:
+        if turn >= CROSSINGS_BEFORE_NUDGE:  # noqa: SIM102 # tested first: it is rarely true, and the remainder of a division is expensive
+            if turn % CROSSINGS_BEFORE_NUDGE == 0 and not looked:
+                b1 = b1 * (1 - NUDGE_FRACTION) + NUDGE_FRACTION / 3
+                b2 = b2 * (1 - NUDGE_FRACTION) + NUDGE_FRACTION / 3
+        row = ROW_FLOATS * f
+        _, along, across, shear = load_consecutive(table, row + RATE1_OFFSET - 1, 4)
         rate1 = c * along - s * shear
         rate2 = s * across
         rate0 = -(rate1 + rate2)
@@ -83,7 +100,7 @@ def walk_stretches(
                 until, edge = edge_distance, 2
         length = min(until, left)
         if high > 0 and not looked and free_distance(near, f, (b1, b2)) <= length + high:
-            event = AHEAD
+            event = LOOK_AHEAD_EVENT
             break
         looked = False
         b1, b2 = clamp_weights(b1 + rate1 * length, b2 + rate2 * length)
@@ -91,34 +108,34 @@ def walk_stretches(
         if until >= left:
             break
         left = left - length
-        cosine, sine, linked, _ = load_consecutive(table, row + EDGES + 4 * edge, 4)
+        cosine, sine, linked, _ = load_consecutive(table, row + EDGES_OFFSET + 4 * edge, 4)
         beyond = link[1, 3 * f + edge] if forked and side < 0 else nearest_integer(linked)
         if beyond < 0:
             if beyond == NO_LINK or not along_open or high > 0:
-                event = BORDER
+                event = BORDER_EVENT
                 break
             (c, s), left = along_border((cosine, sine), (c, s), left)
             hops += 1
-            if hops >= HOPS:
+            if hops >= MAX_SURFACE_HOPS:
                 left = 0.0
         else:
             f, (b1, b2), side, (c, s), (heading_c, heading_s) = _cross_edge(
                 table, beyond, edge, (cosine, sine), (b1, b2), side, (c, s), (heading_c, heading_s)
             )
             for line in (0, 24, 32):  # which `finish` reads: all others are read at once
-                fetch_ahead(table, WIDTH * f + line)
+                fetch_ahead(table, ROW_FLOATS * f + line)
         turn += 1
-    walker = Walker(f, (b1, b2), side, (c, s), (heading_c, heading_s))
-    return walker, Progress(left, distance, turn), Stop(event, edge, length, hops)
+    walker = FaceWalker(f, (b1, b2), side, (c, s), (heading_c, heading_s))
+    return walker, WalkProgress(left, distance, turn), WalkStop(event, edge, length, hops)
 
 
 @inlined
-def along_border(edge: Direction, direction: Direction, left: F64) -> tuple[Direction, F64]:
+def along_border(edge: FaceDirection, direction: FaceDirection, left: F64) -> tuple[FaceDirection, F64]:
     """Return the direction along an open border, and the distance left there."""
     (edge_c, edge_s), (c, s) = edge, direction
     along = c * edge_c + s * edge_s
     turn = -1.0 if along < 0 else 1.0
-    return (turn * edge_c - INWARD * edge_s, turn * edge_s + INWARD * edge_c), left * abs(along)
+    return (turn * edge_c - BORDER_INWARD_SHARE * edge_s, turn * edge_s + BORDER_INWARD_SHARE * edge_c), left * abs(along)
 
 
 @inlined
@@ -126,12 +143,12 @@ def _cross_edge(
     table: Array1[F64],
     beyond: I64,
     edge: I64,
-    along: Direction,
-    weights: Weights,
+    along: FaceDirection,
+    weights: TriangleWeights,
     side: F64,
-    direction: Direction,
-    heading: Direction,
-) -> Walker:
+    direction: FaceDirection,
+    heading: FaceDirection,
+) -> FaceWalker:
     """Return the agent in the face beyond an edge with direction `along`."""
     (c1, s1), (b1, b2), (c, s), (heading_c, heading_s) = along, weights, direction, heading
     f, k2, flip = np.int64(beyond >> 3), (beyond >> 1) & 3, (beyond & 1) == 1
@@ -140,7 +157,7 @@ def _cross_edge(
     second = b2 if edge == 0 else (b0 if edge == 1 else b1)
     if not flip:
         first, second = second, first
-    c2, s2, _, _ = load_consecutive(table, WIDTH * f + EDGES + 4 * k2, 4)
+    c2, s2, _, _ = load_consecutive(table, ROW_FLOATS * f + EDGES_OFFSET + 4 * k2, 4)
     turn = 1.0 if flip else -1.0
     ahead, out = turn * (c * c1 + s * s1), c * s1 - s * c1
     c, s = ahead * c2 - out * s2, ahead * s2 + out * c2
@@ -148,19 +165,31 @@ def _cross_edge(
     heading_c, heading_s = ahead * c2 - out * s2, ahead * s2 + out * c2
     b1 = max(first if k2 == 0 else (0.0 if k2 == 1 else second), 0.0)
     b2 = max(second if k2 == 0 else (first if k2 == 1 else 0.0), 0.0)
-    return Walker(f, (b1, b2), -side if flip else side, (c, s), (heading_c, heading_s))
+    return FaceWalker(f, (b1, b2), -side if flip else side, (c, s), (heading_c, heading_s))
 
 
 @inlined
-def final_pose(table: Array1[F64], walker: Walker, over: F64) -> Pose:
+def final_pose(table: Array1[F64], walker: FaceWalker, over: F64) -> AgentPose:
     """Return position, smooth normal, transported heading and direction of travel in world space."""
     f, (b1, b2), side, (c, s), (heading_c, heading_s) = walker
-    row = WIDTH * f
+    row = ROW_FLOATS * f
     b0 = 1.0 - b1 - b2
-    numbers = load_consecutive(table, row, WIDTH)
-    axis1, axis2, (nx, ny, nz) = numbers[AXIS1:AXIS2], numbers[AXIS2:NORMAL], numbers[NORMAL:RATE1]
-    corner, edge1, edge2 = numbers[CORNER:EDGE1], numbers[EDGE1:EDGE2], numbers[EDGE2:SMOOTH]
-    s0, s1, (s2, s3, s4, s5, s6, s7, s8) = numbers[EDGES + 7], numbers[EDGES + 11], numbers[SMOOTH:WIDTH]
+    numbers = load_consecutive(table, row, ROW_FLOATS)
+    axis1, axis2, (nx, ny, nz) = (
+        numbers[AXIS1_OFFSET:AXIS2_OFFSET],
+        numbers[AXIS2_OFFSET:NORMAL_OFFSET],
+        numbers[NORMAL_OFFSET:RATE1_OFFSET],
+    )
+    corner, edge1, edge2 = (
+        numbers[CORNER_OFFSET:EDGE1_OFFSET],
+        numbers[EDGE1_OFFSET:EDGE2_OFFSET],
+        numbers[EDGE2_OFFSET:SMOOTH_NORMALS_OFFSET],
+    )
+    s0, s1, (s2, s3, s4, s5, s6, s7, s8) = (
+        numbers[EDGES_OFFSET + 7],
+        numbers[EDGES_OFFSET + 11],
+        numbers[SMOOTH_NORMALS_OFFSET:ROW_FLOATS],
+    )
     sx, sy, sz = s0 * b0 + s3 * b1 + s6 * b2, s1 * b0 + s4 * b1 + s7 * b2, s2 * b0 + s5 * b1 + s8 * b2
     size = np.sqrt(max(sx * sx + sy * sy + sz * sz, 1e-300))
     sx, sy, sz = sx / size * side, sy / size * side, sz / size * side
@@ -178,7 +207,7 @@ def final_pose(table: Array1[F64], walker: Walker, over: F64) -> Pose:
         corner[2] + b1 * edge1[2] + b2 * edge2[2] + over * nz,
     )
     direction = plus(times(axis1, c), times(axis2, s))
-    return Pose(place, (sx, sy, sz), (hx / size, hy / size, hz / size), direction)
+    return AgentPose(place, (sx, sy, sz), (hx / size, hy / size, hz / size), direction)
 
 
 @inlined

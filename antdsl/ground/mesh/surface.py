@@ -10,15 +10,15 @@ from math import sqrt
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl.casting.rays import Mesh, RayScene
+from antdsl.casting.rays import MeshArrays, RayScene
 from antdsl.ground.mesh import footings
-from antdsl.ground.mesh.boxes import Boxes
-from antdsl.ground.mesh.creases import RiseMap
-from antdsl.ground.mesh.surface_clearance import Clearances
-from antdsl.ground.mesh.surroundings import LIFT, GroundScale
-from antdsl.ground.mesh.topology import Topology, build_topology, facing_sides
+from antdsl.ground.mesh.boxes import FaceBoxes
+from antdsl.ground.mesh.creases import SlopeMap
+from antdsl.ground.mesh.surface_clearance import PieceClearances
+from antdsl.ground.mesh.surroundings import EYE_HEIGHT_PER_BODY, GroundScale
+from antdsl.ground.mesh.topology import MeshTopology, build_topology, facing_sides
 from antdsl.ground.mesh.walk_events import CrowdWalk, WalkTables
-from antdsl.ground.protocol import Floats, Footing, Index, Move
+from antdsl.ground.protocol import Floats, Footing, GroundMove, Index
 from antdsl.ground.sticking import move_by_rays
 from antdsl.numerics import parallel
 from antdsl.numerics.vectors import dot
@@ -30,7 +30,7 @@ class MeshGround:
     An obstacle that agents may climb is a normal surface. Meshes may overlap and need not be closed. With `by_rays` agents do not
     walk over triangles but are placed at ray hits: see `sticking`."""
 
-    def __init__(self, surfaces: Mapping[str, Mesh], by_rays: bool = False) -> None:
+    def __init__(self, surfaces: Mapping[str, MeshArrays], by_rays: bool = False) -> None:
         self.names, self._by_rays = tuple(surfaces), by_rays
         meshes = [
             (np.asarray(v, np.float64).reshape(-1, 3), np.asarray(f, np.int32).reshape(-1, 3)) for v, f in surfaces.values()
@@ -48,15 +48,15 @@ class MeshGround:
         self.low = used.min(axis=0) if used.size else np.zeros(3)
         self.high = used.max(axis=0) if used.size else np.zeros(3)
         self.extent = float((self.high - self.low).max())
-        self._table: Topology = build_topology(self._vertices, self._faces, self._mesh, self.extent)
+        self._table: MeshTopology = build_topology(self._vertices, self._faces, self._mesh, self.extent)
         self._side = facing_sides(self._table.normal.T)
         self._scenes: dict[tuple[int, ...], tuple[RayScene, Index]] = {}
         corners = self._vertices[self._faces]
         self._scale = GroundScale.of(self.extent)
-        self._boxes = Boxes.of(self._vertices, self._faces, np.flatnonzero(self._table.live), self._surface_groups())
-        self._clearances = Clearances(corners, self._table.piece, self._table.cuts.cut, self.low, self._scale.noise)
+        self._boxes = FaceBoxes.of(self._vertices, self._faces, np.flatnonzero(self._table.live), self._surface_groups())
+        self._clearances = PieceClearances(corners, self._table.piece, self._table.cuts.cut, self.low, self._scale.noise)
         self._fast: WalkTables | None = None
-        self._rises: RiseMap | None = None  # where bodies may meet walls, computed on first use
+        self._rises: SlopeMap | None = None  # where bodies may meet walls, computed on first use
 
     def _surface_groups(self) -> NDArray[np.int32]:
         """Numbers of faces: those of one move together."""
@@ -129,7 +129,9 @@ class MeshGround:
         """Return the axis direction nearest to each face's normal, int8[n]: 0 +x, 1 -x, 2 +y, 3 -y, 4 +z, 5 -z; 0 for nowhere."""
         face_sides = np.empty(len(footing), np.int8)
         on = (footing.mesh, footing.face, self._first, self._side)
-        parallel.in_parts(partial(footings.write_sides, *on, face_sides), len(footing), threads, parallel.LIGHT)
+        parallel.in_parts(
+            partial(footings.write_sides, *on, face_sides), len(footing), threads, parallel.MIN_LIGHT_ITEMS_PER_THREAD
+        )
         return face_sides
 
     def upright_normals(self, footing: Footing, up: Floats) -> Floats:
@@ -145,7 +147,7 @@ class MeshGround:
         return np.ascontiguousarray(np.where(known, self._smooth_normals(face, footing.b1, footing.b2) * side, up).T)
 
     @property
-    def triangles(self) -> tuple[Floats, NDArray[np.int32], NDArray[np.int32], Topology]:
+    def triangles(self) -> tuple[Floats, NDArray[np.int32], NDArray[np.int32], MeshTopology]:
         """Return all surfaces as one: vertices (n, 3), faces (m, 3), the surface number of each face, and the topology."""
         return self._vertices, self._faces, self._mesh, self._table
 
@@ -164,7 +166,7 @@ class MeshGround:
         over 0. It rises at an inner crease, another piece, or a mesh that moves. No such agent is missing, and the result for an
         agent does not depend on the others."""
         if self._rises is None:
-            self._rises = RiseMap(self._vertices[self._faces], self._table, [own for own, _, _ in self.boxes()])
+            self._rises = SlopeMap(self._vertices[self._faces], self._table, [own for own, _, _ in self.boxes()])
         moving = [(low, high) for _, low, high in self.boxes()]
         return self._rises.rows_near_rises(footing.mesh, footing.face, self._first, place, reach, moving, threads)
 
@@ -187,7 +189,7 @@ class MeshGround:
         body: Floats | float,
         threads: int = 1,
         straight: bool = False,
-    ) -> Move:
+    ) -> GroundMove:
         """Walk every agent along its surface by a displacement [n,3], on the side its `up` [n,3] points to.
 
         The displacement is projected into the face and keeps its length, unless it is more than 60 degrees off the surface. The
@@ -213,7 +215,7 @@ class MeshGround:
         at, to = ((f.mesh, f.face, f.b1, f.b2, f.over) for f in (footing, moved))
         results = (*to, place, above, ahead, along, distances, blocked)
         self._walk().over(parts, self._boxes, self._scale).step(body, at, (wish, heading_t, up_t), results, threads, straight)
-        return Move(moved, place.T, above.T, ahead.T, along.T, distances, blocked, moved.face < 0)
+        return GroundMove(moved, place.T, above.T, ahead.T, along.T, distances, blocked, moved.face < 0)
 
     def crowd_walk(self, longest: float, widest: float) -> CrowdWalk | None:
         """Return the walk over triangles for kernels, for displacements up to `longest` and bodies up to `widest` (mm). None if
@@ -230,7 +232,7 @@ class MeshGround:
     def _search_reach(self, wish: Floats, body: Floats) -> float:
         """Return how far (mm) agents at most look for other surfaces on a way."""
         most, widest = footings.find_farthest(wish, body)
-        return float(sqrt(most) + LIFT * widest + 3 * self._scale.noise)
+        return float(sqrt(most) + EYE_HEIGHT_PER_BODY * widest + 3 * self._scale.noise)
 
     # ---- parts
 
@@ -291,10 +293,10 @@ class MeshGround:
         return v / np.sqrt(np.maximum(dot(v, v), 1e-300))
 
 
-def _stay_in_place(footing: Footing, up: Floats, heading: Floats) -> Move:
+def _stay_in_place(footing: Footing, up: Floats, heading: Floats) -> GroundMove:
     n = len(footing)
     same = np.array(heading, np.float64).reshape(-1, 3)
-    return Move(
+    return GroundMove(
         Footing.nowhere(n),
         np.zeros((n, 3)),
         np.array(up, np.float64).reshape(-1, 3),

@@ -17,10 +17,10 @@ from antdsl.numerics import stored_tables
 Floats = NDArray[np.float64]
 Index = NDArray[np.int64]
 
-_GRID_CELLS = 400_000
-_PARTS = 100_000  # of all faces near other pieces, at most
-_FINEST = 8  # parts along each edge of a face
-_MOST_PIECES = 500  # above it a face is a part, and is taken to be in touch
+_MAX_GRID_CELLS = 400_000
+_MAX_FACE_PARTS = 100_000  # of all faces near other pieces, at most
+_MAX_PARTS_PER_EDGE = 8  # parts along each edge of a face
+_MAX_PIECES = 500  # above it a face is a part, and is taken to be in touch
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,7 +34,7 @@ class FaceParts:
     least: Floats
 
 
-class Clearances:
+class PieceClearances:
     """Lower bounds of the distance to the nearest other piece: a coarse grid of pieces selects the faces to measure.
 
     `corners` float64[m,3,3] of faces; `piece` int32[m] of each (-1 for none). Faces `cut` by others of their piece count as a
@@ -69,8 +69,8 @@ class Clearances:
         count, first = np.zeros(m, np.int32), np.zeros(m, np.int64)
         if not near.size:
             return {"first": first, "count": count, "least": np.empty(0)}
-        measurable = len(np.unique(self._piece[near])) <= _MOST_PIECES
-        n = min(max(int((_PARTS / near.size) ** 0.5), 1), _FINEST) if measurable else 1
+        measurable = len(np.unique(self._piece[near])) <= _MAX_PIECES
+        n = min(max(int((_MAX_FACE_PARTS / near.size) ** 0.5), 1), _MAX_PARTS_PER_EDGE) if measurable else 1
         count[near] = n
         first[near] = np.arange(near.size) * n * n
         least = np.zeros((near.size, n * n))
@@ -114,7 +114,7 @@ class Clearances:
     def _piece_grid(self) -> _PieceGrid:
         corners, piece = self._corners, self._piece
         size = corners.max(axis=(0, 1)) - self._low
-        width = triangle_width(corners, cell_width(size, _GRID_CELLS))
+        width = triangle_width(corners, cell_width(size, _MAX_GRID_CELLS))
         cells = np.floor(size / width).astype(np.int64) + 1
         none, count = np.iinfo(np.int32).max, int(cells.prod())
         grid = _PieceGrid(

@@ -9,12 +9,23 @@ from typing import NamedTuple
 import numpy as np
 
 from antdsl.ground.mesh.boxes import first_hit, gather_faces
-from antdsl.ground.mesh.face_table import AXIS1, AXIS2, CORNER, EDGE1, EDGE2, EDGE_C, EDGE_S, EDGES, NORMAL, WIDTH
-from antdsl.ground.mesh.walkers import Direction, Landing, Lengths, Sides, Surroundings, Walker
+from antdsl.ground.mesh.face_table import (
+    AXIS1_OFFSET,
+    AXIS2_OFFSET,
+    CORNER_OFFSET,
+    EDGE1_OFFSET,
+    EDGE2_OFFSET,
+    EDGE_COSINE,
+    EDGE_SINE,
+    EDGES_OFFSET,
+    NORMAL_OFFSET,
+    ROW_FLOATS,
+)
+from antdsl.ground.mesh.walkers import FaceDirection, FaceWalker, LengthTolerances, NearbySurfaces, SideGroups, SurfaceLanding
 from antdsl.machine_code.kernels import BOOL, F64, I64, Array1, called, inlined
 from antdsl.numerics.kernel_vectors import (
+    TriangleWeights,
     Vec3,
-    Weights,
     at,
     clamp_weights,
     dot,
@@ -28,15 +39,20 @@ from antdsl.numerics.kernel_vectors import (
     unit_or_first_axis,
 )
 
-LIFT = 0.02  # of a body: how far above the surface an agent looks ahead
-STEEPEST = 8.0  # times that height is the way left at least: an agent that climbs also comes up by it
-GAP = 0.02  # of a body: how far beyond a border it looks for what continues there
-HIGH, DEPTH = 0.5, 0.25  # of a body: how far above and below a border it looks, and how deep back
-NOISE = 1e-4  # of the extent of a ground: more than distances to other pieces err by
-LEAST = 1e-6  # of that extent: least height of eyes
-FINE = 1e-8  # of that extent: nearer surfaces are at one place
-TOUCH = 1e-9  # of that extent: how near feet are to what cuts their face when they are on it
-TURNED = -0.17  # cosine between two normals, of about 100 degrees: below it nothing leads from the one over a border to the other
+EYE_HEIGHT_PER_BODY = 0.02  # of a body: how far above the surface an agent looks ahead
+MIN_LOOK_AHEAD_FACTOR = 8.0  # times that height is the way left at least: an agent that climbs also comes up by it
+BORDER_GAP_PER_BODY = 0.02  # of a body: how far beyond a border it looks for what continues there
+BORDER_RAY_HEIGHT_PER_BODY, BORDER_RAY_DEPTH_PER_BODY = (
+    0.5,
+    0.25,
+)  # of a body: how far above and below a border it looks, and how deep back
+RELATIVE_DISTANCE_NOISE = 1e-4  # of the extent of a ground: more than distances to other pieces err by
+RELATIVE_MIN_EYE_HEIGHT = 1e-6  # of that extent: least height of eyes
+RELATIVE_COINCIDENT_DISTANCE = 1e-8  # of that extent: nearer surfaces are at one place
+RELATIVE_TOUCH_DISTANCE = 1e-9  # of that extent: how near feet are to what cuts their face when they are on it
+MIN_NORMALS_COSINE = (
+    -0.17
+)  # cosine between two normals, of about 100 degrees: below it nothing leads from the one over a border to the other
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,14 +68,20 @@ class GroundScale:
 
     @staticmethod
     def of(extent: float) -> GroundScale:
-        return GroundScale(NOISE * extent, LEAST * extent, FINE * extent, TOUCH * extent, 10 * FINE * extent)
+        return GroundScale(
+            RELATIVE_DISTANCE_NOISE * extent,
+            RELATIVE_MIN_EYE_HEIGHT * extent,
+            RELATIVE_COINCIDENT_DISTANCE * extent,
+            RELATIVE_TOUCH_DISTANCE * extent,
+            10 * RELATIVE_COINCIDENT_DISTANCE * extent,
+        )
 
-    def lengths(self) -> Lengths:
+    def lengths(self) -> LengthTolerances:
         """Those that kernels read."""
-        return Lengths(self.least, self.fine, self.under, self.touch)
+        return LengthTolerances(self.least, self.fine, self.under, self.touch)
 
 
-class Stance(NamedTuple):
+class SurfaceStance(NamedTuple):
     """An agent's position, local up direction and direction of travel."""
 
     place: Vec3
@@ -67,17 +89,17 @@ class Stance(NamedTuple):
     direction: Vec3
 
 
-class Sight(NamedTuple):
+class SurfaceSight(NamedTuple):
     """A visible face (-1 for none), weights, distance at eye level, direction of view, and eye height."""
 
     face: I64
-    weights: Weights
+    weights: TriangleWeights
     distance: F64
     towards: Vec3
     eye: F64
 
 
-class Border(NamedTuple):
+class BorderFrame(NamedTuple):
     """The face and side that an agent leaves over a border, and the local up direction."""
 
     face: I64
@@ -86,53 +108,59 @@ class Border(NamedTuple):
 
 
 @called
-def find_piece_ahead(table: Array1[F64], around: Surroundings, body: F64, walker: Walker, left: F64, length: F64) -> Landing:
+def find_piece_ahead(
+    table: Array1[F64], around: NearbySurfaces, body: F64, walker: FaceWalker, left: F64, length: F64
+) -> SurfaceLanding:
     """Return another piece of surface within the path, seen from slightly above the ground. If the agent's own piece hides it, it
     is searched from a minimal height, because feet would pass under the own piece."""
     pieces, boxes, face_list, f = around.sides.piece, around.boxes, around.face_list, walker.face
     least, fine = around.lengths.least, around.lengths.fine
     ground = stance_of(table, walker)
     place, _, direction = ground
-    high = fmax(fmin(LIFT * body, left / STEEPEST), least)
+    high = fmax(fmin(EYE_HEIGHT_PER_BODY * body, left / MIN_LOOK_AHEAD_FACTOR), least)
     n = gather_faces(pieces, boxes, place, plus(place, times(direction, length)), high + 2 * fine, -1, pieces[f], face_list)
     if n == 0:
-        return Landing(-1, (0.0, 0.0), 1.0, length, 0.0, False)
+        return SurfaceLanding(-1, (0.0, 0.0), 1.0, length, 0.0, False)
     face, weights, distance, towards, eye = _look_ahead(table, around, n, ground, length, high)
     if face < 0:
-        return Landing(face, (0.0, 0.0), 1.0, length, 0.0, False)
+        return SurfaceLanding(face, (0.0, 0.0), 1.0, length, 0.0, False)
     if _is_hidden(table, around, f, ground, length, eye, towards):
         n = gather_faces(pieces, boxes, place, plus(place, times(direction, length)), high + 2 * fine, -1, pieces[f], face_list)
         face, weights, distance, towards, eye = _look_ahead(table, around, n, ground, length, least)
         if face < 0:
-            return Landing(face, (0.0, 0.0), 1.0, length, 0.0, False)
+            return SurfaceLanding(face, (0.0, 0.0), 1.0, length, 0.0, False)
     weights = clamp_weights(weights[0] + 0.0, weights[1] + 0.0)
-    return Landing(
+    return SurfaceLanding(
         face, weights, _approached_side(table, face, towards), min(np.sqrt(distance * distance + eye * eye), left), 0.0, False
     )
 
 
 @called
-def _look_ahead(table: Array1[F64], around: Surroundings, n: I64, ground: Stance, length: F64, high: F64) -> Sight:
+def _look_ahead(
+    table: Array1[F64], around: NearbySurfaces, n: I64, ground: SurfaceStance, length: F64, high: F64
+) -> SurfaceSight:
     """Return another piece within the path, seen from height `high`, or from half the height of a low ceiling. If there is none,
     search at the path's end between that eye and the ground."""
     boxes, face_list, fine, under = around.boxes, around.face_list, around.lengths.fine, around.lengths.under
     place, up, direction = ground
     roof, part, _ = first_hit(table, boxes, face_list, n, place, times(up, high), fine)
     # What shows its back a grain above the agent is below it: feet may be that far in the ground that they climb.
-    if roof >= 0 and (dot(at(table, WIDTH * roof + NORMAL), up) < 0 or high * part > under):
+    if roof >= 0 and (dot(at(table, ROW_FLOATS * roof + NORMAL_OFFSET), up) < 0 or high * part > under):
         high = high * part / 2
     eye, step = plus(place, times(up, high)), times(direction, length)
     face, part, weights = first_hit(table, boxes, face_list, n, eye, step, fine)
     if face >= 0:
-        return Sight(face, weights, min(part, 1.0) * length, direction, high)
+        return SurfaceSight(face, weights, min(part, 1.0) * length, direction, high)
     # What has come between the eye and the ground is below the next eye, that of the face round the edge or of the next step.
     down = times(up, -high)
     face, _, weights = first_hit(table, boxes, face_list, n, plus(eye, step), down, 0.0)
-    return Sight(face, weights, length, down, high)
+    return SurfaceSight(face, weights, length, down, high)
 
 
 @called
-def _is_hidden(table: Array1[F64], around: Surroundings, f: I64, ground: Stance, length: F64, high: F64, towards: Vec3) -> BOOL:
+def _is_hidden(
+    table: Array1[F64], around: NearbySurfaces, f: I64, ground: SurfaceStance, length: F64, high: F64, towards: Vec3
+) -> BOOL:
     """Return whether the agent's own piece hides what is seen from eye height `high`."""
     pieces, boxes, face_list, fine = around.sides.piece, around.boxes, around.face_list, around.lengths.fine
     place, up, direction = ground
@@ -152,7 +180,7 @@ def _is_hidden(table: Array1[F64], around: Surroundings, f: I64, ground: Stance,
 
 
 @called
-def look_beyond_border(table: Array1[F64], around: Surroundings, body: F64, edge: I64, walker: Walker) -> Landing:
+def look_beyond_border(table: Array1[F64], around: NearbySurfaces, body: F64, edge: I64, walker: FaceWalker) -> SurfaceLanding:
     """Find the landing beyond an open border where an agent stands: the first hit of a search path. The path goes up from the
     face, out over the border and down beyond it. It then returns from below, first at a small and then at a larger depth. Returns
     the face to step onto, the distance at its level, and the height of that level.
@@ -161,24 +189,24 @@ def look_beyond_border(table: Array1[F64], around: Surroundings, body: F64, edge
     anything behind a sheet. The path extends the width of the gap on both sides of the border."""
     sides, boxes, face_list, f = around.sides, around.boxes, around.face_list, walker.face
     pieces, least, fine = sides.piece, around.lengths.least, around.lengths.fine
-    row = WIDTH * f
-    place, up = position_on_face(table, row, walker.weights, walker.side), times(at(table, row + NORMAL), walker.side)
-    border = Border(f, walker.side, up)
-    along = row + EDGES + 4 * edge
-    out = _in_space(table, row, (table[along + EDGE_S], -table[along + EDGE_C]))
-    body = fmax(body, least / LIFT)
-    gap, high = GAP * body, HIGH * body
+    row = ROW_FLOATS * f
+    place, up = position_on_face(table, row, walker.weights, walker.side), times(at(table, row + NORMAL_OFFSET), walker.side)
+    border = BorderFrame(f, walker.side, up)
+    along = row + EDGES_OFFSET + 4 * edge
+    out = _in_space(table, row, (table[along + EDGE_SINE], -table[along + EDGE_COSINE]))
+    body = fmax(body, least / EYE_HEIGHT_PER_BODY)
+    gap, high = BORDER_GAP_PER_BODY * body, BORDER_RAY_HEIGHT_PER_BODY * body
     most, across = high, times(out, gap)
     lift = times(up, high)
     n = gather_faces(pieces, boxes, plus(place, lift), minus(place, lift), gap + 4 * fine, f, -1, face_list)
     if n == 0:
-        return Landing(-1, (0.0, 0.0), 1.0, 0.0, 0.0, False)
+        return SurfaceLanding(-1, (0.0, 0.0), 1.0, 0.0, 0.0, False)
     hair = times(out, 2 * fine)  # an offset, beside a border that ends or begins exactly above or below this one
     roof, part, _ = first_hit(table, boxes, face_list, n, plus(minus(place, hair), times(up, fine)), times(up, high - fine), 0.0)
     if roof >= 0:
         high = (fine + part * (high - fine)) / 2
     if first_hit(table, boxes, face_list, n, plus(place, times(up, high)), across, 0.0).face >= 0:
-        high = min(high, LIFT * body)
+        high = min(high, EYE_HEIGHT_PER_BODY * body)
         face, part, weights = first_hit(table, boxes, face_list, n, plus(place, times(up, high)), across, 0.0)
         if face >= 0:
             distance = gap * min(part, 1.0)
@@ -192,13 +220,17 @@ def look_beyond_border(table: Array1[F64], around: Surroundings, body: F64, edge
         rise = high - part * (high + most)
         if _may_step(table, sides, border, face, towards):
             # Onto the point of the face that is nearest to a place over the border no lower than its plane there.
-            face_row = WIDTH * face
-            normal, corner = at(table, face_row + NORMAL), at(table, face_row + CORNER)
+            face_row = ROW_FLOATS * face
+            normal, corner = at(table, face_row + NORMAL_OFFSET), at(table, face_row + CORNER_OFFSET)
             plane = dot(minus(corner, place), normal) / dot(up, normal)
             height = min(plane, high) if plane > rise else rise
             if abs(height) <= gap:
                 height = 0.0
-            above, edge1, edge2 = plus(place, times(up, height)), at(table, face_row + EDGE1), at(table, face_row + EDGE2)
+            above, edge1, edge2 = (
+                plus(place, times(up, height)),
+                at(table, face_row + EDGE1_OFFSET),
+                at(table, face_row + EDGE2_OFFSET),
+            )
             b1, b2, away = nearest_weights(edge1, edge2, minus(above, corner))
             onto = minus(plus(plus(corner, times(edge1, b1)), times(edge2, b2)), above)
             rise, distance, weights = height, away, (b1, b2)
@@ -209,14 +241,14 @@ def look_beyond_border(table: Array1[F64], around: Surroundings, body: F64, edge
             face = -1
     if face < 0:
         lowest, towards = rise, times(out, -2 * gap)
-        for depth in (GAP * body, DEPTH * body):
+        for depth in (BORDER_GAP_PER_BODY * body, BORDER_RAY_DEPTH_PER_BODY * body):
             if lowest < -depth:
                 face, part, weights = first_hit(table, boxes, face_list, n, minus(over, times(up, depth)), towards, 0.0)
                 if face >= 0:
                     rise, distance = -depth, abs(gap - part * (2 * gap))
                     break
     if face < 0 or not _may_step(table, sides, border, face, towards):
-        return Landing(-1, (0.0, 0.0), 1.0, 0.0, 0.0, False)
+        return SurfaceLanding(-1, (0.0, 0.0), 1.0, 0.0, 0.0, False)
     # Down at the border itself, where what was met may be met sooner; straight across to what is near.
     if rise < -gap:
         fall = times(up, rise + fine)
@@ -230,64 +262,75 @@ def look_beyond_border(table: Array1[F64], around: Surroundings, body: F64, edge
 
 
 @inlined
-def turn_to_face(table: Array1[F64], walker: Walker, to: I64, to_side: F64) -> tuple[Direction, Direction]:
+def turn_to_face(table: Array1[F64], walker: FaceWalker, to: I64, to_side: F64) -> tuple[FaceDirection, FaceDirection]:
     """Return direction and heading in the frame of the face `to`, rotated with the normal."""
-    row, other_row = WIDTH * walker.face, WIDTH * to
-    old_normal, new_normal = times(at(table, row + NORMAL), walker.side), times(at(table, other_row + NORMAL), to_side)
+    row, other_row = ROW_FLOATS * walker.face, ROW_FLOATS * to
+    old_normal, new_normal = (
+        times(at(table, row + NORMAL_OFFSET), walker.side),
+        times(at(table, other_row + NORMAL_OFFSET), to_side),
+    )
     direction = _in_space(table, row, walker.direction)
     new_direction = turned(direction, old_normal, new_normal, direction)
     heading = turned(_in_space(table, row, walker.heading), old_normal, new_normal, direction)
-    axis1, axis2 = at(table, other_row + AXIS1), at(table, other_row + AXIS2)
+    axis1, axis2 = at(table, other_row + AXIS1_OFFSET), at(table, other_row + AXIS2_OFFSET)
     return unit_or_first_axis(dot(axis1, new_direction), dot(axis2, new_direction)), unit_or_first_axis(
         dot(axis1, heading), dot(axis2, heading)
     )
 
 
 @inlined
-def stance_of(table: Array1[F64], walker: Walker) -> Stance:
+def stance_of(table: Array1[F64], walker: FaceWalker) -> SurfaceStance:
     """Where a walker is."""
-    row, side = WIDTH * walker.face, walker.side
+    row, side = ROW_FLOATS * walker.face, walker.side
     place = position_on_face(table, row, walker.weights, side)
-    return Stance(place, times(at(table, row + NORMAL), side), _in_space(table, row, walker.direction))
+    return SurfaceStance(place, times(at(table, row + NORMAL_OFFSET), side), _in_space(table, row, walker.direction))
 
 
 @inlined
-def position_on_face(table: Array1[F64], row: I64, weights: Weights, side: F64) -> Vec3:
+def position_on_face(table: Array1[F64], row: I64, weights: TriangleWeights, side: F64) -> Vec3:
     """Place on a face."""
     return plus(
-        plus(at(table, row + CORNER), times(at(table, row + EDGE1), weights[0])), times(at(table, row + EDGE2), weights[1])
+        plus(at(table, row + CORNER_OFFSET), times(at(table, row + EDGE1_OFFSET), weights[0])),
+        times(at(table, row + EDGE2_OFFSET), weights[1]),
     )
 
 
 @inlined
-def _in_space(table: Array1[F64], row: I64, direction: Direction) -> Vec3:
-    return plus(times(at(table, row + AXIS1), direction[0]), times(at(table, row + AXIS2), direction[1]))
+def _in_space(table: Array1[F64], row: I64, direction: FaceDirection) -> Vec3:
+    return plus(times(at(table, row + AXIS1_OFFSET), direction[0]), times(at(table, row + AXIS2_OFFSET), direction[1]))
 
 
 @inlined
 def _approached_side(table: Array1[F64], face: I64, towards: Vec3) -> F64:
     """Return the side of a face to walk on: the side that a path came from."""
-    return -1.0 if dot(at(table, WIDTH * face + NORMAL), towards) > 0 else 1.0
+    return -1.0 if dot(at(table, ROW_FLOATS * face + NORMAL_OFFSET), towards) > 0 else 1.0
 
 
 @called
-def _may_step(table: Array1[F64], sides: Sides, border: Border, face: I64, towards: Vec3) -> BOOL:
+def _may_step(table: Array1[F64], sides: SideGroups, border: BorderFrame, face: I64, towards: Vec3) -> BOOL:
     """Return whether an agent may step over a border to a face. It may not step to the other side of the surface it walks on, nor
     to a face that turns back below it."""
     pieces, side_groups = sides
     to_side = _approached_side(table, face, towards)
     own_side, other = 1 if border.side < 0 else 0, 1 if to_side < 0 else 0
     alike = pieces[border.face] != pieces[face] or side_groups[own_side, border.face] == side_groups[other, face]
-    return alike and dot(times(at(table, WIDTH * face + NORMAL), to_side), border.up) > TURNED
+    return alike and dot(times(at(table, ROW_FLOATS * face + NORMAL_OFFSET), to_side), border.up) > MIN_NORMALS_COSINE
 
 
 @called
 def _step_landing(
-    table: Array1[F64], sides: Sides, border: Border, face: I64, weights: Weights, towards: Vec3, distance: F64, rise: F64
-) -> Landing:
+    table: Array1[F64],
+    sides: SideGroups,
+    border: BorderFrame,
+    face: I64,
+    weights: TriangleWeights,
+    towards: Vec3,
+    distance: F64,
+    rise: F64,
+) -> SurfaceLanding:
     """What `beyond` gives, if one may step there."""
     if not _may_step(table, sides, border, face, towards):
-        return Landing(-1, (0.0, 0.0), 1.0, 0.0, 0.0, False)
-    return Landing(
+        return SurfaceLanding(-1, (0.0, 0.0), 1.0, 0.0, 0.0, False)
+    return SurfaceLanding(
         face, clamp_weights(weights[0] + 0.0, weights[1] + 0.0), _approached_side(table, face, towards), distance, rise, False
     )

@@ -9,7 +9,7 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl.ground.mesh.self_cuts import Cuts, find_cuts
+from antdsl.ground.mesh.self_cuts import SelfCuts, find_cuts
 from antdsl.numerics import elementary, stored_tables
 from antdsl.numerics.vectors import dot
 from antdsl.scene.geometry.live_faces import component_numbers, corner_numbers, live_faces
@@ -18,16 +18,18 @@ Floats = NDArray[np.float64]
 Ints = NDArray[np.int32]
 Index = NDArray[np.int64]
 
-_THROUGH = 1e-9  # of the extent: what comes nearer to a face touches it
-_NO_WIDTH = 1e12  # weights gained by a mm across a face that has none
-_CREASE = np.sqrt(0.5)  # cosine of 45 degrees: faces meeting more sharply than this are not smoothed into each other
+_RELATIVE_TOUCH_DISTANCE = 1e-9  # of the extent: what comes nearer to a face touches it
+_DEGENERATE_RATE = 1e12  # weights gained by a mm across a face that has none
+_CREASE_COSINE = np.sqrt(0.5)  # cosine of 45 degrees: faces meeting more sharply than this are not smoothed into each other
 
 NO_LINK = -1
-_FLOATS = tuple(["corner", "edge1", "edge2", "normal", "axis1", "axis2", "rate1", "rate2", "shear", "edge_c", "edge_s", "smooth"])
+_FLOAT_COLUMNS = tuple(
+    ["corner", "edge1", "edge2", "normal", "axis1", "axis2", "rate1", "rate2", "shear", "edge_c", "edge_s", "smooth"]
+)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Topology:
+class MeshTopology:
     """Tables over all faces. Vectors are (3, m), so that each component is contiguous.
 
     A point of face f is `corner + b1 * edge1 + b2 * edge2`. `axis1 axis2 normal` is the face's frame; a direction (c, s) in it
@@ -51,7 +53,7 @@ class Topology:
     link: Ints
     piece: Ints
     pieces: int
-    cuts: Cuts  # which faces of a piece cut each other
+    cuts: SelfCuts  # which faces of a piece cut each other
     way: Ints  # (2, m): which sides of faces, 0 that of the normal, may be come to from each other in their piece
     forked: bool  # whether any edge leads on differently on its two sides, being of more than two faces
     smooth: Floats  # (9, m): unit normal at corner 0, 1, 2
@@ -72,19 +74,19 @@ class Topology:
         total = np.maximum(b1 + b2, 1.0)
         return b1 / total, b2 / total
 
-    def copy(self) -> Topology:
+    def copy(self) -> MeshTopology:
         """Return a copy; a change of its shape does not change this one."""
-        return replace(self, **{name: getattr(self, name).copy() for name in _FLOATS})
+        return replace(self, **{name: getattr(self, name).copy() for name in _FLOAT_COLUMNS})
 
 
-def build_topology(vertices: Floats, faces: Ints, mesh: Ints, extent: float) -> Topology:
+def build_topology(vertices: Floats, faces: Ints, mesh: Ints, extent: float) -> MeshTopology:
     """Return tables for faces; `mesh` int32[m] is the mesh of each. Corners are joined within a mesh only. The tables are stored
     for other runs."""
     inputs = (vertices, faces, mesh, extent)
     tables = stored_tables.get_or_compute("topology", len(faces), inputs, partial(_build_tables, *inputs))
-    cut = Cuts(tables.pop("first_cut"), tables.pop("cut_by"))
+    cut = SelfCuts(tables.pop("first_cut"), tables.pop("cut_by"))
     link, piece = tables["link"], tables["piece"]
-    return Topology(**tables, pieces=int(piece.max(initial=-1)) + 1, forked=bool((link[0] != link[1]).any()), cuts=cut)
+    return MeshTopology(**tables, pieces=int(piece.max(initial=-1)) + 1, forked=bool((link[0] != link[1]).any()), cuts=cut)
 
 
 def _build_tables(vertices: Floats, faces: Ints, mesh: Ints, extent: float) -> stored_tables.Tables:
@@ -94,7 +96,7 @@ def _build_tables(vertices: Floats, faces: Ints, mesh: Ints, extent: float) -> s
     live = live_faces(weld, a, b, c)
     link = _link_edges(vertices, faces, weld, live)
     piece = _number_pieces(link, live)
-    cut = find_cuts(vertices[faces], weld, piece, extent * _THROUGH)
+    cut = find_cuts(vertices[faces], weld, piece, extent * _RELATIVE_TOUCH_DISTANCE)
     side_groups, shape = _side_groups(link, live, piece), _shape_arrays(vertices, faces, weld, live)
     return {
         "live": live,
@@ -108,7 +110,7 @@ def _build_tables(vertices: Floats, faces: Ints, mesh: Ints, extent: float) -> s
     }
 
 
-def update_shape(table: Topology, vertices: Floats, faces: Ints, rows: slice) -> None:
+def update_shape(table: MeshTopology, vertices: Floats, faces: Ints, rows: slice) -> None:
     """Update the shape of the faces in `rows`, all those of one mesh, for moved vertices; changes the table's arrays.
     Connectivity stays. A face that lost its area keeps its normal and has zero width."""
     live, weld = table.live[rows], table.weld[rows]
@@ -116,7 +118,7 @@ def update_shape(table: Topology, vertices: Floats, faces: Ints, rows: slice) ->
     edges = {name: getattr(table, name).reshape(-1, 3)[rows].copy() for name in ("edge_c", "edge_s")}
     shape = _shape_arrays(vertices, faces[rows], weld - weld.min(initial=0), live)
     flat = live & ~(np.isfinite(shape["rate1"]) & np.isfinite(shape["rate2"]) & (shape["rate2"] > 0))
-    for name in _FLOATS:
+    for name in _FLOAT_COLUMNS:
         array = getattr(table, name)
         if name in ("edge_c", "edge_s"):
             array.reshape(-1, 3)[rows] = shape[name].reshape(-1, 3)
@@ -128,7 +130,7 @@ def update_shape(table: Topology, vertices: Floats, faces: Ints, rows: slice) ->
             getattr(table, name)[:, at] = old[:, flat]
         for name, old in edges.items():
             getattr(table, name).reshape(-1, 3)[at] = old[flat]
-        table.rate1[at], table.rate2[at], table.shear[at] = _NO_WIDTH, _NO_WIDTH, 0.0
+        table.rate1[at], table.rate2[at], table.shear[at] = _DEGENERATE_RATE, _DEGENERATE_RATE, 0.0
         table.smooth[:, at] = np.tile(table.normal[:, at], (3, 1))
 
 
@@ -148,7 +150,7 @@ def _shape_arrays(vertices: Floats, faces: Ints, weld: Ints, live: NDArray[np.bo
         frame = [np.ascontiguousarray(v.T) for v in (a, edge1, edge2, normal, axis1, axis2)]
         smooth = _smooth_normals(vertices, faces, weld, live, normal)
         rates = (1 / length1, 1 / y2, x2 / (y2 * length1))
-    return dict(zip(_FLOATS, (*frame, *rates, *direction, smooth), strict=True))
+    return dict(zip(_FLOAT_COLUMNS, (*frame, *rates, *direction, smooth), strict=True))
 
 
 def _length(v: Floats) -> Floats:
@@ -254,7 +256,7 @@ def _smooth_normals(vertices: Floats, faces: Ints, weld: Ints, live: NDArray[np.
     mean = total / np.maximum(_length(total), 1e-300)[:, None]
     smooth = mean[flat]
     # Half the crease's angle from the mean leaves any two faces there within the crease.
-    sharp = np.bincount(flat, (smooth * each).sum(axis=1) < np.sqrt((1 + _CREASE) / 2), points) > 0
+    sharp = np.bincount(flat, (smooth * each).sum(axis=1) < np.sqrt((1 + _CREASE_COSINE) / 2), points) > 0
     slow = np.flatnonzero(sharp[flat])
     if slow.size:
         slow = slow[np.argsort(flat[slow], kind="stable")]
@@ -271,7 +273,7 @@ def _crease_normals(corner: NDArray[np.int64], point: Ints, weight: Floats, norm
     step = np.arange(one.size) - np.repeat(np.cumsum(count) - count, count)
     other = corner[begin[one] + step]
     cosine = (normal[corner[one]] * normal[other]).sum(axis=1)
-    share = np.where(np.abs(cosine) >= _CREASE, np.sign(cosine) * weight[other], 0.0)
+    share = np.where(np.abs(cosine) >= _CREASE_COSINE, np.sign(cosine) * weight[other], 0.0)
     total: Floats = np.stack([np.bincount(one, share * normal[other][:, axis], corner.size) for axis in range(3)], axis=1)
     size = _length(total)
     return np.where(size[:, None] > 0, total / np.maximum(size, 1e-300)[:, None], normal[corner])

@@ -11,16 +11,16 @@ from numpy.typing import NDArray
 
 from antdsl.ground.mesh import walk as loop
 from antdsl.ground.mesh import walkers
-from antdsl.ground.mesh.boxes import Boxes
-from antdsl.ground.mesh.face_table import OPEN, mark_open, pack_rows, pack_table
+from antdsl.ground.mesh.boxes import FaceBoxes
+from antdsl.ground.mesh.face_table import OPEN_BORDER_LINK, mark_open, pack_rows, pack_table
 from antdsl.ground.mesh.open_borders import find_open_borders
-from antdsl.ground.mesh.surface_clearance import Clearances, FaceParts
-from antdsl.ground.mesh.surroundings import LIFT, GroundScale
-from antdsl.ground.mesh.topology import NO_LINK, Topology
+from antdsl.ground.mesh.surface_clearance import FaceParts, PieceClearances
+from antdsl.ground.mesh.surroundings import EYE_HEIGHT_PER_BODY, GroundScale
+from antdsl.ground.mesh.topology import NO_LINK, MeshTopology
 from antdsl.numerics import parallel
 
 Floats = NDArray[np.float64]
-_WAITING = 16  # agents that look for other surfaces, from which a thread pays
+_WAITING_PER_THREAD = 16  # agents that look for other surfaces, from which a thread pays
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,7 +42,7 @@ class WalkTables:
     """Input of the loops: the `table` of faces, the mesh int32[m] of each face, the first face of each mesh, and the `packed`
     table."""
 
-    def __init__(self, table: Topology, mesh: NDArray[np.int32], first: NDArray[np.int64]) -> None:
+    def __init__(self, table: MeshTopology, mesh: NDArray[np.int32], first: NDArray[np.int64]) -> None:
         self.table, self.first, self._mesh = table, first, mesh
         self.packed = pack_table(table, mesh)
         self._crowd: CrowdWalk | None = None  # that of the last step
@@ -56,12 +56,12 @@ class WalkTables:
             mark_open(self.packed, self._open, NO_LINK)
         pack_rows(self.packed, self.table, self._mesh, faces)
 
-    def over(self, parts: FaceParts, boxes: Boxes, scale: GroundScale) -> CrowdWalk:
+    def over(self, parts: FaceParts, boxes: FaceBoxes, scale: GroundScale) -> CrowdWalk:
         """Return the walk with `parts`, which have the distances to other surfaces."""
         return CrowdWalk(self, parts, boxes, scale)
 
     def crowd_walk_for(
-        self, clearances: Clearances, boxes: Boxes, scale: GroundScale, longest: float, widest: float
+        self, clearances: PieceClearances, boxes: FaceBoxes, scale: GroundScale, longest: float, widest: float
     ) -> CrowdWalk:
         """Return the walk for displacements up to `longest` and bodies up to `widest` (mm), with the distances to surrounding
         surfaces."""
@@ -70,8 +70,8 @@ class WalkTables:
             self._widest = 1.5 * widest
             mark_open(self.packed, self._open, NO_LINK)
             self._open = find_open_borders(self.table, boxes, scale, self._widest)
-            mark_open(self.packed, self._open, OPEN)
-        parts, known = clearances.parts_within(longest + LIFT * widest + 3 * scale.noise), self._crowd
+            mark_open(self.packed, self._open, OPEN_BORDER_LINK)
+        parts, known = clearances.parts_within(longest + EYE_HEIGHT_PER_BODY * widest + 3 * scale.noise), self._crowd
         if known is None or known.parts is not parts or known.boxes is not boxes or known.scale is not scale:
             known = self._crowd = self.over(parts, boxes, scale)
         return known
@@ -83,14 +83,14 @@ class CrowdWalk:
 
     walk: WalkTables
     parts: FaceParts
-    boxes: Boxes
+    boxes: FaceBoxes
     scale: GroundScale
 
-    def tables(self) -> tuple[walkers.Surface, walkers.Clearances]:
+    def tables(self) -> tuple[walkers.SurfaceTables, walkers.ClearanceTables]:
         """Return what kernels read: the faces, and the distances to other surfaces."""
         walk, parts = self.walk, self.parts
-        surface = walkers.Surface(walk.packed, walk.table.link, walk.table.forked, walk.first)
-        return surface, walkers.Clearances(parts.first, parts.count, parts.least, parts.reach, self.scale.noise)
+        surface = walkers.SurfaceTables(walk.packed, walk.table.link, walk.table.forked, walk.first)
+        return surface, walkers.ClearanceTables(parts.first, parts.count, parts.least, parts.reach, self.scale.noise)
 
     def step(
         self,
@@ -105,8 +105,8 @@ class CrowdWalk:
         at open borders."""
         n = body.size
         how = np.empty(n, np.uint8)
-        placed, moved, blocked = walkers.Placed._make(to[:5]), walkers.Moved._make(to[5:10]), to[10]
-        reals, wholes = np.empty((loop.REALS, n)), np.empty((loop.WHOLES, n), np.int64)
+        placed, moved, blocked = walkers.FootingArrays._make(to[:5]), walkers.PoseArrays._make(to[5:10]), to[10]
+        reals, wholes = np.empty((loop.FLOAT_ROW_COUNT, n)), np.empty((loop.INTEGER_ROW_COUNT, n), np.int64)
         work = partial(loop.walk_all, *self.tables(), at, body, vectors, reals, wholes, how, placed, moved)
         waiting = WaitingAgents.of(parallel.in_parts(work, n, threads), reals, wholes)
         self.continue_waiting(waiting, how, placed, moved, blocked, threads, straight)
@@ -115,23 +115,23 @@ class CrowdWalk:
         self,
         waiting: WaitingAgents,
         how: NDArray[np.uint8],
-        placed: walkers.Placed,
-        moved: walkers.Moved,
+        placed: walkers.FootingArrays,
+        moved: walkers.PoseArrays,
         blocked: NDArray[np.bool_],
         threads: int,
         straight: bool = False,
     ) -> NDArray[np.int64]:
         """Move waiting agents to footings `placed` and poses `moved`, and mark those that are `blocked`; return their rows."""
         reals, wholes = waiting.reals, waiting.wholes
-        rows: NDArray[np.int64] = wholes[loop.AGENT]
+        rows: NDArray[np.int64] = wholes[loop.AGENT_ROW]
         if not rows.size:
             return rows
         table, boxes, scale = self.walk.table, self.boxes, self.scale
-        sides, cuts = walkers.Sides(table.piece, table.way), walkers.Cuts(table.cuts.first, table.cuts.other)
+        sides, cuts = walkers.SideGroups(table.piece, table.way), walkers.CutTables(table.cuts.first, table.cuts.other)
         count = wholes.shape[1]
-        parts = parallel.parts(count, threads, _WAITING)
+        parts = parallel.parts(count, threads, _WAITING_PER_THREAD)
         buffer = np.empty(parts * boxes.order.size, np.int64)
-        known = walkers.Pieces(sides, cuts, boxes.tree(), scale.lengths(), buffer, parts, count)
+        known = walkers.PieceTables(sides, cuts, boxes.tree(), scale.lengths(), buffer, parts, count)
         further = partial(loop.continue_walks, *self.tables(), known, straight, reals, wholes, how, placed, moved, blocked)
-        parallel.in_parts(further, count, threads, _WAITING)
+        parallel.in_parts(further, count, threads, _WAITING_PER_THREAD)
         return rows

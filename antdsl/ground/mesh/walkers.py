@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from antdsl.ground.mesh.boxes import FaceList, Tree
+from antdsl.ground.mesh.boxes import BoxTree, FaceList
 from antdsl.machine_code.kernels import BOOL, F64, I32, I64, Array1, Array2
-from antdsl.numerics.kernel_vectors import Weights
+from antdsl.numerics.kernel_vectors import TriangleWeights
 
-Direction = tuple[F64, F64]  # cosine and sine in the frame of a face
+FaceDirection = tuple[F64, F64]  # cosine and sine in the frame of a face
 
 
-class Surface(NamedTuple):
+class SurfaceTables(NamedTuple):
     """Faces: their `packed` table, `link` and `forked` of the topology, and the first face of each mesh."""
 
     table: Array1[F64]
@@ -20,7 +20,7 @@ class Surface(NamedTuple):
     first: Array1[I64]
 
 
-class Clearances(NamedTuple):
+class ClearanceTables(NamedTuple):
     """Distances to other pieces, as in `Parts`. An agent stays away from pieces nearer than its path plus LIFT of its body plus
     `noise`."""
 
@@ -31,7 +31,7 @@ class Clearances(NamedTuple):
     noise: F64
 
 
-class Sides(NamedTuple):
+class SideGroups(NamedTuple):
     """`piece` and `side_groups` of the topology: the piece of each face, and a connectivity number for both sides of each
     face."""
 
@@ -39,14 +39,14 @@ class Sides(NamedTuple):
     side_groups: Array2[I32]
 
 
-class Cuts(NamedTuple):
+class CutTables(NamedTuple):
     """Faces of the same piece that cut each face: `others` from `first[face]` to `first[face + 1]` (exclusive)."""
 
     first: Array1[I64]
     others: Array1[I64]
 
 
-class Lengths(NamedTuple):
+class LengthTolerances(NamedTuple):
     """`least`, `fine`, `under` and `touch` of `GroundScale` (mm)."""
 
     least: F64
@@ -55,26 +55,26 @@ class Lengths(NamedTuple):
     touch: F64
 
 
-class Surroundings(NamedTuple):
+class NearbySurfaces(NamedTuple):
     """The data searched for other pieces, with a buffer for all faces."""
 
-    sides: Sides
-    boxes: Tree
-    lengths: Lengths
+    sides: SideGroups
+    boxes: BoxTree
+    lengths: LengthTolerances
     face_list: FaceList
 
 
-class Walker(NamedTuple):
+class FaceWalker(NamedTuple):
     """An agent on a side (1 or -1) of a face: the weights of its point, direction of travel and heading in the face's frame."""
 
     face: I64
-    weights: Weights
+    weights: TriangleWeights
     side: F64
-    direction: Direction
-    heading: Direction
+    direction: FaceDirection
+    heading: FaceDirection
 
 
-class Progress(NamedTuple):
+class WalkProgress(NamedTuple):
     """The distance an agent has left and has travelled (mm), and how many edges it has crossed."""
 
     left: F64
@@ -82,7 +82,7 @@ class Progress(NamedTuple):
     crossings: I64
 
 
-class Stop(NamedTuple):
+class WalkStop(NamedTuple):
     """Why a walk pauses (0: it does not), the edge and length of the stretch, and how many borders the agent has followed."""
 
     event: I64
@@ -91,32 +91,32 @@ class Stop(NamedTuple):
     hops: I64
 
 
-class Landing(NamedTuple):
+class SurfaceLanding(NamedTuple):
     """The face that an agent continues on (-1 for none): weights, side, the distance to it, its height, and whether the agent
     stops there."""
 
     face: I64
-    weights: Weights
+    weights: TriangleWeights
     side: F64
     distance: F64
     height: F64
     stops: BOOL
 
 
-class Pieces(NamedTuple):
+class PieceTables(NamedTuple):
     """The data searched for other pieces. `buffer` is a buffer of `buffer_count` parts, each for all faces; `count` is the number
     of agents."""
 
-    sides: Sides
-    cuts: Cuts
-    boxes: Tree
-    lengths: Lengths
+    sides: SideGroups
+    cuts: CutTables
+    boxes: BoxTree
+    lengths: LengthTolerances
     buffer: Array1[I64]
     buffer_count: I64
     count: I64
 
 
-class Placed(NamedTuple):
+class FootingArrays(NamedTuple):
     """Where agents stand: mesh, face, two weights and the height over it (mm)."""
 
     mesh: Array1[I32]
@@ -126,7 +126,7 @@ class Placed(NamedTuple):
     over: Array1[F64]
 
 
-class Moved(NamedTuple):
+class PoseArrays(NamedTuple):
     """Place, up, heading and direction (3, n), and how far agents have gone."""
 
     place: Array2[F64]
@@ -136,12 +136,12 @@ class Moved(NamedTuple):
     travelled: Array1[F64]
 
 
-class Walk(NamedTuple):
+class AgentWalk(NamedTuple):
     """An agent during a walk. `high` is the distance within which it looks for other surfaces, `over` that over its face, both on
     its side (mm)."""
 
     high: F64
     over: F64
-    walker: Walker
-    progress: Progress
-    stop: Stop
+    walker: FaceWalker
+    progress: WalkProgress
+    stop: WalkStop

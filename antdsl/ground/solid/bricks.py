@@ -14,10 +14,10 @@ from numpy.typing import NDArray
 Index = NDArray[np.int64]
 Distances = NDArray[np.float32]
 
-SIDE = 16  # nodes along the edge of a brick
-CUBE = SIDE**3
-AIR, SOLID = 0, 1  # slots that many bricks share
-STEPS = 256  # in which a voxel is filled
+BRICK_SIDE_NODES = 16  # nodes along the edge of a brick
+BRICK_NODES = BRICK_SIDE_NODES**3
+AIR_SLOT, SOLID_SLOT = 0, 1  # slots that many bricks share
+FILL_STEPS_PER_VOXEL = 256  # in which a voxel is filled
 MASK64 = (1 << 64) - 1
 
 
@@ -30,7 +30,7 @@ class UnusableMesh:
 
 
 @dataclass(slots=True)
-class Bricks:
+class BrickGrid:
     """Distances of a solid's nodes. Node (i, j, k) lies at `origin + (i, j, k) * voxel` and belongs to brick (i // 16, ...);
     `table` gives the slot of a brick.
 
@@ -55,12 +55,12 @@ class Bricks:
     @property
     def nodes(self) -> tuple[int, int, int]:
         a, b, c = self.shape
-        return a * SIDE, b * SIDE, c * SIDE
+        return a * BRICK_SIDE_NODES, b * BRICK_SIDE_NODES, c * BRICK_SIDE_NODES
 
     @property
     def step_volume(self) -> float:
         """Volume of one step, mm³, rounded to 16 binary digits: any number of steps times this volume is exact."""
-        fraction, exponent = np.frexp(self.voxel**3 / STEPS)
+        fraction, exponent = np.frexp(self.voxel**3 / FILL_STEPS_PER_VOXEL)
         return float(np.ldexp(np.round(np.ldexp(fraction, 16)), int(exponent) - 16))
 
     @property
@@ -70,14 +70,14 @@ class Bricks:
 
     def dense(self) -> NDArray[np.float32]:
         """The distances of all nodes, float32[x, y, z]."""
-        pool = self.values[: self.used * CUBE].reshape(-1, SIDE, SIDE, SIDE)
+        pool = self.values[: self.used * BRICK_NODES].reshape(-1, BRICK_SIDE_NODES, BRICK_SIDE_NODES, BRICK_SIDE_NODES)
         blocks = pool[self.table.reshape(self.shape)]
         return np.ascontiguousarray(blocks.transpose(0, 3, 1, 4, 2, 5).reshape(self.nodes))
 
     def record_start(self) -> None:
         """Measure the solid volume and store it as the start value."""
-        used = self.values[: self.used * CUBE]
-        filled = fill_steps(used, self.voxel).reshape(-1, CUBE).sum(axis=1, dtype=np.int64)
+        used = self.values[: self.used * BRICK_NODES]
+        filled = fill_steps(used, self.voxel).reshape(-1, BRICK_NODES).sum(axis=1, dtype=np.int64)
         self.steps = self.steps_at_start = int(filled.take(self.table).sum())
         self.fresh = np.zeros(self.table.size, bool)
         self.mark_fresh(np.flatnonzero(self.table >= 2))
@@ -91,21 +91,21 @@ class Bricks:
         for brick in bricks:
             if int(brick) not in self.touched:
                 slot = int(self.table[brick])
-                self.touched[int(brick)] = None if slot < 2 else self.values[slot * CUBE : (slot + 1) * CUBE].copy()
+                self.touched[int(brick)] = None if slot < 2 else self.values[slot * BRICK_NODES : (slot + 1) * BRICK_NODES].copy()
         if shared.size:
             self._grow(self.used + shared.size)
             slots = np.arange(self.used, self.used + shared.size)
-            pool = self.values.reshape(-1, CUBE)
+            pool = self.values.reshape(-1, BRICK_NODES)
             pool[slots] = pool[self.table[shared]]
             self.table[shared] = slots
             self.used += shared.size
         self.mark_fresh(bricks)
 
     def _grow(self, slots: int) -> None:
-        capacity = self.values.size // CUBE
+        capacity = self.values.size // BRICK_NODES
         if slots > capacity:
-            new_values = np.empty(max(slots, capacity + capacity // 4) * CUBE, np.float32)
-            new_values[: self.used * CUBE] = self.values[: self.used * CUBE]
+            new_values = np.empty(max(slots, capacity + capacity // 4) * BRICK_NODES, np.float32)
+            new_values[: self.used * BRICK_NODES] = self.values[: self.used * BRICK_NODES]
             self.values = new_values
 
     # ---- keeping
@@ -119,7 +119,7 @@ class Bricks:
         bricks = np.array(sorted(self.touched), np.int64)
         return {
             "bricks": bricks,
-            "values": self.values.reshape(-1, CUBE)[self.table[bricks]],
+            "values": self.values.reshape(-1, BRICK_NODES)[self.table[bricks]],
             "steps": np.array(self.steps, np.int64),
             "start": np.frombuffer(self.started, np.uint8).copy(),
         }
@@ -129,18 +129,18 @@ class Bricks:
         bricks, values, start = (np.asarray(arrays[name]) for name in ("bricks", "values", "start"))
         if start.tobytes() != self.started:
             raise ValueError("the solid is not made from the same mesh")
-        if values.shape != (len(bricks), CUBE) or values.dtype != np.float32 or not np.isfinite(values).all():
+        if values.shape != (len(bricks), BRICK_NODES) or values.dtype != np.float32 or not np.isfinite(values).all():
             raise ValueError("the bricks of the solid are damaged")
         if len(bricks) and not (bricks.min() >= 0 and bricks.max() < self.table.size and (np.diff(bricks) > 0).all()):
             raise ValueError("the bricks of the solid are damaged")
-        pool = self.values.reshape(-1, CUBE)
+        pool = self.values.reshape(-1, BRICK_NODES)
         for brick, was in self.touched.items():
-            pool[self.table[brick]] = pool[SOLID] if was is None else was
+            pool[self.table[brick]] = pool[SOLID_SLOT] if was is None else was
         self.mark_fresh(np.array(sorted(self.touched), np.int64))
         self.open(bricks.astype(np.int64))
-        pool = self.values.reshape(-1, CUBE)
+        pool = self.values.reshape(-1, BRICK_NODES)
         slots = self.table[bricks]
-        nodes = (bricks.astype(np.int64) << 12)[:, None] + np.arange(CUBE)
+        nodes = (bricks.astype(np.int64) << 12)[:, None] + np.arange(BRICK_NODES)
         self.mark = int((hash_nodes(nodes, values) - hash_nodes(nodes, pool[slots])).sum(dtype=np.uint64)) & MASK64
         pool[slots] = values
         self.touched = {brick: was for brick, was in self.touched.items() if brick in set(bricks.tolist())}
@@ -173,5 +173,7 @@ def hash_nodes(node: Index, distance: Distances) -> NDArray[np.uint64]:
 def fill_steps(distance: NDArray[np.float32], voxel: float) -> NDArray[np.int32]:
     """Return how full the voxels around nodes are, 0 .. 256: half at the surface, empty or full from half a voxel away."""
     part = np.float32(0.5) - distance * np.float32(1.0 / voxel)
-    steps: NDArray[np.int32] = np.round(np.clip(part, np.float32(0), np.float32(1)) * np.float32(STEPS)).astype(np.int32)
+    steps: NDArray[np.int32] = np.round(np.clip(part, np.float32(0), np.float32(1)) * np.float32(FILL_STEPS_PER_VOXEL)).astype(
+        np.int32
+    )
     return steps

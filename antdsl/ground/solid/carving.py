@@ -10,24 +10,28 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl.ground.solid.bricks import AIR, CUBE, MASK64, SIDE, STEPS, Bricks
+from antdsl.ground.solid.bricks import AIR_SLOT, BRICK_NODES, BRICK_SIDE_NODES, FILL_STEPS_PER_VOXEL, MASK64, BrickGrid
 from antdsl.machine_code.kernels import F32, F64, I32, I64, U32, U64, Array1, Array2, inlined, kernel
 
 Floats = NDArray[np.float64]
 Index = NDArray[np.int64]
 Distances = NDArray[np.float32]
-Pairs = tuple[Index, Distances, Index]  # as of Reached
+NodeChanges = tuple[Index, Distances, Index]  # as of Reached
 
-_GREAT = 24  # voxels that a ball reaches, above which it is dug brick by brick
+_LARGE_BALL_VOXELS = 24  # voxels that a ball reaches, above which it is dug brick by brick
 
 # Table, values, origin, voxel, shape, and the least and the greatest distance of the bricks
-Grid = tuple[Array1[I32], Array1[F32], Array1[F64], F64, tuple[I64, I64, I64], F64, F32]
-Balls = tuple[Array2[F64], Array1[F64]]  # centres and radii
-Changes = tuple[Array1[I64], Array1[F32], Array1[I64]]  # nodes, new distances, and the balls that they are of
+BrickTables = tuple[Array1[I32], Array1[F32], Array1[F64], F64, tuple[I64, I64, I64], F64, F32]
+BallArrays = tuple[Array2[F64], Array1[F64]]  # centres and radii
+ChangeArrays = tuple[Array1[I64], Array1[F32], Array1[I64]]  # nodes, new distances, and the balls that they are of
 
-_M1, _M2, _M3 = np.uint64(0x9E3779B97F4A7C15), np.uint64(0xBF58476D1CE4E5B9), np.uint64(0x94D049BB133111EB)
-_SCATTER = np.uint64(0x9E3779B97F4A7C15)
-_FULL = np.float32(STEPS)
+_HASH_MULTIPLIER1, _HASH_MULTIPLIER2, _HASH_MULTIPLIER3 = (
+    np.uint64(0x9E3779B97F4A7C15),
+    np.uint64(0xBF58476D1CE4E5B9),
+    np.uint64(0x94D049BB133111EB),
+)
+_SCATTER_MULTIPLIER = np.uint64(0x9E3779B97F4A7C15)
+_FULL_VOXEL_STEPS = np.float32(FILL_STEPS_PER_VOXEL)
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,7 +43,7 @@ class ChangedNodes:
     balls: Index
 
 
-def carve(bricks: Bricks, centres: Floats, radii: Floats, owners: Index) -> Floats:
+def carve(bricks: BrickGrid, centres: Floats, radii: Floats, owners: Index) -> Floats:
     """As `Volume.carve`."""
     centres, radii = np.asarray(centres, np.float64).reshape(-1, 3), np.asarray(radii, np.float64).reshape(-1)
     # The same whatever order the balls come in: at a tie the least owner, then the least place.
@@ -52,14 +56,14 @@ def carve(bricks: Bricks, centres: Floats, radii: Floats, owners: Index) -> Floa
         changed = np.zeros(bricks.table.size, bool)
         changed[brick] = True
         bricks.open(np.flatnonzero(changed))
-        at = (bricks.table.take(brick).astype(np.int64) << 12) + (reached.nodes & (CUBE - 1))
+        at = (bricks.table.take(brick).astype(np.int64) << 12) + (reached.nodes & (BRICK_NODES - 1))
         lost = _write_changes(bricks, at, reached, len(order))
         bricks.steps -= int(lost.sum())
         removed[order] = lost * bricks.step_volume
     return removed
 
 
-def _select_balls(bricks: Bricks, centres: Floats, radii: Floats) -> tuple[Index, Index]:
+def _select_balls(bricks: BrickGrid, centres: Floats, radii: Floats) -> tuple[Index, Index]:
     """Return the balls, ascending, that may reach into the grid, and the reach of each in voxels, rounded up."""
     local = (centres - bricks.origin) / bricks.voxel
     reach = (radii - bricks.least) / bricks.voxel
@@ -71,46 +75,47 @@ def _select_balls(bricks: Bricks, centres: Floats, radii: Floats) -> tuple[Index
     return rows, np.ceil(np.minimum(reach[rows], 2.0 * max(bricks.nodes))).astype(np.int64)
 
 
-def _find_changed_nodes(bricks: Bricks, centres: Floats, radii: Floats) -> ChangedNodes:
+def _find_changed_nodes(bricks: BrickGrid, centres: Floats, radii: Floats) -> ChangedNodes:
     rows, steps = _select_balls(bricks, centres, radii)
-    great = np.flatnonzero(steps > _GREAT)
+    great = np.flatnonzero(steps > _LARGE_BALL_VOXELS)
     parts = [_carve_large(bricks, centres, radii, int(ball)) for ball in rows[great]]
-    small = np.flatnonzero(steps <= _GREAT)
+    small = np.flatnonzero(steps <= _LARGE_BALL_VOXELS)
     parts.append(_carve_small(bricks, centres, radii, rows[small], steps[small]))
     nodes, values, balls = (np.concatenate(p) for p in zip(*parts, strict=True)) if len(parts) > 1 else parts[0]
     return ChangedNodes(nodes, values, balls)
 
 
-def _carve_large(bricks: Bricks, centres: Floats, radii: Floats, ball: int) -> Pairs:
+def _carve_large(bricks: BrickGrid, centres: Floats, radii: Floats, ball: int) -> NodeChanges:
     """Return the changes of one large ball, brick by brick, so that memory is needed for changed nodes only."""
     centre, radius = centres[ball], radii[ball]
     ends = []
     for axis in range(3):
         low, high = (
-            (centre[axis] + sign * (radius - bricks.least) - bricks.origin[axis]) / bricks.voxel / SIDE for sign in (-1, 1)
+            (centre[axis] + sign * (radius - bricks.least) - bricks.origin[axis]) / bricks.voxel / BRICK_SIDE_NODES
+            for sign in (-1, 1)
         )
         ends.append(np.arange(math.floor(max(low, 0.0)), math.floor(min(high, bricks.shape[axis] - 1.0)) + 1))
-    line = np.arange(SIDE)
+    line = np.arange(BRICK_SIDE_NODES)
     change_pairs = []
     for i, j, k in itertools.product(*ends):
         brick = (i * bricks.shape[1] + j) * bricks.shape[2] + k
         slot = int(bricks.table[brick])
-        if slot == AIR:
+        if slot == AIR_SLOT:
             continue
         squares = []
         for axis, b in enumerate((i, j, k)):
-            gap = (bricks.origin[axis] + (b * SIDE + line) * bricks.voxel) - centre[axis]
+            gap = (bricks.origin[axis] + (b * BRICK_SIDE_NODES + line) * bricks.voxel) - centre[axis]
             squares.append(gap * gap)
         away = ((squares[0][:, None, None] + squares[1][:, None]) + squares[2]).ravel()
         value = np.minimum((radius - np.sqrt(away)).astype(np.float32), np.float32(bricks.most))
-        changes = np.flatnonzero(value > bricks.values[slot * CUBE : (slot + 1) * CUBE])
-        change_pairs.append((brick * CUBE + changes, value[changes]))
+        changes = np.flatnonzero(value > bricks.values[slot * BRICK_NODES : (slot + 1) * BRICK_NODES])
+        change_pairs.append((brick * BRICK_NODES + changes, value[changes]))
     nodes = np.concatenate([np.empty(0, np.int64), *(n for n, _ in change_pairs)])
     values = np.concatenate([np.empty(0, np.float32), *(v for _, v in change_pairs)])
     return nodes, values, np.full(nodes.size, ball, np.int64)
 
 
-def _carve_small(bricks: Bricks, centres: Floats, radii: Floats, rows: Index, steps: Index) -> Pairs:
+def _carve_small(bricks: BrickGrid, centres: Floats, radii: Floats, rows: Index, steps: Index) -> NodeChanges:
     """What small balls change."""
     capacity = int(((2 * steps + 2) ** 3).sum())
     nodes, values, balls = np.empty(capacity, np.int64), np.empty(capacity, np.float32), np.empty(capacity, np.int64)
@@ -119,7 +124,7 @@ def _carve_small(bricks: Bricks, centres: Floats, radii: Floats, rows: Index, st
     return nodes[:count], values[:count], balls[:count]
 
 
-def _write_changes(bricks: Bricks, at: Index, reached: ChangedNodes, count: int) -> Index:
+def _write_changes(bricks: BrickGrid, at: Index, reached: ChangedNodes, count: int) -> Index:
     """Store the maximum of the new distances in each node. Return the volume steps that each ball removed."""
     old_values = bricks.values.take(at)
     lost = np.zeros(count, np.int64)
@@ -132,7 +137,7 @@ def _write_changes(bricks: Bricks, at: Index, reached: ChangedNodes, count: int)
 
 
 @kernel
-def find_changes(bricks: Grid, all_balls: Balls, rows: Array1[I64], steps: Array1[I64], changes: Changes) -> I64:
+def find_changes(bricks: BrickTables, all_balls: BallArrays, rows: Array1[I64], steps: Array1[I64], changes: ChangeArrays) -> I64:
     """Fill `changes` with the changes of the balls `rows`, each within `steps` voxels. Return their number."""
     table, values, origin, voxel, shape, least, most = bricks
     centres, radii = all_balls
@@ -178,7 +183,7 @@ def find_changes(bricks: Grid, all_balls: Balls, rows: Array1[I64], steps: Array
 def write_changes(
     values: Array1[F32],
     at: Array1[I64],
-    changes: Changes,
+    changes: ChangeArrays,
     old_values: Array1[F32],
     bits: tuple[Array1[U32], Array1[U32]],
     scale: F32,
@@ -194,7 +199,7 @@ def write_changes(
     news_bits, old_bits = bits
     capacity = best.size
     for row in range(at.size):
-        slot = np.int64((np.uint64(at[row]) * _SCATTER) >> np.uint64(32)) & (capacity - 1)
+        slot = np.int64((np.uint64(at[row]) * _SCATTER_MULTIPLIER) >> np.uint64(32)) & (capacity - 1)
         while best[slot] >= 0 and at[best[slot]] != at[row]:
             slot = (slot + 1) & (capacity - 1)
         now = best[slot]
@@ -215,14 +220,14 @@ def _fill_step(distance: F32, scale: F32) -> I64:
     """As `bricks.fill_steps`, of one node."""
     part = np.float32(0.5) - distance * scale
     part = min(max(part, np.float32(0)), np.float32(1))
-    return np.int64(np.rint(part * _FULL))
+    return np.int64(np.rint(part * _FULL_VOXEL_STEPS))
 
 
 @inlined
 def _hash_node(node: I64, bits: I64) -> U64:
     """As `bricks.mixed`, of one node."""
     x = (np.uint64(node) << np.uint64(32)) ^ np.uint64(bits)
-    x *= _M1
-    x = (x ^ (x >> np.uint64(30))) * _M2
-    x = (x ^ (x >> np.uint64(27))) * _M3
+    x *= _HASH_MULTIPLIER1
+    x = (x ^ (x >> np.uint64(30))) * _HASH_MULTIPLIER2
+    x = (x ^ (x >> np.uint64(27))) * _HASH_MULTIPLIER3
     return x ^ (x >> np.uint64(31))

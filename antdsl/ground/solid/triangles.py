@@ -9,16 +9,18 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl.ground.solid.bricks import CUBE
+from antdsl.ground.solid.bricks import BRICK_NODES
 
 Floats = NDArray[np.float64]
 Index = NDArray[np.int64]
 Distances = NDArray[np.float32]
 
-EXACT = 1.75  # voxels up to which a node is measured to all triangles: corners of a cell that the surface crosses are nearer
-FAR = np.float32(1e9)  # of nodes beyond the band
-_PIECE = 1 << 15  # pairs of node and triangle measured together, so that they stay in the processor's cache
-_STEPS = ((1, 0, 0), (-1, 0, 0), (0, 1, 0), (0, -1, 0), (0, 0, 1), (0, 0, -1))
+EXACT_DISTANCE_VOXELS = (
+    1.75  # voxels up to which a node is measured to all triangles: corners of a cell that the surface crosses are nearer
+)
+FAR_DISTANCE = np.float32(1e9)  # of nodes beyond the band
+_PAIRS_PER_CHUNK = 1 << 15  # pairs of node and triangle measured together, so that they stay in the processor's cache
+_NEIGHBOUR_STEPS = ((1, 0, 0), (-1, 0, 0), (0, 1, 0), (0, -1, 0), (0, 0, 1), (0, 0, -1))
 
 
 def distances(shape: tuple[int, int, int], near: Index, corners: Floats, band: float) -> Distances:
@@ -34,8 +36,10 @@ def distances(shape: tuple[int, int, int], near: Index, corners: Floats, band: f
     while front.size:
         front = front[field.away[front] < band]
         around = field.columns(front)
-        nodes = [np.concatenate(parts) for parts in zip(*(_shift_columns(around, step) for step in _STEPS), strict=True)]
-        field.measure(nodes, np.tile(field.nearest[front], len(_STEPS)), True)
+        nodes = [
+            np.concatenate(parts) for parts in zip(*(_shift_columns(around, step) for step in _NEIGHBOUR_STEPS), strict=True)
+        ]
+        field.measure(nodes, np.tile(field.nearest[front], len(_NEIGHBOUR_STEPS)), True)
         front = field.take_nearer()
     return field.away
 
@@ -55,10 +59,10 @@ def nodes_beside(corners: Floats) -> Iterator[tuple[list[Index], Index]]:
         which = np.flatnonzero(axes == axis)
         others = [k for k in range(3) if k != axis]
         flat = corners[which][:, :, others]
-        low = np.ceil(flat.min(axis=1) - EXACT).astype(np.int64)
-        count = np.floor(flat.max(axis=1) + EXACT).astype(np.int64) - low + 1
+        low = np.ceil(flat.min(axis=1) - EXACT_DISTANCE_VOXELS).astype(np.int64)
+        count = np.floor(flat.max(axis=1) + EXACT_DISTANCE_VOXELS).astype(np.int64) - low + 1
         slope = normal[which]
-        for t, u, v in boxes(low, count, _PIECE):
+        for t, u, v in boxes(low, count, _PAIRS_PER_CHUNK):
             near = _select_over(flat, t, u, v)
             t, u, v = t[near], u[near], v[near]
             first = corners[which[t], 0]
@@ -68,7 +72,7 @@ def nodes_beside(corners: Floats) -> Iterator[tuple[list[Index], Index]]:
                 / slope[t, axis]
             )
             lean = np.abs(slope[t, axis]) / np.sqrt((slope[t] ** 2).sum(axis=1))
-            reach = EXACT / lean
+            reach = EXACT_DISTANCE_VOXELS / lean
             lowest = np.ceil(level - reach).astype(np.int64)
             count_up = np.maximum(np.floor(level + reach).astype(np.int64) - lowest + 1, 0)
             which_line = np.repeat(np.arange(t.size), count_up)
@@ -87,7 +91,7 @@ def _select_over(flat: Floats, t: Index, u: Index, v: Index) -> Index:
     )
     for i, j in ((0, 1), (1, 2), (2, 0)):
         eu, ev = (flat[:, j, 0] - flat[:, i, 0]) * turn, (flat[:, j, 1] - flat[:, i, 1]) * turn
-        least = (eu * flat[:, i, 1] - ev * flat[:, i, 0]) - EXACT * 1.001 * np.sqrt(eu * eu + ev * ev)
+        least = (eu * flat[:, i, 1] - ev * flat[:, i, 0]) - EXACT_DISTANCE_VOXELS * 1.001 * np.sqrt(eu * eu + ev * ev)
         inside &= eu.take(t) * v - ev.take(t) * u >= least.take(t)
     return np.flatnonzero(inside)
 
@@ -101,9 +105,9 @@ class _DistanceField:
         self._first = np.full(math.prod(shape), -1, np.int32)  # place of each brick's nodes, by 4096
         self._first[near] = np.arange(near.size)
         self._triangles = _triangle_measures(corners)
-        self._nearer = np.zeros(near.size * CUBE, bool)
-        self.away: Distances = np.full(near.size * CUBE, FAR, np.float32)
-        self.nearest = np.full(near.size * CUBE, -1, np.int32)
+        self._nearer = np.zeros(near.size * BRICK_NODES, bool)
+        self.away: Distances = np.full(near.size * BRICK_NODES, FAR_DISTANCE, np.float32)
+        self.nearest = np.full(near.size * BRICK_NODES, -1, np.int32)
 
     def take_nearer(self) -> Index:
         """Return the places that became nearer since the last call."""
@@ -113,7 +117,7 @@ class _DistanceField:
 
     def columns(self, at: Index) -> list[Index]:
         """Which nodes places in the arrays stand for."""
-        local = at & (CUBE - 1)
+        local = at & (BRICK_NODES - 1)
         brick = np.unravel_index(self._near[at >> 12], self._shape)
         within = (local >> 8, (local >> 4) & 15, local & 15)
         return [(b << 4) + w for b, w in zip(brick, within, strict=True)]
@@ -121,8 +125,8 @@ class _DistanceField:
     def measure(self, nodes: list[Index], triangle: NDArray[np.integer], new: bool) -> None:
         """Measure each node to its triangle; with `new`, only the nodes without a distance."""
         parts = [
-            self._nearer_distances([n[a : a + _PIECE] for n in nodes], triangle[a : a + _PIECE], new)
-            for a in range(0, len(triangle), _PIECE)
+            self._nearer_distances([n[a : a + _PAIRS_PER_CHUNK] for n in nodes], triangle[a : a + _PAIRS_PER_CHUNK], new)
+            for a in range(0, len(triangle), _PAIRS_PER_CHUNK)
         ]
         for at, away, name in parts:
             nearer = np.flatnonzero(away < self.away.take(at))
@@ -143,13 +147,13 @@ class _DistanceField:
         at = (slot << 12) + (((x & 15) << 8) + ((y & 15) << 4) + (z & 15))
         if new:
             safe_index = np.where(inside, at, 0)
-            inside &= (self.away.take(safe_index) > EXACT) & (self.nearest.take(safe_index) != triangle)
+            inside &= (self.away.take(safe_index) > EXACT_DISTANCE_VOXELS) & (self.nearest.take(safe_index) != triangle)
         rows = np.flatnonzero(inside)
         at, triangle = at[rows], triangle[rows]
         away = _distance_to_triangle(self._triangles, triangle, [x[rows], y[rows], z[rows]])
         if not new:
             # Beyond that, another triangle that was not tested may be nearer.
-            sure = np.flatnonzero(away <= EXACT)
+            sure = np.flatnonzero(away <= EXACT_DISTANCE_VOXELS)
             at, away, triangle = at[sure], away[sure], triangle[sure]
         return at, away, triangle
 

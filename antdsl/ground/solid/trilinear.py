@@ -11,40 +11,42 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl.ground.solid.bricks import Bricks
+from antdsl.ground.solid.bricks import BrickGrid
 from antdsl.machine_code.kernels import BOOL, F32, F64, I32, I64, Array1, Array2, called, inlined, kernel
 from antdsl.numerics.kernel_vectors import Vec3, dot
 
-CLOSE = 1e-5  # voxels: as near as float32 nodes make sense
-SETTLING = 60
-FLAT = 0.01  # square of a gradient that says nothing about the way
+SURFACE_TOLERANCE_VOXELS = 1e-5  # voxels: as near as float32 nodes make sense
+MAX_PROJECTION_STEPS = 60
+MIN_SQUARED_GRADIENT = 0.01  # square of a gradient that says nothing about the way
 Floats = NDArray[np.float64]
-Grid = tuple[Array1[I32], Array1[F32], F64, F64, F64, F64, I64, I64, I64]  # table, values, origin, voxel and shape of bricks
-Columns64 = tuple[Array1[F64], Array1[F64], Array1[F64]]
+BrickTables = tuple[
+    Array1[I32], Array1[F32], F64, F64, F64, F64, I64, I64, I64
+]  # table, values, origin, voxel and shape of bricks
+PointColumns64 = tuple[Array1[F64], Array1[F64], Array1[F64]]
 
-LEAN = 0.5  # voxels: how far around a place the smooth normal looks, each way, where no body says more
+SMOOTH_NORMAL_REACH = 0.5  # voxels: how far around a place the smooth normal looks, each way, where no body says more
 
 
-def grid_of(bricks: Bricks) -> tuple[Any, ...]:
+def grid_of(bricks: BrickGrid) -> tuple[Any, ...]:
     """Bricks as kernels read them, a `Grid`."""
     return bricks.table, bricks.values, *bricks.origin, bricks.voxel, *bricks.shape
 
 
-def distance(bricks: Bricks, x: Floats, y: Floats, z: Floats) -> Floats:
+def distance(bricks: BrickGrid, x: Floats, y: Floats, z: Floats) -> Floats:
     """Signed distance at places (mm)."""
     signed_distances = np.empty(len(x))
     write_distances(grid_of(bricks), _contiguous_columns(x, y, z), signed_distances)
     return signed_distances
 
 
-def distance_and_gradient(bricks: Bricks, x: Floats, y: Floats, z: Floats) -> tuple[Floats, Floats, Floats, Floats]:
+def distance_and_gradient(bricks: BrickGrid, x: Floats, y: Floats, z: Floats) -> tuple[Floats, Floats, Floats, Floats]:
     """Signed distance at places (mm), and its gradient."""
     d, gx, gy, gz = np.empty((4, len(x)))
     write_distance_and_gradient(grid_of(bricks), _contiguous_columns(x, y, z), d, (gx, gy, gz))
     return d, gx, gy, gz
 
 
-def smooth_gradient(bricks: Bricks, x: Floats, y: Floats, z: Floats, lean: float = LEAN) -> list[Floats]:
+def smooth_gradient(bricks: BrickGrid, x: Floats, y: Floats, z: Floats, lean: float = SMOOTH_NORMAL_REACH) -> list[Floats]:
     """Return a gradient that varies smoothly, unlike the field's own: differences along each axis over `lean` voxels in both
     directions."""
     a = lean * bricks.voxel
@@ -62,7 +64,7 @@ def _contiguous_columns(*columns: Floats) -> list[Floats]:
 
 
 @kernel
-def write_distances(bricks: Grid, positions: Columns64, signed_distances: Array1[F64]) -> None:
+def write_distances(bricks: BrickTables, positions: PointColumns64, signed_distances: Array1[F64]) -> None:
     """Fill `signed_distances` with the signed distances at points."""
     x, y, z = positions
     for n in range(signed_distances.size):
@@ -70,7 +72,7 @@ def write_distances(bricks: Grid, positions: Columns64, signed_distances: Array1
 
 
 @kernel
-def write_distance_and_gradient(bricks: Grid, positions: Columns64, d: Array1[F64], gradient: Columns64) -> None:
+def write_distance_and_gradient(bricks: BrickTables, positions: PointColumns64, d: Array1[F64], gradient: PointColumns64) -> None:
     """Fill `d` with the signed distances at points, and `gradient` with the gradient there."""
     x, y, z = positions
     gx, gy, gz = gradient
@@ -173,12 +175,12 @@ class SurfacePoints:
     is_in_reach: NDArray[np.bool_]
 
 
-def project(bricks: Bricks, points: Floats, hints: Floats, reach: float | None = None) -> SurfacePoints:
+def project(bricks: BrickGrid, points: Floats, hints: Floats, reach: float | None = None) -> SurfacePoints:
     """Project points as `Volume.project` does; without a result, the point and its hint stay."""
     start = np.array(points, np.float64, order="C").reshape(-1, 3)
     hint = np.array(np.broadcast_to(np.asarray(hints, np.float64), start.shape), order="C")
     landed, turned, is_in_reach = np.empty_like(start), np.empty_like(start), np.empty(len(start), np.bool_)
-    project_points(grid_of(bricks), start, hint, CLOSE * bricks.voxel, landed, turned, is_in_reach)
+    project_points(grid_of(bricks), start, hint, SURFACE_TOLERANCE_VOXELS * bricks.voxel, landed, turned, is_in_reach)
     far = 2 * bricks.voxel if reach is None else float(reach)
     is_in_reach &= ((landed - start) ** 2).sum(axis=1) <= far * far
     return SurfacePoints(np.where(is_in_reach[:, None], landed, start), np.where(is_in_reach[:, None], turned, hint), is_in_reach)
@@ -186,7 +188,7 @@ def project(bricks: Bricks, points: Floats, hints: Floats, reach: float | None =
 
 @kernel
 def project_points(
-    bricks: Grid,
+    bricks: BrickTables,
     start: Array2[F64],
     hints: Array2[F64],
     close: F64,
@@ -215,7 +217,7 @@ def project_point(
     q = p
     if not np.isfinite(p[0] + p[1] + p[2]):
         return False, p, hint
-    for turn in range(SETTLING):
+    for turn in range(MAX_PROJECTION_STEPS):
         d, g = distance_and_gradient_at(table, values, grid, q)
         square = dot(g, g)
         if abs(d) <= close:
@@ -224,7 +226,7 @@ def project_point(
                 return True, q, (g[0] / size, g[1] / size, g[2] / size)
             return True, q, hint
         # Between two caves that meet, gradients send to and fro: each third step keeps to the hint.
-        flat = square < FLAT or turn % 3 == 2
+        flat = square < MIN_SQUARED_GRADIENT or turn % 3 == 2
         step = -d if flat else -d / square
         length = abs(step) * np.sqrt(square)
         if not (flat or length <= voxel):

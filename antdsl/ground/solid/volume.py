@@ -12,11 +12,11 @@ from numpy.typing import NDArray
 
 from antdsl import limits
 from antdsl.ground.solid import carving, trilinear, voxelising
-from antdsl.ground.solid.bricks import CUBE, SIDE, Bricks, UnusableMesh
+from antdsl.ground.solid.bricks import BRICK_NODES, BRICK_SIDE_NODES, BrickGrid, UnusableMesh
 
-Piece = tuple[int, NDArray[np.float64], NDArray[np.int32]]
+BrickMesh = tuple[int, NDArray[np.float64], NDArray[np.int32]]
 
-_GRAIN = 4096.0  # parts of a voxel to which vertices are rounded, so that both sides of a seam have the same
+_VERTEX_PARTS_PER_VOXEL = 4096.0  # parts of a voxel to which vertices are rounded, so that both sides of a seam have the same
 Floats = NDArray[np.float64]
 Distances = NDArray[np.float32]
 Arrays = dict[str, NDArray[Any]]
@@ -28,11 +28,11 @@ __all__ = ["UnusableMesh", "Volume"]
 class Volume:
     """Soft ground that can be dug. Made by `from_mesh`; only `carve` and `restore` change it."""
 
-    bricks: Bricks
+    bricks: BrickGrid
 
     @staticmethod
     def from_mesh(
-        vertices: Floats, faces: NDArray[np.integer[Any]], voxel: float, *, cap: int = limits.VOXELS
+        vertices: Floats, faces: NDArray[np.integer[Any]], voxel: float, *, cap: int = limits.MAX_VOXELS
     ) -> Volume | UnusableMesh:
         """Return the solid inside a closed mesh, vertices float64[n,3] mm and faces int[m,3], sampled every `voxel` mm.
 
@@ -154,7 +154,7 @@ def _columns(points: Floats) -> tuple[Floats, Floats, Floats]:
     return x, y, z
 
 
-def surface(bricks: Bricks, changed_only: bool) -> Iterator[Piece]:
+def surface(bricks: BrickGrid, changed_only: bool) -> Iterator[BrickMesh]:
     """As `Volume.surface`."""
     chosen_bricks = np.flatnonzero(bricks.fresh) if changed_only else np.arange(bricks.table.size)
     if not changed_only:
@@ -164,7 +164,7 @@ def surface(bricks: Bricks, changed_only: bool) -> Iterator[Piece]:
         yield _mesh_brick(bricks, int(brick))
 
 
-def _bricks_to_mesh(bricks: Bricks) -> NDArray[np.bool_]:
+def _bricks_to_mesh(bricks: BrickGrid) -> NDArray[np.bool_]:
     """Return the bricks with cells that touch a stored node."""
     stored = (bricks.table >= 2).reshape(bricks.shape)
     reach = stored.copy()
@@ -178,24 +178,29 @@ def _bricks_to_mesh(bricks: Bricks) -> NDArray[np.bool_]:
     return reach.ravel()
 
 
-def corner_values(bricks: Bricks, brick: int) -> NDArray[np.float32]:
+def corner_values(bricks: BrickGrid, brick: int) -> NDArray[np.float32]:
     """Values (17, 17, 17) at the corners of a brick's cells; fewer at the grid's end."""
     at = np.unravel_index(brick, bricks.shape)
-    pool = bricks.values.reshape(-1, CUBE)
-    sizes = [SIDE + (1 if at[axis] + 1 < bricks.shape[axis] else 0) for axis in range(3)]
+    pool = bricks.values.reshape(-1, BRICK_NODES)
+    sizes = [BRICK_SIDE_NODES + (1 if at[axis] + 1 < bricks.shape[axis] else 0) for axis in range(3)]
     result = np.empty(sizes, np.float32)
     table = bricks.table.reshape(bricks.shape)
     for a in range(2):
         for b in range(2):
             for c in range(2):
-                into = tuple(slice(SIDE * d, SIDE + d * (sizes[axis] - SIDE)) for axis, d in enumerate((a, b, c)))
+                into = tuple(
+                    slice(BRICK_SIDE_NODES * d, BRICK_SIDE_NODES + d * (sizes[axis] - BRICK_SIDE_NODES))
+                    for axis, d in enumerate((a, b, c))
+                )
                 if result[into].size:
-                    block = pool[table[at[0] + a, at[1] + b, at[2] + c]].reshape(SIDE, SIDE, SIDE)
+                    block = pool[table[at[0] + a, at[1] + b, at[2] + c]].reshape(
+                        BRICK_SIDE_NODES, BRICK_SIDE_NODES, BRICK_SIDE_NODES
+                    )
                     result[into] = block[tuple(slice(0, s.stop - s.start) for s in into)]
     return result
 
 
-def _mesh_brick(bricks: Bricks, brick: int) -> Piece:
+def _mesh_brick(bricks: BrickGrid, brick: int) -> BrickMesh:
     from skimage.measure import marching_cubes
 
     values = corner_values(bricks, brick)
@@ -203,6 +208,6 @@ def _mesh_brick(bricks: Bricks, brick: int) -> Piece:
         return brick, np.empty((0, 3)), np.empty((0, 3), np.int32)
     cut: Any = marching_cubes
     vertices, faces, _, _ = cut(values, 0.0, gradient_direction="descent", allow_degenerate=False)
-    corner = np.stack(np.unravel_index(brick, bricks.shape)).astype(np.float64) * SIDE
-    grid_points = np.round(vertices.astype(np.float64) * _GRAIN) / _GRAIN + corner
+    corner = np.stack(np.unravel_index(brick, bricks.shape)).astype(np.float64) * BRICK_SIDE_NODES
+    grid_points = np.round(vertices.astype(np.float64) * _VERTEX_PARTS_PER_VOXEL) / _VERTEX_PARTS_PER_VOXEL + corner
     return brick, bricks.origin + grid_points * bricks.voxel, np.ascontiguousarray(faces, np.int32)

@@ -10,21 +10,24 @@ from numpy.typing import NDArray
 
 from antdsl import limits
 from antdsl.casting.rasterise import triangle_cells
-from antdsl.ground.solid.bricks import AIR, CUBE, SIDE, SOLID, Bricks, UnusableMesh
+from antdsl.ground.solid.bricks import AIR_SLOT, BRICK_NODES, BRICK_SIDE_NODES, SOLID_SLOT, BrickGrid, UnusableMesh
 from antdsl.ground.solid.triangles import boxes, distances
 from antdsl.scene.geometry.closed import count_open_edges, to_voxels
 
-_PIECE = 1 << 16  # pairs of triangle and line looked at together
+_PAIRS_PER_CHUNK = 1 << 16  # pairs of triangle and line looked at together
 Floats = NDArray[np.float64]
 Index = NDArray[np.int64]
 
-_IN, _OUT = 1.75, 4.0  # voxels of the band inside and outside; a cell that the surface crosses has corners within 1.733
-_ASIDE = (0.37, 0.41, 0.43)  # voxels
-_BLOCK = 4.0  # voxels
-_NODE_BYTES = 24  # bytes of memory for each node near the surface while distances are found
+_INNER_BAND_VOXELS, _OUTER_BAND_VOXELS = (
+    1.75,
+    4.0,
+)  # voxels of the band inside and outside; a cell that the surface crosses has corners within 1.733
+_RAY_OFFSETS_VOXELS = (0.37, 0.41, 0.43)  # voxels
+_BLOCK_VOXELS = 4.0  # voxels
+_BYTES_PER_NEAR_NODE = 24  # bytes of memory for each node near the surface while distances are found
 
 
-def voxelise(vertices: Floats, faces: Index, voxel: float, cap: int) -> Bricks | UnusableMesh:
+def voxelise(vertices: Floats, faces: Index, voxel: float, cap: int) -> BrickGrid | UnusableMesh:
     """As `Volume.from_mesh`."""
     if not (math.isfinite(voxel) and voxel > 0):
         return UnusableMesh("the voxel size must be greater than 0", "write a length, such as `voxel: 1 mm`")
@@ -35,31 +38,31 @@ def voxelise(vertices: Floats, faces: Index, voxel: float, cap: int) -> Bricks |
         return UnusableMesh("the mesh has corners that are not finite numbers", "export the mesh again")
     low, high = corners.min(axis=(0, 1)), corners.max(axis=(0, 1))
     sides = (high - low) / voxel
-    shape = tuple(math.ceil((float(side) + 2 * _OUT + 4.0) / SIDE) for side in sides)
+    shape = tuple(math.ceil((float(side) + 2 * _OUTER_BAND_VOXELS + 4.0) / BRICK_SIDE_NODES) for side in sides)
     voxel_count = float(np.prod(sides + 1))
     # A thin sheet or a rod needs room for whole bricks.
-    if voxel_count > cap or float(np.prod(shape)) * CUBE > 8.0 * cap:
-        return _too_many_voxels(max(voxel_count, float(np.prod(shape)) * CUBE / 8), cap, voxel)
+    if voxel_count > cap or float(np.prod(shape)) * BRICK_NODES > 8.0 * cap:
+        return _too_many_voxels(max(voxel_count, float(np.prod(shape)) * BRICK_NODES / 8), cap, voxel)
     # Not a whole number of voxels from the mesh: sides of a box would run through nodes, where the field has no clear slope.
-    origin = low - (_OUT + 1.0 + np.array(_ASIDE)) * voxel
+    origin = low - (_OUTER_BAND_VOXELS + 1.0 + np.array(_RAY_OFFSETS_VOXELS)) * voxel
     corners = (corners - origin) / voxel
-    shell = Shell(corners)
+    shell = TriangleShell(corners)
     if shell.open_edges:
         edges = "1 edge borders" if shell.open_edges == 1 else f"{shell.open_edges:,} edges border"
         return UnusableMesh(f"the mesh is not closed: {edges} on nothing", "close its holes, so that it has an inside")
-    bricks = Bricks(
+    bricks = BrickGrid(
         origin=origin,
         voxel=voxel,
         shape=shape,  # type: ignore[arg-type]
-        least=-_IN * voxel,
-        most=_OUT * voxel,
+        least=-_INNER_BAND_VOXELS * voxel,
+        most=_OUTER_BAND_VOXELS * voxel,
         table=np.zeros(math.prod(shape), np.int32),
         values=np.empty(0, np.float32),
         used=2,
     )
     near = _near_bricks(bricks, corners)
-    if near.size * CUBE * _NODE_BYTES > limits.GRID_BYTES:
-        return _too_many_voxels(float(near.size) * CUBE, limits.GRID_BYTES // _NODE_BYTES, voxel)
+    if near.size * BRICK_NODES * _BYTES_PER_NEAR_NODE > limits.MAX_GRID_BYTES:
+        return _too_many_voxels(float(near.size) * BRICK_NODES, limits.MAX_GRID_BYTES // _BYTES_PER_NEAR_NODE, voxel)
     _fill_distances(bricks, shell, near, corners)
     bricks.record_start()
     return bricks
@@ -74,40 +77,40 @@ def _too_many_voxels(voxel_count: float, cap: float, voxel: float) -> UnusableMe
     )
 
 
-def _near_bricks(bricks: Bricks, corners: Floats) -> Index:
+def _near_bricks(bricks: BrickGrid, corners: Floats) -> Index:
     """Return the bricks, ascending, that may have a node in the band around the triangles."""
     grid = np.zeros(bricks.shape, bool)
-    wide = _OUT + 1.0
-    for cells, _ in triangle_cells(corners / _BLOCK):
+    wide = _OUTER_BAND_VOXELS + 1.0
+    for cells, _ in triangle_cells(corners / _BLOCK_VOXELS):
         block = np.unique((cells[:, 0] << 42) + (cells[:, 1] << 21) + cells[:, 2])
-        at = np.stack([block >> 42, (block >> 21) & 0x1FFFFF, block & 0x1FFFFF], axis=1) * _BLOCK
-        first = np.floor((at - wide) / SIDE).astype(np.int64).clip(0)
-        last = np.floor((at + (_BLOCK + wide)) / SIDE).astype(np.int64)
+        at = np.stack([block >> 42, (block >> 21) & 0x1FFFFF, block & 0x1FFFFF], axis=1) * _BLOCK_VOXELS
+        first = np.floor((at - wide) / BRICK_SIDE_NODES).astype(np.int64).clip(0)
+        last = np.floor((at + (_BLOCK_VOXELS + wide)) / BRICK_SIDE_NODES).astype(np.int64)
         for ends in np.ndindex(2, 2, 2):
             i, j, k = (np.minimum((first, last)[e][:, axis], bricks.shape[axis] - 1) for axis, e in enumerate(ends))
             grid[i, j, k] = True
     return np.flatnonzero(grid)
 
 
-def _fill_distances(bricks: Bricks, shell: Shell, near: Index, corners: Floats) -> None:
+def _fill_distances(bricks: BrickGrid, shell: TriangleShell, near: Index, corners: Floats) -> None:
     """Fill in the distances of the bricks near the surface, and the signs of all bricks."""
     flags, inside = brick_signs(shell, bricks.shape, near)
-    away = distances(bricks.shape, near, corners, _OUT).reshape(-1, CUBE)
-    np.minimum(away, np.float32(_OUT), out=away)
+    away = distances(bricks.shape, near, corners, _OUTER_BAND_VOXELS).reshape(-1, BRICK_NODES)
+    np.minimum(away, np.float32(_OUTER_BAND_VOXELS), out=away)
     np.negative(away, out=away, where=inside)
-    np.maximum(away, np.float32(-_IN), out=away)
+    np.maximum(away, np.float32(-_INNER_BAND_VOXELS), out=away)
     mixed_bricks = np.flatnonzero((away != away[:, :1]).any(axis=1))
-    bricks.table[:] = np.where(flags, SOLID, AIR)
+    bricks.table[:] = np.where(flags, SOLID_SLOT, AIR_SLOT)
     bricks.table[near[mixed_bricks]] = np.arange(2, 2 + mixed_bricks.size)
-    bricks.values = np.empty((2 + mixed_bricks.size) * CUBE, np.float32)
-    pool = bricks.values.reshape(-1, CUBE)
+    bricks.values = np.empty((2 + mixed_bricks.size) * BRICK_NODES, np.float32)
+    pool = bricks.values.reshape(-1, BRICK_NODES)
     np.multiply(away[mixed_bricks], np.float32(bricks.voxel), out=pool[2:])
     np.clip(pool[2:], np.float32(bricks.least), np.float32(bricks.most), out=pool[2:])
-    pool[AIR], pool[SOLID] = bricks.most, bricks.least
+    pool[AIR_SLOT], pool[SOLID_SLOT] = bricks.most, bricks.least
     bricks.used = 2 + mixed_bricks.size
 
 
-class Shell:
+class TriangleShell:
     """A mesh with integer coordinates, so that the side of a line that a point is on is exact. It is built from corners
     float64[n,3,3] in voxels."""
 
@@ -116,41 +119,43 @@ class Shell:
         self.open_edges, self.wound = count_open_edges(self.corners)
 
 
-def brick_signs(shell: Shell, shape: tuple[int, int, int], near: Index) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+def brick_signs(shell: TriangleShell, shape: tuple[int, int, int], near: Index) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
     """Return whether the first node of each brick is inside (all bricks), and the same for each node of the bricks `near`
     (ascending), bool[len(near), 4096].
 
     Inside means that the winding number is not 0, or is odd where faces have inconsistent winding."""
     x, y, z, windings = _crossings(shell)
-    nodes = [n * SIDE for n in shape]
+    nodes = [n * BRICK_SIDE_NODES for n in shape]
     slab = x >> 4
     order = np.argsort(slab, kind="stable")
     place = (((x & 15) * nodes[1] + y) * nodes[2] + z)[order]
     windings = windings[order]
     ends = np.searchsorted(slab[order], np.arange(shape[0] + 1))
     flags = np.zeros(shape, bool)
-    inside = np.zeros((near.size, CUBE), bool)
+    inside = np.zeros((near.size, BRICK_NODES), bool)
     per_slab = shape[1] * shape[2]
     parts = np.searchsorted(near, np.arange(shape[0] + 1) * per_slab)
-    count = np.zeros(SIDE * nodes[1] * nodes[2], np.int16)
+    count = np.zeros(BRICK_SIDE_NODES * nodes[1] * nodes[2], np.int16)
     for s in range(shape[0]):
         count[:] = 0
         np.add.at(count, place[ends[s] : ends[s + 1]], windings[ends[s] : ends[s + 1]])
-        wound = np.cumsum(count.reshape(SIDE * nodes[1], nodes[2]), axis=1, dtype=np.int16)
-        within = (wound != 0 if shell.wound else wound % 2 != 0).reshape(SIDE, shape[1], SIDE, shape[2], SIDE)
+        wound = np.cumsum(count.reshape(BRICK_SIDE_NODES * nodes[1], nodes[2]), axis=1, dtype=np.int16)
+        within = (wound != 0 if shell.wound else wound % 2 != 0).reshape(
+            BRICK_SIDE_NODES, shape[1], BRICK_SIDE_NODES, shape[2], BRICK_SIDE_NODES
+        )
         flags[s] = within[0, :, 0, :, 0]
         chosen = near[parts[s] : parts[s + 1]] - s * per_slab
-        inside[parts[s] : parts[s + 1]] = within[:, chosen // shape[2], :, chosen % shape[2], :].reshape(chosen.size, CUBE)
+        inside[parts[s] : parts[s + 1]] = within[:, chosen // shape[2], :, chosen % shape[2], :].reshape(chosen.size, BRICK_NODES)
     return flags.ravel(), inside
 
 
-def _crossings(shell: Shell) -> tuple[Index, Index, Index, NDArray[np.int16]]:
+def _crossings(shell: TriangleShell) -> tuple[Index, Index, Index, NDArray[np.int16]]:
     """Where lines along the last axis cross triangles: the line (x, y), the first node beyond, and the winding from there on."""
     tri = shell.corners
     grain = shell.grain
     low = -((-tri.min(axis=1)) // grain)
     count = tri.max(axis=1) // grain - low + 1
-    crossings = [_piece_crossings(tri, grain, *box) for box in boxes(low[:, :2], count[:, :2], _PIECE)]
+    crossings = [_piece_crossings(tri, grain, *box) for box in boxes(low[:, :2], count[:, :2], _PAIRS_PER_CHUNK)]
     if not crossings:
         none = np.empty(0, np.int64)
         return none, none, none, np.empty(0, np.int16)

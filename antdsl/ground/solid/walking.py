@@ -6,12 +6,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from antdsl.ground.protocol import Floats, Footing, Move
-from antdsl.ground.solid.bricks import Bricks
+from antdsl.ground.protocol import Floats, Footing, GroundMove
+from antdsl.ground.solid.bricks import BrickGrid
 from antdsl.ground.solid.trilinear import (
-    CLOSE,
-    LEAN,
-    Grid,
+    SMOOTH_NORMAL_REACH,
+    SURFACE_TOLERANCE_VOXELS,
+    BrickTables,
     corners_at,
     distance_and_gradient_at,
     distance_at,
@@ -25,25 +25,27 @@ from antdsl.numerics.kernel_vectors import Vec3, cross, dot
 
 Vectors = Array2[F64]
 
-STRIDE = 1.0  # voxels of one step at most
-LEAST = 1 / 128  # voxels of one step, below which there is no way on
-OFF = 0.12  # voxels that the middle of a step may be off the surface: else an edge is cut, or a thin wall is passed
-BACK = -0.25  # cosine of the turn of the normal in one step, below which another wall may have been met
-FARTHER = 1.3  # lengths of one step that it may lead at most
-EDGE = 0.1  # voxels of a step so short that a sharp turn is an edge and no other wall
-NEWTON = 4
-BISECTIONS = 24
-LEFT_TOLERANCE = 1e-6  # voxels of way left that are none
-CROSSINGS = 400  # steps of one move
-STANCE = 0.4  # of a body: how far around its place the normal that it stands by looks, each way
-THIN = 0.1  # length of that gradient below which it says nothing: the normal of the place itself is taken
+MAX_STRIDE_VOXELS = 1.0  # voxels of one step at most
+MIN_STRIDE_VOXELS = 1 / 128  # voxels of one step, below which there is no way on
+MAX_CHORD_ERROR_VOXELS = (
+    0.12  # voxels that the middle of a step may be off the surface: else an edge is cut, or a thin wall is passed
+)
+MIN_TURN_COSINE = -0.25  # cosine of the turn of the normal in one step, below which another wall may have been met
+MAX_STRIDE_STRETCH = 1.3  # lengths of one step that it may lead at most
+EDGE_STRIDE_VOXELS = 0.1  # voxels of a step so short that a sharp turn is an edge and no other wall
+NEWTON_STEPS = 4
+MAX_BISECTIONS = 24
+REMAINING_TOLERANCE_VOXELS = 1e-6  # voxels of way left that are none
+MAX_STRIDES = 400  # steps of one move
+STANCE_REACH_PER_BODY = 0.4  # of a body: how far around its place the normal that it stands by looks, each way
+MIN_SMOOTH_GRADIENT = 0.1  # length of that gradient below which it says nothing: the normal of the place itself is taken
 
-_AHEAD = 16  # agents with cells prefetched together
+_PREFETCH_GROUP_SIZE = 16  # agents with cells prefetched together
 
 
 def move(
     volume: Volume, points: Floats, steps: Floats, heading: Floats, up: Floats, size: Floats | float, number: int = 0
-) -> Move:
+) -> GroundMove:
     """Walk agents on the zero level at `points` [n,3] by `steps` [n,3], which are laid into the surface at the same length.
 
     `up` [n,3] is the unit normal that each stands by before, `heading` [n,3] where it looks. Steps turn from there into the
@@ -58,24 +60,24 @@ def move(
     columns = [np.ascontiguousarray(np.asarray(v, np.float64).reshape(-1, 3).T) for v in (points, steps, heading, up)]
     count = columns[0].shape[1]
     body = np.broadcast_to(np.asarray(size, np.float64), (count,))
-    close = np.clip(3e-5 * body, CLOSE * bricks.voxel, 1e-3 * bricks.voxel)
+    close = np.clip(3e-5 * body, SURFACE_TOLERANCE_VOXELS * bricks.voxel, 1e-3 * bricks.voxel)
     with np.errstate(over="ignore", invalid="ignore"):
         lean = normal_reach(bricks, body)
     vectors, distances = np.empty((4, 3, count)), np.empty(count)
     blocked, lost = np.empty(count, bool), np.empty(count, bool)
     walk_all(grid_of(bricks), *columns, np.ascontiguousarray(close), lean, vectors, distances, blocked, lost)
     place, stance_up, head, direction = (v.T for v in vectors)
-    return Move(Footing.on_solids(number, place), place, stance_up, head, direction, distances, blocked, lost)
+    return GroundMove(Footing.on_solids(number, place), place, stance_up, head, direction, distances, blocked, lost)
 
 
-def normal_reach(bricks: Bricks, body: Floats) -> Floats:
+def normal_reach(bricks: BrickGrid, body: Floats) -> Floats:
     """Return the radius in voxels around a point over which a body's normal is measured."""
-    return np.maximum(body * (STANCE / bricks.voxel), LEAN)
+    return np.maximum(body * (STANCE_REACH_PER_BODY / bricks.voxel), SMOOTH_NORMAL_REACH)
 
 
 @kernel
 def walk_all(
-    bricks: Grid,
+    bricks: BrickTables,
     points: Vectors,
     steps: Vectors,
     heading: Vectors,
@@ -94,19 +96,19 @@ def walk_all(
     table, values = bricks[:2]
     grid = bricks[2:]
     for i in range(distances.size):
-        if i % _AHEAD == 0:
-            distances[i] = _prefetch_cells(table, values, grid, points, i, min(i + _AHEAD, distances.size))
+        if i % _PREFETCH_GROUP_SIZE == 0:
+            distances[i] = _prefetch_cells(table, values, grid, points, i, min(i + _PREFETCH_GROUP_SIZE, distances.size))
         start = (points[0, i], points[1, i], points[2, i])
         old_up = (up[0, i], up[1, i], up[2, i])
         head = (heading[0, i], heading[1, i], heading[2, i])
         wish = (steps[0, i], steps[1, i], steps[2, i])
         if not np.isfinite(wish[0] + wish[1] + wish[2]):
             wish = (0.0, 0.0, 0.0)
-        normal = _unit(smooth_gradient_at(table, values, grid, LEAN, start), old_up)
+        normal = _unit(smooth_gradient_at(table, values, grid, SMOOTH_NORMAL_REACH, start), old_up)
         wish = _rotate_between(wish, old_up, normal, head)
         p, n, direction, distances[i], blocked[i], lost[i] = _walk_agent(table, values, grid, start, normal, wish, close[i])
         slope = smooth_gradient_at(table, values, grid, lean[i], p)
-        stance_up = _unit(slope, n) if dot(slope, slope) > THIN * THIN else n
+        stance_up = _unit(slope, n) if dot(slope, slope) > MIN_SMOOTH_GRADIENT * MIN_SMOOTH_GRADIENT else n
         head, _ = _project_tangent(_rotate_between(head, old_up, stance_up, head), stance_up)
         direction, _ = _project_tangent(_rotate_between(direction, n, stance_up, direction), stance_up)
         for k in range(3):
@@ -130,7 +132,7 @@ def _prefetch_cells(
     return total
 
 
-class Trip(NamedTuple):
+class WalkResult(NamedTuple):
     """Result of an agent's steps: position, normal, direction, travelled distance, and whether the agent is blocked or lost."""
 
     place: Vec3
@@ -150,20 +152,20 @@ def _walk_agent(
     n: Vec3,
     wish: Vec3,
     close: F64,
-) -> Trip:
+) -> WalkResult:
     """All steps of one agent."""
     voxel = grid[3]
     direction, flat = _project_tangent(wish, n)
     left = min(np.sqrt(dot(wish, wish)), 2 * flat)
-    stride, walked = STRIDE, 0.0
+    stride, walked = MAX_STRIDE_VOXELS, 0.0
     settled, blocked = False, False
     if not left > 0:
         is_settled, p, new_normal = project_point(table, values, grid, p, n, close)
         if not is_settled:
-            return Trip(p, n, direction, walked, False, True)
+            return WalkResult(p, n, direction, walked, False, True)
         direction = _turn_direction(direction, n, new_normal)
-        return Trip(p, new_normal, direction, walked, False, False)
-    for _ in range(CROSSINGS):
+        return WalkResult(p, new_normal, direction, walked, False, False)
+    for _ in range(MAX_STRIDES):
         if not left > 0:
             break
         length = min(left, stride * voxel)
@@ -171,30 +173,30 @@ def _walk_agent(
         new_normal = _unit(g, n)
         middle = distance_at(table, values, grid, ((p[0] + q[0]) * 0.5, (p[1] + q[1]) * 0.5, (p[2] + q[2]) * 0.5))
         displacement = (q[0] - p[0], q[1] - p[1], q[2] - p[2])
-        far = FARTHER * length
-        good = dot(displacement, displacement) <= far * far and abs(d) <= close and abs(middle) <= OFF * voxel
-        if good and (length <= EDGE * voxel or dot(new_normal, n) > BACK):
+        far = MAX_STRIDE_STRETCH * length
+        good = dot(displacement, displacement) <= far * far and abs(d) <= close and abs(middle) <= MAX_CHORD_ERROR_VOXELS * voxel
+        if good and (length <= EDGE_STRIDE_VOXELS * voxel or dot(new_normal, n) > MIN_TURN_COSINE):
             direction = _turn_direction(direction, n, new_normal)
             p, n = q, new_normal
             rest = left - length
-            left = rest if rest > LEFT_TOLERANCE * voxel else 0.0
+            left = rest if rest > REMAINING_TOLERANCE_VOXELS * voxel else 0.0
             walked += length
-            stride = min(stride * 2, STRIDE)
+            stride = min(stride * 2, MAX_STRIDE_VOXELS)
             settled, blocked = True, False
         elif not settled:
             is_settled, p, new_normal = project_point(table, values, grid, p, n, close)
             if not is_settled:
-                return Trip(p, n, direction, walked, blocked, True)
+                return WalkResult(p, n, direction, walked, blocked, True)
             direction = _turn_direction(direction, n, new_normal)
             n = new_normal
             settled = True
         else:
             stride = length * (0.5 / voxel)
-            if stride < LEAST:
+            if stride < MIN_STRIDE_VOXELS:
                 if blocked:
                     break
                 # At the very bottom of a groove or the tip of a ridge: to its other wall, once in a move.
-                beyond = 2 * LEAST * voxel
+                beyond = 2 * MIN_STRIDE_VOXELS * voxel
                 _, g = distance_and_gradient_at(
                     table,
                     values,
@@ -204,8 +206,8 @@ def _walk_agent(
                 new_normal = _unit(g, n)
                 direction = _turn_direction(direction, n, new_normal)
                 n = new_normal
-                stride, blocked = EDGE, True
-    return Trip(p, n, direction, walked, blocked, False)
+                stride, blocked = EDGE_STRIDE_VOXELS, True
+    return WalkResult(p, n, direction, walked, blocked, False)
 
 
 @called
@@ -231,7 +233,7 @@ def _project_to_surface(
     d, g = distance_and_gradient_at(table, values, grid, q)
     beyond = d > 0
     limit = 0.5 * voxel
-    for _ in range(NEWTON):
+    for _ in range(NEWTON_STEPS):
         if not abs(d) > close:
             return q, g, d
         square = max(dot(g, g), 1e-4)
@@ -246,7 +248,7 @@ def _project_to_surface(
         depth = (-part if beyond else part) * length
         near = (p[0] + depth * n[0], p[1] + depth * n[1], p[2] + depth * n[2])
         if (distance_at(table, values, grid, near) > 0) != beyond:
-            for _ in range(BISECTIONS):
+            for _ in range(MAX_BISECTIONS):
                 q = ((near[0] + far[0]) * 0.5, (near[1] + far[1]) * 0.5, (near[2] + far[2]) * 0.5)
                 d, g = distance_and_gradient_at(table, values, grid, q)
                 if not abs(d) > close:

@@ -6,21 +6,21 @@ import re
 from dataclasses import dataclass
 
 from antdsl.diagnostics import Diagnostic
-from antdsl.lsp.text import Edit
-from antdsl.lsp.workspace import Document, Workspace
+from antdsl.lsp.text import TextEdit
+from antdsl.lsp.workspace import OpenDocument, Workspace
 
-_MEANT = re.compile(r"did you mean `([a-z_][A-Za-z_0-9.]*)`\?")
-_NAME = re.compile(r"[A-Za-z_][A-Za-z_0-9.]*")
+_SUGGESTION_PATTERN = re.compile(r"did you mean `([a-z_][A-Za-z_0-9.]*)`\?")
+_NAME_PATTERN = re.compile(r"[A-Za-z_][A-Za-z_0-9.]*")
 
 
 @dataclass(frozen=True, slots=True)
-class Action:
+class QuickFix:
     title: str
-    edit: Edit
+    edit: TextEdit
     complaint: Diagnostic
 
 
-def actions(workspace: Workspace, document: Document, start: int, end: int) -> list[Action]:
+def actions(workspace: Workspace, document: OpenDocument, start: int, end: int) -> list[QuickFix]:
     """Return the edits that correct findings between two offsets."""
     fixes = []
     for complaint in workspace.complaints(document.path):
@@ -29,22 +29,22 @@ def actions(workspace: Workspace, document: Document, start: int, end: int) -> l
             continue
         edit = edit_of(document, complaint)
         if edit is not None:
-            fixes.append(Action(_title(document, edit), edit, complaint))
+            fixes.append(QuickFix(_title(document, edit), edit, complaint))
     return fixes
 
 
-def edit_of(document: Document, complaint: Diagnostic) -> Edit | None:
+def edit_of(document: OpenDocument, complaint: Diagnostic) -> TextEdit | None:
     """Return the edit for a finding: its fix, or the suggested name if the finding covers a single name."""
     if complaint.fix is not None:
         span = complaint.fix.span
-        return Edit(document.start(span), document.end(span), complaint.fix.text)
-    meant = _MEANT.search(complaint.help or "")
-    if meant is None or complaint.span is None or not _NAME.fullmatch(complaint.span.text):
+        return TextEdit(document.start(span), document.end(span), complaint.fix.text)
+    meant = _SUGGESTION_PATTERN.search(complaint.help or "")
+    if meant is None or complaint.span is None or not _NAME_PATTERN.fullmatch(complaint.span.text):
         return None
-    return Edit(document.start(complaint.span), document.end(complaint.span), meant.group(1))
+    return TextEdit(document.start(complaint.span), document.end(complaint.span), meant.group(1))
 
 
-def _title(document: Document, edit: Edit) -> str:
+def _title(document: OpenDocument, edit: TextEdit) -> str:
     old = " ".join(document.text.text[edit.start : edit.end].split())
     new = " ".join(edit.text.split())
     if not new:

@@ -7,8 +7,8 @@ from collections.abc import Callable, Iterator
 
 from antdsl.lsp.features.context import context_at
 from antdsl.lsp.features.proposals import (
-    Item,
-    Request,
+    CompletionItem,
+    CompletionRequest,
     argument_names,
     behaviours,
     fields,
@@ -18,30 +18,30 @@ from antdsl.lsp.features.proposals import (
     species,
     values,
 )
-from antdsl.lsp.words import FORM_HELP, SETTINGS
-from antdsl.lsp.workspace import Document, Workspace
-from antdsl.program.expectations import MOTION
-from antdsl.program.tables.colours import COLOURS
-from antdsl.program.tables.effects import EFFECTS
-from antdsl.program.tables.things import KINDS_OF_THINGS, WITH_FACES, replacements
-from antdsl.program.tables.vocabulary import BUILTIN_ATTRIBUTES, TYPE_WORDS
+from antdsl.lsp.words import FORM_HELP, SETTING_HELP
+from antdsl.lsp.workspace import OpenDocument, Workspace
+from antdsl.program.expectations import MOTION_MEASURES
+from antdsl.program.tables.colours import COLOUR_BY_NAME
+from antdsl.program.tables.effects import EFFECT_BY_OPERATION
+from antdsl.program.tables.things import KIND_BY_WORD, WITH_FACES, replacements
+from antdsl.program.tables.vocabulary import BUILTIN_ATTRIBUTE_BY_NAME, TYPE_BY_WORD
 from antdsl.syntax import nodes
-from antdsl.syntax.words import FIXED_SETTINGS, FORMS, LINE_WORDS, UNIT_NAMES
+from antdsl.syntax.words import EXAMPLE_LINES, FIXED_FIELD_SETTINGS, LINE_WORDS_BY_RULE, UNIT_NAMES
 
 
-def complete(workspace: Workspace, document: Document, offset: int) -> list[Item]:
+def complete(workspace: Workspace, document: OpenDocument, offset: int) -> list[CompletionItem]:
     """The proposals at an offset of a program, each label once."""
     context = context_at(document.text.text, offset)
     if context.quiet:
         return []
     names = document.names
-    items_by_label: dict[str, Item] = {}
-    for item in _items(Request(workspace, document, names, context)):
+    items_by_label: dict[str, CompletionItem] = {}
+    for item in _items(CompletionRequest(workspace, document, names, context)):
         items_by_label.setdefault(item.label, item)
     return list(items_by_label.values())
 
 
-def _items(request: Request) -> Iterator[Item]:
+def _items(request: CompletionRequest) -> Iterator[CompletionItem]:
     prefix, rule = request.prefix, request.context.rule
     number = re.search(r"(?<![A-Za-z_0-9.])[0-9][0-9.]*[ \t]*([a-zA-Z%/*^0-9]*)$", request.context.line)
     if number is not None and not prefix.endswith(".."):
@@ -49,7 +49,7 @@ def _items(request: Request) -> Iterator[Item]:
             yield from _amounts(request)
         yield from _units(number.group(1))
         return
-    for pattern, give in _PROPOSALS:
+    for pattern, give in _RULE_BY_LINE_PATTERN:
         if re.search(pattern, prefix):
             yield from give(request)
             return
@@ -69,37 +69,37 @@ def _items(request: Request) -> Iterator[Item]:
 # --- at the beginning of a line --------------------------------------------------------------------------------------
 
 
-def _line_start(request: Request, rule: str) -> Iterator[Item]:
+def _line_start(request: CompletionRequest, rule: str) -> Iterator[CompletionItem]:
     if rule == "top" and not request.document.text.text[: _statement_start(request)].strip():
         yield _word("ant")
-    for word in LINE_WORDS.get(rule, ()):
+    for word in LINE_WORDS_BY_RULE.get(rule, ()):
         yield _word(word)
     if rule == "world_item":
-        for word, kind in KINDS_OF_THINGS.items():
-            yield Item(word, "keyword", "kind of thing", kind.help)
+        for word, kind in KIND_BY_WORD.items():
+            yield CompletionItem(word, "keyword", "kind of thing", kind.help)
     elif rule == "setting":
-        for word, setting in SETTINGS.items():
-            yield Item(word, "property", "setting of a field", setting.help)
+        for word, setting in SETTING_HELP.items():
+            yield CompletionItem(word, "property", "setting of a field", setting.help)
     elif rule == "member":
-        for word, row in BUILTIN_ATTRIBUTES.items():
+        for word, row in BUILTIN_ATTRIBUTE_BY_NAME.items():
             if row.settable:
-                yield Item(word, "property", row.type, row.help + (f"; default {row.default}" if row.default else ""))
+                yield CompletionItem(word, "property", row.type, row.help + (f"; default {row.default}" if row.default else ""))
     elif rule in ("statement", "action"):
         yield from own_names(request, assignable=True)
     elif rule == "weight":
         yield from _states(request)
     elif rule == "layer":
-        yield Item("state", "keyword", "what the current state steers")
+        yield CompletionItem("state", "keyword", "what the current state steers")
         yield from behaviours(request)
     elif rule in ("behaviour_line", "rule"):
         yield from values(request)
 
 
-def _statement_start(request: Request) -> int:
+def _statement_start(request: CompletionRequest) -> int:
     return len(request.document.text.text) - len(request.document.text.text.lstrip())
 
 
-_SNIPPETS = {
+_SNIPPET_BY_WORD = {
     "species": "species ${1:name} {\n\t$0\n}", "world": "world {\n\tsurface ${1:ground}\n}",
     "field": "field ${1:trail} on ${2:ground} { cell ${3:4 mm}; half_life ${4:8 s} }",
     "behaviour": 'behaviour ${1:name}(${2:target}: ${3:place}) -> ${4:push} {\n\t"$5"\n\t$0\n}',
@@ -109,15 +109,16 @@ _SNIPPETS = {
 }  # fmt: skip
 
 
-def _word(word: str) -> Item:
-    return Item(word, "keyword", FORMS.get(word, "").partition("` or")[0], FORM_HELP.get(word, ""), _SNIPPETS.get(word, ""),
-                word in _SNIPPETS)  # fmt: skip
+def _word(word: str) -> CompletionItem:
+    return CompletionItem(word, "keyword", EXAMPLE_LINES.get(word, "").partition("` or")[0], FORM_HELP.get(word, ""),
+    _SNIPPET_BY_WORD.get(word, ""),
+                word in _SNIPPET_BY_WORD)  # fmt: skip
 
 
 # --- after certain words ---------------------------------------------------------------------------------------------
 
 
-def _units(prefix: str) -> Iterator[Item]:
+def _units(prefix: str) -> Iterator[CompletionItem]:
     from antdsl.program.tables.units import dimension_words, measure
 
     head = prefix[: max(prefix.rfind("/"), prefix.rfind("*")) + 1]
@@ -125,21 +126,21 @@ def _units(prefix: str) -> Iterator[Item]:
     for unit in units:
         known = measure(head + unit)
         if known is not None:
-            yield Item(unit, "unit", dimension_words(known.dim))
+            yield CompletionItem(unit, "unit", dimension_words(known.dim))
 
 
-def _targets(request: Request) -> Iterator[Item]:
+def _targets(request: CompletionRequest) -> Iterator[CompletionItem]:
     if re.match(r"behaviour\b", request.prefix):
         yield from _types(request)
     elif request.context.rule == "rule":
         yield from values(request)
     else:
         yield from _states(request)
-        yield Item("previous", "keyword", "the previous state")
-        yield Item("choose", "keyword", "one of several, by weight", "", "choose { ${1:state}: ${2:1} }", True)
+        yield CompletionItem("previous", "keyword", "the previous state")
+        yield CompletionItem("choose", "keyword", "one of several, by weight", "", "choose { ${1:state}: ${2:1} }", True)
 
 
-def _states(request: Request, every: bool = False) -> Iterator[Item]:
+def _states(request: CompletionRequest, every: bool = False) -> Iterator[CompletionItem]:
     table = request.names.species.get(request.species or "")
     tables = [table] if table is not None else list(request.names.species.values())
     for each in tables:
@@ -147,60 +148,62 @@ def _states(request: Request, every: bool = False) -> Iterator[Item]:
         for machine, states in each.machines.items():
             if own is None or machine == own:
                 for name, state in states.items():
-                    yield Item(name, "state", f"state of {each.name}", state.label.text if state.label is not None else "")
+                    yield CompletionItem(
+                        name, "state", f"state of {each.name}", state.label.text if state.label is not None else ""
+                    )
 
 
-def _comparison_values(request: Request) -> Iterator[Item]:
+def _comparison_values(request: CompletionRequest) -> Iterator[CompletionItem]:
     return _states(request, every=True)
 
 
-def _event_or_field(request: Request) -> Iterator[Item]:
-    yield Item("spawn", "keyword", "once, at birth")
-    yield Item("collision", "keyword", "its body begins to touch another's", "", "collision(${1:other})", True)
+def _event_or_field(request: CompletionRequest) -> Iterator[CompletionItem]:
+    yield CompletionItem("spawn", "keyword", "once, at birth")
+    yield CompletionItem("collision", "keyword", "its body begins to touch another's", "", "collision(${1:other})", True)
     yield from _events(request)
 
 
-def _events(request: Request) -> Iterator[Item]:
+def _events(request: CompletionRequest) -> Iterator[CompletionItem]:
     for name in request.names.events:
-        yield Item(name, "thing", "event")
+        yield CompletionItem(name, "thing", "event")
 
 
-def _types(request: Request) -> Iterator[Item]:
-    for word in TYPE_WORDS:
-        yield Item(word, "type", "type")
+def _types(request: CompletionRequest) -> Iterator[CompletionItem]:
+    for word in TYPE_BY_WORD:
+        yield CompletionItem(word, "type", "type")
 
 
-def _colours(request: Request) -> Iterator[Item]:
-    for colour in COLOURS:
-        yield Item(colour, "colour", "colour")
-    yield Item("for at least", "keyword", "the minimum time in this state")
+def _colours(request: CompletionRequest) -> Iterator[CompletionItem]:
+    for colour in COLOUR_BY_NAME:
+        yield CompletionItem(colour, "colour", "colour")
+    yield CompletionItem("for at least", "keyword", "the minimum time in this state")
 
 
-def _library_names(request: Request) -> Iterator[Item]:
+def _library_names(request: CompletionRequest) -> Iterator[CompletionItem]:
     from antdsl.resources import library_names
 
     for name in library_names():
-        yield Item(name, "file", "library of behaviours")
+        yield CompletionItem(name, "file", "library of behaviours")
 
 
-def _amounts(request: Request) -> Iterator[Item]:
+def _amounts(request: CompletionRequest) -> Iterator[CompletionItem]:
     """Propose amounts to take or give: the animal's own attributes."""
     return own_names(request, assignable=True)
 
 
-def _take_sources(request: Request) -> Iterator[Item]:
+def _take_sources(request: CompletionRequest) -> Iterator[CompletionItem]:
     if re.match(r"(from|machine)\b", request.prefix.strip()) and "take" not in request.prefix:
-        yield Item("any", "keyword", "from every state except …")
+        yield CompletionItem("any", "keyword", "from every state except …")
     else:
         yield from values(request)
 
 
-def _motion(request: Request) -> Iterator[Item]:
-    for name, type in MOTION.items():
-        yield Item(name, "property", type)
+def _motion(request: CompletionRequest) -> Iterator[CompletionItem]:
+    for name, type in MOTION_MEASURES.items():
+        yield CompletionItem(name, "property", type)
 
 
-def _spec_settings(request: Request) -> Iterator[Item]:
+def _spec_settings(request: CompletionRequest) -> Iterator[CompletionItem]:
     """Propose what a spec may set: params and settings of fields, with their current value."""
     for table in request.names.species.values():
         for name, member in table.own.items():
@@ -208,28 +211,28 @@ def _spec_settings(request: Request) -> Iterator[Item]:
                 yield _with_value(f"{table.name}.{name}", member.declaration.value, member.declaration.help)
     for field, node in request.names.fields.items():
         for setting in node.settings:
-            if setting.name.text not in FIXED_SETTINGS:
+            if setting.name.text not in FIXED_FIELD_SETTINGS:
                 yield _with_value(f"{field}.{setting.name.text}", setting.value, node.help)
 
 
-def _with_value(name: str, value: nodes.Expr, help: nodes.Text | None) -> Item:
+def _with_value(name: str, value: nodes.Expr, help: nodes.Text | None) -> CompletionItem:
     text = " ".join(value.span.text.split())
-    return Item(name, "property", text, help.text if help is not None else "", f"{name} = {text}")
+    return CompletionItem(name, "property", text, help.text if help is not None else "", f"{name} = {text}")
 
 
-def _item_or_animal(request: Request) -> Iterator[Item]:
+def _item_or_animal(request: CompletionRequest) -> Iterator[CompletionItem]:
     """Propose things that may be missing: an item or an animal."""
     yield from make_thing_rule("items")(request)
     yield from species(request)
 
 
-def _names_of_kind(kind: str) -> Callable[[Request], Iterator[Item]]:
+def _names_of_kind(kind: str) -> Callable[[CompletionRequest], Iterator[CompletionItem]]:
     """Return the function that proposes names for a statement, by the kind in its row."""
     others = {"field": fields, "event": _events, "species": species}
     return others.get(kind) or make_thing_rule(*replacements(kind))
 
 
-_PROPOSALS: tuple[tuple[str, Callable[[Request], Iterator[Item]]], ...] = (
+_RULE_BY_LINE_PATTERN: tuple[tuple[str, Callable[[CompletionRequest], Iterator[CompletionItem]]], ...] = (
     (r"->[ \t]*$", _targets),
     (r"^start[ \t]+$", _states),
     (r"^from any except ([a-z_0-9]+, *)*$", _states),
@@ -237,7 +240,7 @@ _PROPOSALS: tuple[tuple[str, Callable[[Request], Iterator[Item]]], ...] = (
     (r"^field[ \t]+[a-z_0-9]+[ \t]+on[ \t]+([a-z_0-9]+,[ \t]*)*$", make_thing_rule(*WITH_FACES)),
     (r"^on[ \t]+$", _event_or_field),
     (r"^each[ \t]+$", species),
-    *((rf"^{row.op}[ \t]+$", _names_of_kind(row.target)) for row in EFFECTS.values() if row.target),
+    *((rf"^{row.op}[ \t]+$", _names_of_kind(row.target)) for row in EFFECT_BY_OPERATION.values() if row.target),
     (r"^use[ \t]+$", _library_names),
     (r"^state[ \t]+[a-z_0-9]+[ \t]+(\"[^\"]*\"[ \t]+)$", _colours),
     (r"^(behaviour\b.*[(,][ \t]*[a-z_0-9]+|keep[ \t]+[a-z_0-9]+|[a-z_0-9]+):[ \t]*$", lambda request: _after_colon(request)),
@@ -249,7 +252,7 @@ _PROPOSALS: tuple[tuple[str, Callable[[Request], Iterator[Item]]], ...] = (
 )
 
 
-def _after_colon(request: Request) -> Iterator[Item]:
+def _after_colon(request: CompletionRequest) -> Iterator[CompletionItem]:
     """Propose after `name:`: a type in a declaration, a condition in a spec, a weight in `choose`."""
     if request.context.rule in ("spec_line", "weight"):
         return values(request)

@@ -5,15 +5,15 @@ from __future__ import annotations
 import re
 from dataclasses import dataclass
 
-from antdsl.syntax.words import BODIES
+from antdsl.syntax.words import BODY_RULE_BY_LINE
 
-_PIECE = re.compile(r'"[^"\n]*"?|#[^\n]*|[{}()\[\]\n;]')
-_HEAD = re.compile(r"[a-z_][a-z_0-9]*")
-_CALLED = re.compile(r"([a-z_][a-z_0-9]*(?:\.[a-z_][a-z_0-9]*)?)\s*$")
+_PIECE_PATTERN = re.compile(r'"[^"\n]*"?|#[^\n]*|[{}()\[\]\n;]')
+_HEAD_WORD_PATTERN = re.compile(r"[a-z_][a-z_0-9]*")
+_CALLED_NAME_PATTERN = re.compile(r"([a-z_][a-z_0-9]*(?:\.[a-z_][a-z_0-9]*)?)\s*$")
 
 
 @dataclass(frozen=True, slots=True)
-class Block:
+class ContextBlock:
     """An open brace: the rule that reads the lines after it, and the line that opened it."""
 
     rule: str
@@ -21,11 +21,11 @@ class Block:
 
 
 @dataclass(frozen=True, slots=True)
-class Context:
+class CursorContext:
     """The text before a position. `line`: the statement so far, without closed parts. `word`: the beginning of a word at its end.
     `called`: the function with open brackets. `arguments`: the text between them so far."""
 
-    blocks: tuple[Block, ...]
+    blocks: tuple[ContextBlock, ...]
     line: str
     word: str
     called: str | None
@@ -40,7 +40,7 @@ class Context:
         """Return the name of the enclosing block of a kind: ("top", "species") gives `forager`."""
         above = "top"
         for block in self.blocks:
-            words = _HEAD.findall(block.head)
+            words = _HEAD_WORD_PATTERN.findall(block.head)
             if above == rule and words[:1] == [word]:
                 return words[1] if len(words) > 1 else ""
             above = block.rule
@@ -52,21 +52,25 @@ def is_line_start(text: str, start: int) -> bool:
     return context_at(text, start).line.strip() in ("", "interrupt")
 
 
-def context_at(text: str, offset: int) -> Context:
+def context_at(text: str, offset: int) -> CursorContext:
     """Return the context of an offset. It never fails, whatever the text."""
-    blocks: list[Block] = []
+    blocks: list[ContextBlock] = []
     brackets: list[int] = []  # offsets of open round and square brackets in this statement
     begin, quiet = 0, False
-    for piece in _PIECE.finditer(text, 0, offset):
+    for piece in _PIECE_PATTERN.finditer(text, 0, offset):
         sign = piece.group()
         if sign[0] in '"#':
             quiet = piece.end() == offset and (sign[0] == "#" or len(sign) == 1 or sign[-1] != '"')
         elif sign == "{":
             head = text[begin : piece.start()].strip()
-            rule, words = blocks[-1].rule if blocks else "top", _HEAD.findall(head)
+            rule, words = blocks[-1].rule if blocks else "top", _HEAD_WORD_PATTERN.findall(head)
             first = words[0] if words else ""
-            inner = BODIES.get((rule, first)) or BODIES.get((rule, "*")) or ("weight" if words[-1:] == ["choose"] else "")
-            blocks.append(Block("weight" if words[-1:] == ["choose"] else inner, head))
+            inner = (
+                BODY_RULE_BY_LINE.get((rule, first))
+                or BODY_RULE_BY_LINE.get((rule, "*"))
+                or ("weight" if words[-1:] == ["choose"] else "")
+            )
+            blocks.append(ContextBlock("weight" if words[-1:] == ["choose"] else inner, head))
             begin, brackets = piece.end(), []
         elif sign == "}":
             if blocks:
@@ -83,7 +87,7 @@ def context_at(text: str, offset: int) -> Context:
     word = re.search(r"[A-Za-z_0-9]*$", line)
     called, arguments = None, ""
     if brackets and text[brackets[-1]] == "(":
-        match = _CALLED.search(text, begin, brackets[-1])
+        match = _CALLED_NAME_PATTERN.search(text, begin, brackets[-1])
         called = match.group(1) if match is not None else ""
         arguments = text[brackets[-1] + 1 : offset]
-    return Context(tuple(blocks), line, word.group() if word else "", called, arguments, quiet)
+    return CursorContext(tuple(blocks), line, word.group() if word else "", called, arguments, quiet)

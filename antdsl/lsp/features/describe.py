@@ -6,25 +6,25 @@ from collections.abc import Callable
 from typing import Any, NamedTuple
 
 from antdsl.lsp.features.navigation import find_declaration
-from antdsl.lsp.language import LANGUAGE, MEMBER_WORDS, flat, help_text, markdown, signature
-from antdsl.lsp.workspace import Document, Workspace
-from antdsl.program.kinds import Kind, Type
+from antdsl.lsp.language import HELP_RULES, MEMBER_WORDS, flat, help_text, markdown, signature
+from antdsl.lsp.workspace import OpenDocument, Workspace
+from antdsl.program.kinds import TypeKind, ValueType
 from antdsl.program.model import Program
-from antdsl.program.names.bindings import Key
+from antdsl.program.names.bindings import NameKey
 from antdsl.program.names.declared import declaration
-from antdsl.program.tables.things import KINDS_OF_THINGS
+from antdsl.program.tables.things import KIND_BY_WORD
 from antdsl.program.tables.units import default_unit
 from antdsl.program.types.descriptions import type_words
 from antdsl.syntax import nodes
 
 
-def describe(workspace: Workspace, document: Document, key: Key) -> str | None:
+def describe(workspace: Workspace, document: OpenDocument, key: NameKey) -> str | None:
     """What to show for a symbol, as Markdown; None when nothing is known."""
-    if key[0] in LANGUAGE:
-        return LANGUAGE[key[0]](key)
-    if key[0] not in _RULES:
+    if key[0] in HELP_RULES:
+        return HELP_RULES[key[0]](key)
+    if key[0] not in _DESCRIPTION_RULES:
         return None
-    node_type, rule = _RULES[key[0]]
+    node_type, rule = _DESCRIPTION_RULES[key[0]]
     target = find_declaration(workspace, document, key)
     if target is None or not isinstance(target[1].node, node_type):
         return None
@@ -35,12 +35,12 @@ class SymbolDeclaration(NamedTuple):
     """A symbol that `document` mentions and `file` declares."""
 
     workspace: Workspace
-    document: Document
-    file: Document
-    key: Key
+    document: OpenDocument
+    file: OpenDocument
+    key: NameKey
 
 
-def _checked_type(program: Program | None, key: Key) -> Type | None:
+def _checked_type(program: Program | None, key: NameKey) -> ValueType | None:
     """The type that the checker found for a name of a species."""
     species = program.species.get(key[1]) if program is not None else None
     if species is None:
@@ -48,10 +48,10 @@ def _checked_type(program: Program | None, key: Key) -> Type | None:
     return species.own_types.get(key[-1]) or next((p.type for p in species.params if p.name == f"{key[1]}.{key[-1]}"), None)
 
 
-def _kind_line(type: Type | None, *details: str) -> str:
-    if type is None or type.kind is Kind.BAD:
+def _kind_line(type: ValueType | None, *details: str) -> str:
+    if type is None or type.kind is TypeKind.BAD:
         return "; ".join(details)
-    unit = default_unit(type.dim) if type.kind in (Kind.NUMBER, Kind.VECTOR) else ""
+    unit = default_unit(type.dim) if type.kind in (TypeKind.NUMBER, TypeKind.VECTOR) else ""
     return "; ".join([type_words(type) + (f", in `{unit}`" if unit else ""), *details])
 
 
@@ -78,7 +78,7 @@ def _own(symbol: SymbolDeclaration, member: Any) -> str:
 
 def _thing(symbol: SymbolDeclaration, node: nodes.WorldItem) -> str:
     inner = "; ".join(flat(each.span.text) for each in node.attributes)
-    kind = KINDS_OF_THINGS.get(node.kind.text)
+    kind = KIND_BY_WORD.get(node.kind.text)
     form = f"{node.kind.text} {node.name.text}" + (f" {{ {inner} }}" if inner else "")
     return markdown(form, kind.help if kind is not None else "", help_text(node))
 
@@ -153,7 +153,7 @@ def _machine(symbol: SymbolDeclaration, node: nodes.Machine) -> str:
 
 
 # By the kind of a symbol: the nodes that may declare it, and the function that describes it.
-_RULES: dict[str, tuple[type, Callable[[SymbolDeclaration, Any], str]]] = {
+_DESCRIPTION_RULES: dict[str, tuple[type, Callable[[SymbolDeclaration, Any], str]]] = {
     "own": (object, _own), "thing": (nodes.WorldItem, _thing), "attribute": (object, _attribute),
     "field": (nodes.FieldDecl, _field), "species": (object, _species), "state": (nodes.State, _state),
     "behaviour": (nodes.Behaviour, _behaviour), "inner": (object, _inner), "let": (object, _let),

@@ -5,12 +5,12 @@ from __future__ import annotations
 from difflib import SequenceMatcher
 
 from antdsl import syntax
-from antdsl.lsp.text import Edit
-from antdsl.lsp.workspace import Document
+from antdsl.lsp.text import TextEdit
+from antdsl.lsp.workspace import OpenDocument
 from antdsl.source import Source
 
 
-def formatting_edits(document: Document) -> list[Edit] | None:
+def formatting_edits(document: OpenDocument) -> list[TextEdit] | None:
     """Return the edits that format a document; an empty list if it is formatted, None for a text with errors, which stays
     unchanged."""
     new_text, _ = syntax.format(Source(str(document.path), document.text.text))
@@ -23,5 +23,5 @@ def formatting_edits(document: Document) -> list[Edit] | None:
     edits = []
     for tag, first, last, begin, end in SequenceMatcher(None, old, new, autojunk=False).get_opcodes():
         if tag != "equal":
-            edits.append(Edit(starts[first], starts[last], "".join(new[begin:end])))
+            edits.append(TextEdit(starts[first], starts[last], "".join(new[begin:end])))
     return edits

@@ -7,32 +7,32 @@ from dataclasses import dataclass
 from fractions import Fraction
 from math import ceil
 
-from antdsl.lsp.workspace import Document, Workspace
+from antdsl.lsp.workspace import OpenDocument, Workspace
 from antdsl.program.tables.units import measure
-from antdsl.program.tables.vocabulary import TIME
+from antdsl.program.tables.vocabulary import TIME_DIMENSION
 from antdsl.program.traverse import written_nodes
 from antdsl.source import Span
 from antdsl.syntax import nodes
 
-_USUAL = Fraction(24)
+_DEFAULT_FPS = Fraction(24)
 
 
 @dataclass(frozen=True, slots=True)
-class Hint:
+class InlayHint:
     span: Span  # it stands before the start of this, or after its end
     is_before: bool
     text: str
     help: str
 
 
-def hints(workspace: Workspace, document: Document) -> list[Hint]:
+def hints(workspace: Workspace, document: OpenDocument) -> list[InlayHint]:
     """Return the hints of a program in text order."""
     fps = frame_rate(workspace, document)
     all_hints = [hint for item in document.parsed[0].items for hint in _item_hints(item, fps)]
     return sorted(all_hints, key=lambda hint: document.start(hint.span))
 
 
-def frame_rate(workspace: Workspace, document: Document) -> Fraction | None:
+def frame_rate(workspace: Workspace, document: OpenDocument) -> Fraction | None:
     """Return the frames per second of the scenes that use a program; None where they disagree or give none."""
     rates = set()
     for path in workspace.files():
@@ -47,7 +47,7 @@ def frame_rate(workspace: Workspace, document: Document) -> Fraction | None:
     return rates.pop() if len(rates) == 1 else None
 
 
-def _item_hints(item: object, fps: Fraction | None) -> Iterator[Hint]:
+def _item_hints(item: object, fps: Fraction | None) -> Iterator[InlayHint]:
     for part, _ in written_nodes(item):
         if isinstance(part, nodes.Layers):
             yield from _rank_hints(part)
@@ -57,26 +57,26 @@ def _item_hints(item: object, fps: Fraction | None) -> Iterator[Hint]:
                 yield hint
 
 
-def _rank_hints(node: nodes.Layers) -> Iterator[Hint]:
+def _rank_hints(node: nodes.Layers) -> Iterator[InlayHint]:
     mode = node.mode.text if node.mode is not None else "budget"
     if mode == "sum":
         return  # all count alike
     rule = "only the first layer that pushes counts" if mode == "first" else "gets what the lines above leave of the budget"
     for rank, layer in enumerate(node.layers, 1):
-        yield Hint(layer.span, True, f"{rank}.", f"layer {rank} of {len(node.layers)}: {rule}")
+        yield InlayHint(layer.span, True, f"{rank}.", f"layer {rank} of {len(node.layers)}: {rule}")
 
 
-def _frame_hint(node: nodes.Quantity, fps: Fraction | None) -> Hint | None:
+def _frame_hint(node: nodes.Quantity, fps: Fraction | None) -> InlayHint | None:
     """Return how many frames a duration takes, rounded up to whole steps."""
     known = measure(node.unit)
-    if known is None or known.dim != TIME or known.step:
+    if known is None or known.dim != TIME_DIMENSION or known.step:
         return None
-    rate = fps or _USUAL
+    rate = fps or _DEFAULT_FPS
     exact = Fraction(str(node.value)) * Fraction(str(known.factor)) * rate
     count = ceil(exact)
     frame_text = f"{count} frame{'' if count == 1 else 's'}"
     where = f"at {float(rate):g} fps" if fps is not None else "at 24 fps, as no scene says otherwise"
-    return Hint(
+    return InlayHint(
         node.span,
         False,
         frame_text if fps is not None else f"{frame_text} at 24 fps",

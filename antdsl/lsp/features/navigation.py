@@ -9,25 +9,34 @@ from pathlib import Path
 
 from antdsl import limits
 from antdsl.lsp.features.tokens import keywords
-from antdsl.lsp.names import Occurrence
-from antdsl.lsp.text import Range
-from antdsl.lsp.workspace import Document, Workspace
-from antdsl.program.names.bindings import Key
+from antdsl.lsp.names import NameOccurrence
+from antdsl.lsp.text import TextRange
+from antdsl.lsp.workspace import OpenDocument, Workspace
+from antdsl.program.names.bindings import NameKey
 from antdsl.program.names.declared import Declaration
 from antdsl.program.tables import vocabulary
 from antdsl.program.types.states import STATE_WORDS
 from antdsl.source import Source, Span
 
 # Kinds of names that an author gives; the others are words of the language.
-GIVEN_BY_AUTHOR = frozenset(
+AUTHOR_NAME_KINDS = frozenset(
     ("thing", "attribute", "field", "species", "own", "machine", "state", "let", "event", "behaviour", "inner", "element",
      "alias", "scene-item")
 )  # fmt: skip
-_NAME = re.compile(r"[a-z][a-z_0-9]*")
-_TAKEN = frozenset(
-    {*vocabulary.RUN_NAMES, *vocabulary.SENSED_NAMES, *vocabulary.RESERVED, *STATE_WORDS, "self", "true", "false", "it"}
+_NAME_PATTERN = re.compile(r"[a-z][a-z_0-9]*")
+_RESERVED_NAMES = frozenset(
+    {
+        *vocabulary.RUN_VALUE_TYPES,
+        *vocabulary.SENSE_TYPE_BY_NAME,
+        *vocabulary.RESERVED_WORDS,
+        *STATE_WORDS,
+        "self",
+        "true",
+        "false",
+        "it",
+    }
 )
-_UNKNOWN = {
+_CANDIDATE_KINDS = {
     "?": ("thing", "field", "species"), "?state": ("state",), "?behaviour": ("behaviour",), "?member": ("own", "attribute"),
     "?scene": ("thing", "scene-item"), "?layer": ("own", "thing", "field", "species", "behaviour", "inner"),
 }  # fmt: skip
@@ -39,15 +48,15 @@ class RenameRefused(Exception):
 
 @dataclass(frozen=True, slots=True)
 class NameLocation:
-    document: Document
+    document: OpenDocument
     span: Span
 
     @property
-    def range(self) -> Range:
+    def range(self) -> TextRange:
         return self.document.range(self.span)
 
 
-def find_declaration(workspace: Workspace, document: Document, key: Key) -> tuple[Document, Declaration] | None:
+def find_declaration(workspace: Workspace, document: OpenDocument, key: NameKey) -> tuple[OpenDocument, Declaration] | None:
     """Return where a symbol is declared. The document has priority over other files."""
     if key[0] in ("behaviour", "inner", "alias"):
         paths = [Path(key[1])]
@@ -66,9 +75,9 @@ def find_declaration(workspace: Workspace, document: Document, key: Key) -> tupl
     return brought
 
 
-def _candidate_keys(document: Document, key: Key) -> Iterator[Key]:
+def _candidate_keys(document: OpenDocument, key: NameKey) -> Iterator[NameKey]:
     """The keys that an unknown name may stand for in another file."""
-    kinds = _UNKNOWN.get(key[0])
+    kinds = _CANDIDATE_KINDS.get(key[0])
     if kinds is None:
         yield key
         return
@@ -77,12 +86,12 @@ def _candidate_keys(document: Document, key: Key) -> Iterator[Key]:
             yield each
 
 
-def occurrence_at(document: Document, offset: int) -> Occurrence | None:
+def occurrence_at(document: OpenDocument, offset: int) -> NameOccurrence | None:
     occurrences = document.at(offset)
     return occurrences[0] if occurrences else None
 
 
-def definition(workspace: Workspace, document: Document, offset: int) -> list[NameLocation]:
+def definition(workspace: Workspace, document: OpenDocument, offset: int) -> list[NameLocation]:
     """Return where the name at an offset is declared: in this file, another file or the library. If a file is named, return that
     file."""
     locations: dict[tuple[Path, int], NameLocation] = {}
@@ -106,7 +115,7 @@ def definition(workspace: Workspace, document: Document, offset: int) -> list[Na
     return list(locations.values())
 
 
-def _item_locations(workspace: Workspace, document: Document, name: str) -> Iterator[NameLocation]:
+def _item_locations(workspace: Workspace, document: OpenDocument, name: str) -> Iterator[NameLocation]:
     """Yield where scenes name an item: this scene, and those that it extends or that extend it."""
     for path in workspace.extending_scenes(document.path):
         other = workspace.document(path)
@@ -114,7 +123,7 @@ def _item_locations(workspace: Workspace, document: Document, name: str) -> Iter
             yield NameLocation(other, other.scene.items[name])
 
 
-def _related_documents(workspace: Workspace, key: Key) -> Iterator[Document]:
+def _related_documents(workspace: Workspace, key: NameKey) -> Iterator[OpenDocument]:
     from antdsl.resources import library_file
 
     path = library_file(key[1]) if key[0] == "library" else Path(key[1])
@@ -123,11 +132,11 @@ def _related_documents(workspace: Workspace, key: Key) -> Iterator[Document]:
         yield document
 
 
-def _source(document: Document) -> Source:
+def _source(document: OpenDocument) -> Source:
     return document.parsed[0].source if document.is_program else Source(str(document.path), document.text.text)
 
 
-def references(workspace: Workspace, document: Document, offset: int, declaration: bool = True) -> list[NameLocation]:
+def references(workspace: Workspace, document: OpenDocument, offset: int, declaration: bool = True) -> list[NameLocation]:
     """Return all references to the same symbol, in all related files."""
     keys = {resolve_key(workspace, document, each.key) for each in _occurrences_at(document, offset)}
     locations: dict[tuple[Path, int], NameLocation] = {}
@@ -140,10 +149,10 @@ def references(workspace: Workspace, document: Document, offset: int, declaratio
     )
 
 
-def resolve_key(workspace: Workspace, document: Document, key: Key) -> Key:
+def resolve_key(workspace: Workspace, document: OpenDocument, key: NameKey) -> NameKey:
     """Return the key of a name that this file alone does not resolve: an item of the base scene, or a declaration of a
     program."""
-    if key[0] not in _UNKNOWN:
+    if key[0] not in _CANDIDATE_KINDS:
         return key
     if key[0] == "?scene" and any(_item_locations(workspace, document, key[1])):
         return ("scene-item", key[1])
@@ -151,12 +160,14 @@ def resolve_key(workspace: Workspace, document: Document, key: Key) -> Key:
     return target[1].key if target is not None else key
 
 
-def _occurrences_at(document: Document, offset: int) -> list[Occurrence]:
+def _occurrences_at(document: OpenDocument, offset: int) -> list[NameOccurrence]:
     occurrences = document.at(offset)
     return [each for each in occurrences if each.span == occurrences[0].span]
 
 
-def _all_occurrences(workspace: Workspace, document: Document, keys: set[Key]) -> Iterator[tuple[Document, Occurrence]]:
+def _all_occurrences(
+    workspace: Workspace, document: OpenDocument, keys: set[NameKey]
+) -> Iterator[tuple[OpenDocument, NameOccurrence]]:
     if any(key[0] == "element" for key in keys):
         paths = [document.path]
     elif any(key[0] == "scene-item" for key in keys):
@@ -169,9 +180,9 @@ def _all_occurrences(workspace: Workspace, document: Document, keys: set[Key]) -
         other = workspace.document(path)
         for occurrence in other.occurrences if other is not None else ():
             key = occurrence.key
-            known_key = known.get(key[-1]) if key[0] in _UNKNOWN else None
+            known_key = known.get(key[-1]) if key[0] in _CANDIDATE_KINDS else None
             elsewhere = key[0] == "?layer" and known_key is not None and known_key[0] == "own" and known_key[1] != key[1]
-            if key in keys or (known_key is not None and known_key[0] in _UNKNOWN[key[0]] and not elsewhere):
+            if key in keys or (known_key is not None and known_key[0] in _CANDIDATE_KINDS[key[0]] and not elsewhere):
                 assert other is not None
                 yield other, occurrence
 
@@ -179,26 +190,28 @@ def _all_occurrences(workspace: Workspace, document: Document, keys: set[Key]) -
 # --- rename ----------------------------------------------------------------------------------------------------------
 
 
-def renamable_name(workspace: Workspace, document: Document, offset: int) -> Occurrence:
+def renamable_name(workspace: Workspace, document: OpenDocument, offset: int) -> NameOccurrence:
     """Return the renamable name at an offset. Raises Refused when there is none."""
     occurrence = occurrence_at(document, offset)
     if occurrence is None:
         raise RenameRefused("there is no name here")
     occurrence = replace(occurrence, key=resolve_key(workspace, document, occurrence.key))
     word = occurrence.span.text.strip('"')
-    if occurrence.key[0] not in GIVEN_BY_AUTHOR or (occurrence.key[0] == "event" and occurrence.key[1] in ("spawn", "collision")):
+    if occurrence.key[0] not in AUTHOR_NAME_KINDS or (
+        occurrence.key[0] == "event" and occurrence.key[1] in ("spawn", "collision")
+    ):
         raise RenameRefused(f"`{word}` is a word of the language, or is declared nowhere")
     return occurrence
 
 
-def rename_symbol(workspace: Workspace, document: Document, offset: int, new: str) -> list[NameLocation]:
+def rename_symbol(workspace: Workspace, document: OpenDocument, offset: int, new: str) -> list[NameLocation]:
     """Return all positions that a new name must be written to. Names that `take` and `give` bind together are renamed
     together."""
     first = renamable_name(workspace, document, offset)
-    if not _NAME.fullmatch(new) or len(new) > limits.NAME_CHARACTERS:
+    if not _NAME_PATTERN.fullmatch(new) or len(new) > limits.MAX_NAME_CHARACTERS:
         raise RenameRefused(f"`{new[:80]}` is no name: small letters, digits and `_`, beginning with a letter")
-    called = first.key[0] == "behaviour" and (new in vocabulary.BUILTINS or new in vocabulary.REDUCERS)
-    if new in _TAKEN or new in keywords() or called or _is_built_in(first.key, new):
+    called = first.key[0] == "behaviour" and (new in vocabulary.BUILTINS_BY_NAME or new in vocabulary.REDUCER_HELP)
+    if new in _RESERVED_NAMES or new in keywords() or called or _is_built_in(first.key, new):
         raise RenameRefused(f"`{new}` is a word of the language")
     keys = _jointly_bound_keys(
         workspace, document, {resolve_key(workspace, document, each.key) for each in _occurrences_at(document, offset)}
@@ -221,19 +234,19 @@ def _is_own_file(workspace: Workspace, path: Path) -> bool:
     return not inside or any(path.is_relative_to(root) for root in workspace.roots)
 
 
-def _is_built_in(key: Key, new: str) -> bool:
+def _is_built_in(key: NameKey, new: str) -> bool:
     if key[0] in ("own", "let", "machine"):
-        return new in vocabulary.BUILTIN_ATTRIBUTES
-    return key[0] == "attribute" and (new in vocabulary.ITEM_ATTRIBUTES or new in vocabulary.HIT_ATTRIBUTES)
+        return new in vocabulary.BUILTIN_ATTRIBUTE_BY_NAME
+    return key[0] == "attribute" and (new in vocabulary.ITEM_ATTRIBUTE_TYPES or new in vocabulary.HIT_ATTRIBUTE_TYPES)
 
 
-def _jointly_bound_keys(workspace: Workspace, document: Document, keys: set[Key]) -> set[Key]:
+def _jointly_bound_keys(workspace: Workspace, document: OpenDocument, keys: set[NameKey]) -> set[NameKey]:
     """Return the keys that are renamed together with `keys`. `take 1 load from meal` names the animal's `load` and the food's at
     once: if one is renamed, so is the other."""
-    pairs: list[set[Key]] = []
+    pairs: list[set[NameKey]] = []
     for path in workspace.related_files(document.path):
         other = workspace.document(path)
-        by_place: dict[int, set[Key]] = {}
+        by_place: dict[int, set[NameKey]] = {}
         for each in other.occurrences if other is not None else ():
             assert other is not None
             by_place.setdefault(other.start(each.span), set()).add(each.key)
@@ -246,9 +259,9 @@ def _jointly_bound_keys(workspace: Workspace, document: Document, keys: set[Key]
     return keys
 
 
-def _refuse_collision(workspace: Workspace, document: Document, key: Key, new: str) -> None:
+def _refuse_collision(workspace: Workspace, document: OpenDocument, key: NameKey, new: str) -> None:
     """Raise Refused for a name that is already in use in the scope of the renamed one, or that would hide it."""
-    rivals: set[Key] = {(*key[:-1], new)}
+    rivals: set[NameKey] = {(*key[:-1], new)}
     if key[0] in ("own", "let", "machine"):
         rivals |= {("own", key[1], new), ("machine", key[1], new)}
     if key[0] in ("thing", "field", "species", "event"):
@@ -275,7 +288,7 @@ def _refuse_collision(workspace: Workspace, document: Document, key: Key, new: s
             raise RenameRefused(f"a local `{new}` in {other.path.name} would hide it")
 
 
-def _share_scope(key: Key, other: Key) -> bool:
+def _share_scope(key: NameKey, other: NameKey) -> bool:
     """Whether two names can be seen from one place."""
     world = ("thing", "field", "species", "event")
     if key[0] in world or other[0] in world:

@@ -8,17 +8,17 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from antdsl.lsp.language import MEMBER_WORDS
-from antdsl.lsp.workspace import Document
+from antdsl.lsp.workspace import OpenDocument
 from antdsl.program.names.declared import declaration
-from antdsl.scene.document import MappingNode, Node, ScalarNode, SequenceNode
+from antdsl.scene.document import DocumentNode, MappingNode, ScalarNode, SequenceNode
 from antdsl.source import Span
 from antdsl.syntax import nodes
 
-_PIECE = re.compile(r'"[^"\n]*"?|#[^\n]*|[{}()\[\]]')
+_PIECE_PATTERN = re.compile(r'"[^"\n]*"?|#[^\n]*|[{}()\[\]]')
 
 
 @dataclass(slots=True)
-class Symbol:
+class OutlineSymbol:
     """`kind`: species, state, behaviour, param, attribute, value, machine, layers, field, thing, world, spec, event, key,
     file."""
 
@@ -27,72 +27,76 @@ class Symbol:
     span: Span  # all of it
     name_span: Span
     detail: str = ""
-    inner: list[Symbol] = field(default_factory=list)
+    inner: list[OutlineSymbol] = field(default_factory=list)
 
 
-def symbols(document: Document) -> list[Symbol]:
+def symbols(document: OpenDocument) -> list[OutlineSymbol]:
     if not document.is_program:
         return list(_key_symbols(document.scene.document)) if document.scene.document is not None else []
     return [symbol for item in document.parsed[0].items if (symbol := _item_symbol(item)) is not None]
 
 
-def _item_symbol(item: Any) -> Symbol | None:
+def _item_symbol(item: Any) -> OutlineSymbol | None:
     if isinstance(item, nodes.World):
-        inner = [Symbol(each.name.text, "thing", each.span, each.name.span, each.kind.text) for each in item.items]
-        return Symbol("world", "world", item.span, Span(item.span.source, item.span.start, item.span.start + 5), "", inner)
+        inner = [OutlineSymbol(each.name.text, "thing", each.span, each.name.span, each.kind.text) for each in item.items]
+        return OutlineSymbol("world", "world", item.span, Span(item.span.source, item.span.start, item.span.start + 5), "", inner)
     if isinstance(item, nodes.FieldDecl):
-        return Symbol(item.name.text, "field", item.span, item.name.span, "field")
+        return OutlineSymbol(item.name.text, "field", item.span, item.name.span, "field")
     if isinstance(item, nodes.Behaviour):
-        return Symbol(item.name.text, "behaviour", item.span, item.name.span, "behaviour")
+        return OutlineSymbol(item.name.text, "behaviour", item.span, item.name.span, "behaviour")
     if isinstance(item, nodes.Spec):
-        return Symbol(item.name.text or "spec", "spec", item.span, item.name.span, "spec")
+        return OutlineSymbol(item.name.text or "spec", "spec", item.span, item.name.span, "spec")
     if isinstance(item, nodes.Use):
         name = item.library or item.alias
-        return Symbol(name.text, "file", item.span, name.span, "use") if name is not None else None
+        return OutlineSymbol(name.text, "file", item.span, name.span, "use") if name is not None else None
     if isinstance(item, nodes.Species):
-        return Symbol(item.name.text, "species", item.span, item.name.span, "species", list(_member_symbols(item.members)))
+        return OutlineSymbol(item.name.text, "species", item.span, item.name.span, "species", list(_member_symbols(item.members)))
     return None
 
 
-def _member_symbols(members: Any) -> Iterator[Symbol]:
+def _member_symbols(members: Any) -> Iterator[OutlineSymbol]:
     for member in members:
         declared = declaration(member)
         if declared is not None:
             kind = {nodes.ParamDecl: "param", nodes.Declaration: "attribute"}.get(type(member), "value")
             word = MEMBER_WORDS.get(type(member), "")
-            yield Symbol(declared.name.text, kind, member.span, declared.name.span, word)
+            yield OutlineSymbol(declared.name.text, kind, member.span, declared.name.span, word)
         elif isinstance(member, nodes.State):
-            yield Symbol(member.name.text, "state", member.span, member.name.span, member.label.text if member.label else "")
+            yield OutlineSymbol(
+                member.name.text, "state", member.span, member.name.span, member.label.text if member.label else ""
+            )
         elif isinstance(member, nodes.Machine):
-            yield Symbol(
+            yield OutlineSymbol(
                 member.name.text, "machine", member.span, member.name.span, "machine", list(_member_symbols(member.members))
             )
         elif isinstance(member, nodes.Layers):
-            yield Symbol("layers", "layers", member.span, Span(member.span.source, member.span.start, member.span.start + 6))
+            yield OutlineSymbol(
+                "layers", "layers", member.span, Span(member.span.source, member.span.start, member.span.start + 6)
+            )
         elif isinstance(member, nodes.On):
-            yield Symbol(f"on {member.event.text}", "event", member.span, member.event.span)
+            yield OutlineSymbol(f"on {member.event.text}", "event", member.span, member.event.span)
         elif isinstance(member, nodes.AnimalProperty):
-            yield Symbol(member.name.text, "attribute", member.span, member.name.span)
+            yield OutlineSymbol(member.name.text, "attribute", member.span, member.name.span)
 
 
-def _key_symbols(node: Node) -> Iterator[Symbol]:
+def _key_symbols(node: DocumentNode) -> Iterator[OutlineSymbol]:
     if isinstance(node, MappingNode):
         for key, value in node.entries.items():
             span = node.keys[key]
             entry_span = Span(span.source, span.start, max(span.end, value.span.end))
             detail = value.text if isinstance(value, ScalarNode) else ""
-            yield Symbol(key, "key", entry_span, span, detail[:60], list(_key_symbols(value)))
+            yield OutlineSymbol(key, "key", entry_span, span, detail[:60], list(_key_symbols(value)))
     elif isinstance(node, SequenceNode):
         for item in node.items:
             if isinstance(item, MappingNode):
                 name = next((item.entries[k] for k in ("species",) if k in item.entries), None)
                 text = name.text if isinstance(name, ScalarNode) else "…"
                 first = Span(item.span.source, item.span.start, item.span.start + 1)
-                yield Symbol(text, "key", item.span, first, "", list(_key_symbols(item)))
+                yield OutlineSymbol(text, "key", item.span, first, "", list(_key_symbols(item)))
 
 
 @dataclass(frozen=True, slots=True)
-class Fold:
+class FoldedRange:
     """Lines from 0, both included."""
 
     first: int
@@ -100,13 +104,13 @@ class Fold:
     comment: bool = False
 
 
-def folds(document: Document) -> list[Fold]:
+def folds(document: OpenDocument) -> list[FoldedRange]:
     """Braces and brackets over several lines, and runs of comments; in a scene, values below their key."""
     if not document.is_program:
         return _scene_folds(document)
     text, all_folds, stack = document.text, [], []
     comments: list[int] = []
-    for piece in _PIECE.finditer(text.text):
+    for piece in _PIECE_PATTERN.finditer(text.text):
         sign = piece.group()
         if sign[0] == "#":
             line = text.place(piece.start())[0]
@@ -117,27 +121,27 @@ def folds(document: Document) -> list[Fold]:
         elif sign in "})]" and stack:
             first, last = text.place(stack.pop())[0], text.place(piece.start())[0]
             if last > first + 1:
-                all_folds.append(Fold(first, last - 1))
+                all_folds.append(FoldedRange(first, last - 1))
     return sorted([*all_folds, *_run_folds(comments)], key=lambda fold: (fold.first, -fold.last))
 
 
-def _run_folds(lines: list[int]) -> Iterator[Fold]:
+def _run_folds(lines: list[int]) -> Iterator[FoldedRange]:
     first = None
     for number, line in enumerate(lines):
         first = line if first is None else first
         if number + 1 == len(lines) or lines[number + 1] != line + 1:
             if line > first:
-                yield Fold(first, line, True)
+                yield FoldedRange(first, line, True)
             first = None
 
 
-def _scene_folds(document: Document) -> list[Fold]:
-    folds_by_line: dict[int, Fold] = {}
+def _scene_folds(document: OpenDocument) -> list[FoldedRange]:
+    folds_by_line: dict[int, FoldedRange] = {}
     stack = list(symbols(document))
     while stack:
         symbol = stack.pop()
         (first, _), (last, _) = document.range(symbol.span)
         if last > first:
-            folds_by_line.setdefault(first, Fold(first, last))
+            folds_by_line.setdefault(first, FoldedRange(first, last))
         stack += symbol.inner
     return [folds_by_line[line] for line in sorted(folds_by_line)]

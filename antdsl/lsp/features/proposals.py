@@ -6,23 +6,23 @@ import re
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 
-from antdsl.lsp.features.context import Context
+from antdsl.lsp.features.context import CursorContext
 from antdsl.lsp.language import MEMBER_WORDS, builtin_form, help_text, signature
-from antdsl.lsp.names import Names
+from antdsl.lsp.names import ProgramNames
 from antdsl.lsp.words import VALUES
-from antdsl.lsp.workspace import Document, Workspace
-from antdsl.program.kinds import Kind, Type
+from antdsl.lsp.workspace import OpenDocument, Workspace
+from antdsl.program.kinds import TypeKind, ValueType
 from antdsl.program.names.declared import declaration
 from antdsl.program.names.scope import type_from_words
 from antdsl.program.tables import vocabulary
-from antdsl.program.tables.effects import EFFECTS
+from antdsl.program.tables.effects import EFFECT_BY_OPERATION
 from antdsl.program.types.states import STATE_WORDS
 from antdsl.syntax import nodes
-from antdsl.syntax.verbs import VERBS
+from antdsl.syntax.verbs import VERB_BY_WORD
 
 
 @dataclass(frozen=True, slots=True)
-class Item:
+class CompletionItem:
     """One proposal. `kind`: keyword, state, unit, function, argument, variable, property, thing, type, colour, file; `insert`
     may hold snippet places such as `${1:name}` when `snippet`."""
 
@@ -35,11 +35,11 @@ class Item:
 
 
 @dataclass(frozen=True, slots=True)
-class Request:
+class CompletionRequest:
     workspace: Workspace
-    document: Document
-    names: Names
-    context: Context
+    document: OpenDocument
+    names: ProgramNames
+    context: CursorContext
 
     @property
     def prefix(self) -> str:
@@ -55,63 +55,63 @@ class Request:
         return self.context.enclosing_name("member", "machine") or "main"
 
 
-def make_thing_rule(*kinds: str) -> Callable[[Request], Iterator[Item]]:
-    def give(request: Request) -> Iterator[Item]:
+def make_thing_rule(*kinds: str) -> Callable[[CompletionRequest], Iterator[CompletionItem]]:
+    def give(request: CompletionRequest) -> Iterator[CompletionItem]:
         for name, item in request.names.things.items():
             if not kinds or item.kind.text in kinds:
-                yield Item(name, "thing", item.kind.text, help_text(item))
+                yield CompletionItem(name, "thing", item.kind.text, help_text(item))
 
     return give
 
 
-def fields(request: Request) -> Iterator[Item]:
+def fields(request: CompletionRequest) -> Iterator[CompletionItem]:
     for name, node in request.names.fields.items():
-        yield Item(name, "thing", "field", help_text(node))
+        yield CompletionItem(name, "thing", "field", help_text(node))
 
 
-def species(request: Request) -> Iterator[Item]:
+def species(request: CompletionRequest) -> Iterator[CompletionItem]:
     for name in request.names.species:
-        yield Item(name, "thing", "species")
+        yield CompletionItem(name, "thing", "species")
 
 
-def _local_names(request: Request) -> dict[str, tuple[str, Type | None]]:
+def _local_names(request: CompletionRequest) -> dict[str, tuple[str, ValueType | None]]:
     """Return the local names at this position: for each its description in words, and its type if known."""
     behaviour = request.names.behaviours.get(request.context.enclosing_name("top", "behaviour") or "")
-    known_names: dict[str, tuple[str, Type | None]] = {}
+    known_names: dict[str, tuple[str, ValueType | None]] = {}
     for each in (*behaviour.arguments, *behaviour.body) if behaviour is not None else ():
         written = each.type if isinstance(each, nodes.BehaviourArgument) else None
         of = written.of.text if written is not None and written.of is not None else None
         known_names[each.name.text] = ("argument", type_from_words(written.name.text, of) if written is not None else None)
     for variable, over, first in re.findall(r"\(\s*(\w+)\s+in\s+(\w+)(?:\(\s*([a-z_]\w*))?", request.context.line):
-        type: Type | None
+        type: ValueType | None
         if over == "neighbours":
-            type = Type(Kind.AGENT, of=request.species)
+            type = ValueType(TypeKind.AGENT, of=request.species)
         elif over in ("feelers", "ray"):
-            type = Type(Kind.HIT)
+            type = ValueType(TypeKind.HIT)
         else:
             type = _type(request, first if over in ("all", "nearest") else over, {})
         known_names[variable] = ("element", type)
     return known_names
 
 
-def _type(request: Request, name: str, local: Mapping[str, tuple[str, Type | None]]) -> Type | None:
+def _type(request: CompletionRequest, name: str, local: Mapping[str, tuple[str, ValueType | None]]) -> ValueType | None:
     """Return the type of a name from the last check, or from the last check without errors if that one has none."""
     if name in local:
         return local[name][1]
     if name == "self" and request.species:
-        return Type(Kind.AGENT, of=request.species)
+        return ValueType(TypeKind.AGENT, of=request.species)
     checked, path = request.workspace.check(request.document.path), request.document.path
     for program in (checked.program if checked is not None else None, request.workspace.last_good_program(path)):
         species = program.species.get(request.species or "") if program is not None else None
         known_type = species.own_types.get(name) if species is not None else None
-        if known_type is not None and known_type.kind is not Kind.BAD:
+        if known_type is not None and known_type.kind is not TypeKind.BAD:
             return known_type
     if name in request.names.species:
-        return Type(Kind.SPECIES, of=name)
-    return Type(Kind.ITEMS, of=name) if name in request.names.things else None
+        return ValueType(TypeKind.SPECIES, of=name)
+    return ValueType(TypeKind.ITEMS, of=name) if name in request.names.things else None
 
 
-def members(request: Request) -> Iterator[Item]:
+def members(request: CompletionRequest) -> Iterator[CompletionItem]:
     prefix = request.prefix[:-1].rstrip()
     call = re.search(r"\b(?:nearest|random|first|pick)\(\s*([a-z_][a-z_0-9]*)[^()]*\)$", prefix)
     name = call or re.search(r"([a-z_][a-z_0-9]*)$", prefix)
@@ -127,32 +127,32 @@ def members(request: Request) -> Iterator[Item]:
         return
     if table is not None and word in table.machines:
         for each in STATE_WORDS:
-            yield Item(each, "property", f"of machine {word}")
+            yield CompletionItem(each, "property", f"of machine {word}")
         return
     owner = _type(request, word, local)
     if owner is None:
         return
     owner_name = owner.of or ""
-    if owner.kind in (Kind.ITEM, Kind.ITEMS):
+    if owner.kind in (TypeKind.ITEM, TypeKind.ITEMS):
         thing = request.names.things.get(owner_name)
         for attribute in thing.attributes if thing is not None else ():
-            yield Item(attribute.name.text, "property", f"value of {owner_name}", help_text(attribute))
-        for member_name, type in vocabulary.ITEM_ATTRIBUTES.items():
-            yield Item(member_name, "property", type)
-    elif owner.kind is Kind.HIT:
-        for member_name, type in vocabulary.HIT_ATTRIBUTES.items():
-            yield Item(member_name, "property", type)
-    elif owner.kind in (Kind.AGENT, Kind.SPECIES):
+            yield CompletionItem(attribute.name.text, "property", f"value of {owner_name}", help_text(attribute))
+        for member_name, type in vocabulary.ITEM_ATTRIBUTE_TYPES.items():
+            yield CompletionItem(member_name, "property", type)
+    elif owner.kind is TypeKind.HIT:
+        for member_name, type in vocabulary.HIT_ATTRIBUTE_TYPES.items():
+            yield CompletionItem(member_name, "property", type)
+    elif owner.kind in (TypeKind.AGENT, TypeKind.SPECIES):
         other = request.names.species.get(owner_name)
         for own, member in (other.own if other is not None else {}).items():
             node = declaration(member)
-            yield Item(own, "property", f"of {owner_name}", help_text(node))
-        if owner.kind is Kind.AGENT:
-            for member_name, row in vocabulary.BUILTIN_ATTRIBUTES.items():
-                yield Item(member_name, "property", row.type, row.help)
+            yield CompletionItem(own, "property", f"of {owner_name}", help_text(node))
+        if owner.kind is TypeKind.AGENT:
+            for member_name, row in vocabulary.BUILTIN_ATTRIBUTE_BY_NAME.items():
+                yield CompletionItem(member_name, "property", row.type, row.help)
 
 
-def argument_names(request: Request) -> Iterator[Item]:
+def argument_names(request: CompletionRequest) -> Iterator[CompletionItem]:
     context = request.context
     if not re.search(r"(^|[,(])\s*[a-z_0-9]*$", "(" + context.arguments):
         return
@@ -165,28 +165,28 @@ def argument_names(request: Request) -> Iterator[Item]:
                 default = f" = {argument.default.span.text}" if argument.default is not None else ""
                 yield _argument_item(argument.name.text, argument.type.span.text + default)
         return
-    for row in vocabulary.BUILTINS.get(called, ()):
+    for row in vocabulary.BUILTINS_BY_NAME.get(called, ()):
         for arg in row.args:
             if arg.name not in passed_names:
                 yield _argument_item(arg.name, arg.type + (f" = {arg.default}" if arg.default is not None else ""))
-    for name, detail in _LINE_ARGUMENTS.get(called if called in _LINE_ARGUMENTS else context.line.split(" ")[0], ()):
-        if name not in passed_names and context.line.startswith(tuple(_LINE_ARGUMENTS)):
+    for name, detail in _STATEMENT_ARGUMENTS.get(called if called in _STATEMENT_ARGUMENTS else context.line.split(" ")[0], ()):
+        if name not in passed_names and context.line.startswith(tuple(_STATEMENT_ARGUMENTS)):
             yield _argument_item(name, detail)
 
 
 # The arguments of statements that have brackets, each with what it is.
-_LINE_ARGUMENTS = {
+_STATEMENT_ARGUMENTS = {
     row.op: tuple((arg.name, f"attribute, {arg.called}" if arg.type.startswith("own ") else arg.type) for arg in row.args)
-    for row in EFFECTS.values()
-    if VERBS[row.op].shape in ("open", "arguments")
+    for row in EFFECT_BY_OPERATION.values()
+    if VERB_BY_WORD[row.op].shape in ("open", "arguments")
 }
 
 
-def _argument_item(name: str, detail: str) -> Item:
-    return Item(f"{name}:", "argument", detail, "", f"{name}: ")
+def _argument_item(name: str, detail: str) -> CompletionItem:
+    return CompletionItem(f"{name}:", "argument", detail, "", f"{name}: ")
 
 
-def _find_behaviour(request: Request, called: str) -> nodes.Behaviour | None:
+def _find_behaviour(request: CompletionRequest, called: str) -> nodes.Behaviour | None:
     alias, dot, name = called.partition(".")
     if dot:
         module = request.workspace.document(request.names.modules[alias]) if alias in request.names.modules else None
@@ -194,7 +194,7 @@ def _find_behaviour(request: Request, called: str) -> nodes.Behaviour | None:
     return dict(_known_behaviours(request)).get(called)
 
 
-def _known_behaviours(request: Request) -> Iterator[tuple[str, nodes.Behaviour]]:
+def _known_behaviours(request: CompletionRequest) -> Iterator[tuple[str, nodes.Behaviour]]:
     for path in request.names.libraries.values():
         library = request.workspace.document(path.resolve())
         if library is not None:
@@ -202,23 +202,23 @@ def _known_behaviours(request: Request) -> Iterator[tuple[str, nodes.Behaviour]]
     yield from request.names.behaviours.items()
 
 
-def behaviours(request: Request) -> Iterator[Item]:
+def behaviours(request: CompletionRequest) -> Iterator[CompletionItem]:
     for behaviour in dict(_known_behaviours(request)).values():
         yield _call_item(behaviour)
     for alias in request.names.modules:
-        yield Item(alias, "file", "another file")
+        yield CompletionItem(alias, "file", "another file")
 
 
-def _call_item(node: nodes.Behaviour) -> Item:
+def _call_item(node: nodes.Behaviour) -> CompletionItem:
     """Return the proposal of a behaviour, with a placeholder for each required argument."""
     required = [argument for argument in node.arguments if argument.default is None]
     placeholders = ", ".join(f"${{{number}:{argument.name.text}}}" for number, argument in enumerate(required, 1))
     optional = "$0" if not required and node.arguments else ""
     insert = f"{node.name.text}({placeholders or optional})" + ("" if optional else "$0")
-    return Item(node.name.text, "function", signature(node), help_text(node), insert, True)
+    return CompletionItem(node.name.text, "function", signature(node), help_text(node), insert, True)
 
 
-def own_names(request: Request, assignable: bool = False) -> Iterator[Item]:
+def own_names(request: CompletionRequest, assignable: bool = False) -> Iterator[CompletionItem]:
     table = request.names.species.get(request.species or "")
     for name, member in (table.own if table is not None else {}).items():
         if assignable and not isinstance(member, nodes.Declaration):
@@ -226,7 +226,7 @@ def own_names(request: Request, assignable: bool = False) -> Iterator[Item]:
         node = declaration(member)
         kind = MEMBER_WORDS.get(type(member), "attribute")
         value = f" = {' '.join(node.value.span.text.split())}" if isinstance(node, nodes.Declaration) else ""
-        yield Item(name, "variable", f"{kind}{value}", help_text(node))
+        yield CompletionItem(name, "variable", f"{kind}{value}", help_text(node))
 
 
 _INSIDE_EXPRESSIONS = (
@@ -234,31 +234,33 @@ _INSIDE_EXPRESSIONS = (
 )  # fmt: skip
 
 
-def values(request: Request) -> Iterator[Item]:
+def values(request: CompletionRequest) -> Iterator[CompletionItem]:
     """Everything that can be a value, or begin one."""
     for name, (what, _) in _local_names(request).items():
-        yield Item(name, "variable", what)
+        yield CompletionItem(name, "variable", what)
     if request.context.enclosing_name("top", "behaviour") is None:
         yield from own_names(request)
         table = request.names.species.get(request.species or "")
         for word in (*STATE_WORDS, *(table.machines if table is not None else ())):
             if word != "main":
-                yield Item(word, "variable", "of its states")
+                yield CompletionItem(word, "variable", "of its states")
     yield from behaviours(request)
     yield from make_thing_rule()(request)
     yield from fields(request)
     yield from species(request)
-    for name, row in vocabulary.BUILTIN_ATTRIBUTES.items():
-        yield Item(name, "variable", row.type, row.help)
-    for name, type in (*vocabulary.RUN_NAMES.items(), *vocabulary.SENSED_NAMES.items()):
-        yield Item(name, "variable", type, VALUES[name].help if name in VALUES else "")
-    for name, rows in vocabulary.BUILTINS.items():
+    for name, row in vocabulary.BUILTIN_ATTRIBUTE_BY_NAME.items():
+        yield CompletionItem(name, "variable", row.type, row.help)
+    for name, type in (*vocabulary.RUN_VALUE_TYPES.items(), *vocabulary.SENSE_TYPE_BY_NAME.items()):
+        yield CompletionItem(name, "variable", type, VALUES[name].help if name in VALUES else "")
+    for name, rows in vocabulary.BUILTINS_BY_NAME.items():
         cursor = "$0" if rows[0].args else ""
-        yield Item(name, "function", builtin_form(name, rows[0]), rows[0].help, f"{name}({cursor})", True)
-    for name, help in vocabulary.REDUCERS.items():
-        yield Item(name, "function", f"{name}(n in SET: …)", help, f"{name}(${{1:n}} in ${{2:neighbours(20 mm)}}: $0)", True)
+        yield CompletionItem(name, "function", builtin_form(name, rows[0]), rows[0].help, f"{name}({cursor})", True)
+    for name, help in vocabulary.REDUCER_HELP.items():
+        yield CompletionItem(
+            name, "function", f"{name}(n in SET: …)", help, f"{name}(${{1:n}} in ${{2:neighbours(20 mm)}}: $0)", True
+        )
     for word in _INSIDE_EXPRESSIONS:
-        yield Item(word, "keyword")
+        yield CompletionItem(word, "keyword")
     if request.context.enclosing_name("top", "spec") is not None:
         for word in ("total", "share", "at_start", "motion"):
-            yield Item(word, "keyword", "of the whole crowd")
+            yield CompletionItem(word, "keyword", "of the whole crowd")

@@ -5,17 +5,17 @@ from __future__ import annotations
 import re
 from functools import lru_cache
 
-from antdsl.lsp.workspace import Document
+from antdsl.lsp.workspace import OpenDocument
 from antdsl.resources import grammar_file
-from antdsl.syntax.words import NUMBER, UNITS
+from antdsl.syntax.words import NUMBER_REGEX, UNITS_REGEX
 
-TYPES = (
+TOKEN_TYPES = (
     "keyword", "comment", "string", "number", "operator", "class", "enumMember", "function", "parameter", "property", "variable",
     "type", "namespace", "event",
 )  # fmt: skip
-MODIFIERS = ("declaration", "readonly", "defaultLibrary")
+TOKEN_MODIFIERS = ("declaration", "readonly", "defaultLibrary")
 
-_KINDS: dict[str, tuple[str, int]] = {
+_TOKEN_BY_NAME_KIND: dict[str, tuple[str, int]] = {
     "thing": ("class", 0), "species": ("class", 0), "field": ("class", 0), "state": ("enumMember", 0), "machine": ("class", 0),
     "behaviour": ("function", 0), "builtin": ("function", 4), "inner": ("parameter", 0), "element": ("parameter", 0),
     "builtin-argument": ("parameter", 4), "own": ("property", 0), "attribute": ("property", 0), "given": ("property", 4),
@@ -24,9 +24,9 @@ _KINDS: dict[str, tuple[str, int]] = {
     "alias": ("namespace", 0), "library": ("namespace", 4), "event": ("event", 0), "motion": ("property", 4),
     "colour": ("variable", 4), "body": ("property", 0),
 }  # fmt: skip
-_PIECE = re.compile(
+_PIECE_PATTERN = re.compile(
     r'(?P<string>"[^"\n]*"?)|(?P<comment>\#[^\n]*)|(?P<word>[A-Za-z_][A-Za-z_0-9]*)'
-    rf"|(?P<number>{NUMBER}(?:[ \t]*{UNITS})?)"
+    rf"|(?P<number>{NUMBER_REGEX}(?:[ \t]*{UNITS_REGEX})?)"
     r"|(?P<operator>->|\.\.|[-+<>=!]=|[-+*/^<>=])"
 )
 
@@ -38,7 +38,7 @@ def keywords() -> frozenset[str]:
     return frozenset(re.findall(r"^_?[A-Z]+\.1: /([a-z]+)\(", text, re.MULTILINE))
 
 
-def tokens(document: Document, first: int = 0, last: int | None = None) -> list[int]:
+def tokens(document: OpenDocument, first: int = 0, last: int | None = None) -> list[int]:
     """Return the tokens of some lines in the protocol's form: five numbers each, positions relative to the previous token."""
     text, words = document.text, keywords()
     begin = text.starts[min(first, len(text.starts) - 1)]
@@ -46,18 +46,24 @@ def tokens(document: Document, first: int = 0, last: int | None = None) -> list[
     known = document.index.meanings
     data: list[int] = []
     line, column = 0, 0
-    for piece in _PIECE.finditer(text.text, begin, end):
+    for piece in _PIECE_PATTERN.finditer(text.text, begin, end):
         kind, modifiers = piece.lastgroup or "", 0
         if kind == "word":
             meaning = known.get(piece.start())
-            if meaning is not None and meaning[0] in _KINDS:
-                kind, modifiers = _KINDS[meaning[0]]
+            if meaning is not None and meaning[0] in _TOKEN_BY_NAME_KIND:
+                kind, modifiers = _TOKEN_BY_NAME_KIND[meaning[0]]
                 modifiers |= int(meaning[1])
             elif piece.group() in words:
                 kind = "keyword"
             else:
                 continue
         at, where = text.place(piece.start())
-        data += [at - line, where - column if at == line else where, text.units(piece.group()), TYPES.index(kind), modifiers]
+        data += [
+            at - line,
+            where - column if at == line else where,
+            text.units(piece.group()),
+            TOKEN_TYPES.index(kind),
+            modifiers,
+        ]
         line, column = at, where
     return data

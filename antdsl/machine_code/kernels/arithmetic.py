@@ -8,23 +8,23 @@ from typing import Any
 
 import numpy as np
 
-from antdsl.machine_code.kernels.types import DOUBLE, FLOAT, INT, LLVM, TRUTH, UNSIGNED
+from antdsl.machine_code.kernels.types import DOUBLE, FLOAT, INT, LLVM_TYPE_BY_KIND, TRUTH, UNSIGNED
 from antdsl.machine_code.kernels.values import Number, constant
 from antdsl.machine_code.kernels.vectors import Vectors
-from antdsl.machine_code.kinds import WIDTH
+from antdsl.machine_code.kinds import LANE_COUNT
 
-_FOLDED: dict[type[ast.operator], Callable[[int, int], int]] = {
+_PYTHON_OPERATORS: dict[type[ast.operator], Callable[[int, int], int]] = {
     ast.Add: lambda a, b: a + b, ast.Sub: lambda a, b: a - b, ast.Mult: lambda a, b: a * b, ast.FloorDiv: lambda a, b: a // b,
     ast.Mod: lambda a, b: a % b, ast.LShift: lambda a, b: a << b, ast.RShift: lambda a, b: a >> b, ast.BitAnd: lambda a, b: a & b,
     ast.BitOr: lambda a, b: a | b, ast.BitXor: lambda a, b: a ^ b,
 }  # fmt: skip
-_FLOATS = {ast.Add: "fadd", ast.Sub: "fsub", ast.Mult: "fmul", ast.Div: "fdiv"}
-_WHOLES = {ast.Add: "add", ast.Sub: "sub", ast.Mult: "mul", ast.BitAnd: "and", ast.BitOr: "or", ast.BitXor: "xor"}
-_SHIFTS = (ast.LShift, ast.RShift)
-_INT_RANGE = range(-(1 << 63), 1 << 63)
+_FLOAT_OPCODES = {ast.Add: "fadd", ast.Sub: "fsub", ast.Mult: "fmul", ast.Div: "fdiv"}
+_INTEGER_OPCODES = {ast.Add: "add", ast.Sub: "sub", ast.Mult: "mul", ast.BitAnd: "and", ast.BitOr: "or", ast.BitXor: "xor"}
+_SHIFT_OPERATORS = (ast.LShift, ast.RShift)
+_INT64_RANGE = range(-(1 << 63), 1 << 63)
 
 
-class Arithmetic(Vectors[Number]):
+class ArithmeticEmitter(Vectors[Number]):
     """Operations on numbers."""
 
     mask: Number | None = None  # the turns for which the text counts; None where one turn is written
@@ -32,7 +32,7 @@ class Arithmetic(Vectors[Number]):
 
     def any_lane(self, mask: Number) -> Number:
         """Whether a mask holds for one turn at least."""
-        bits = self.op("lanes", f"i{WIDTH}", mask, lanes=1)
+        bits = self.op("lanes", f"i{LANE_COUNT}", mask, lanes=1)
         return self.op("ne", TRUTH, bits, Number(bits.kind, "0"))
 
     @property
@@ -54,7 +54,7 @@ class Arithmetic(Vectors[Number]):
         if value.known is not None and not value.wide and kind in (DOUBLE, INT, UNSIGNED) and value.kind != DOUBLE:
             literal = constant(float(value.known) if kind == DOUBLE else int(value.known))
             return Number(kind, literal.name, literal.known if kind == DOUBLE else wrap_integer(int(value.known), kind))
-        source, target = value.base, LLVM[kind]
+        source, target = value.base, LLVM_TYPE_BY_KIND[kind]
         if kind == TRUTH:
             zero = Number(value.kind, "zeroinitializer" if value.wide else "0" if source == "i64" else "0.0", lanes=value.lanes)
             return self.op("ne" if source == "i64" else "fne", TRUTH, value, zero)
@@ -118,22 +118,28 @@ class Arithmetic(Vectors[Number]):
     def arithmetic(self, node: ast.AST, operator: ast.operator, a: Number, b: Number) -> Number:
         word = type(operator)
         folded = not (a.wide or b.wide)
-        if folded and a.known is not None and b.known is not None and word in _FOLDED and DOUBLE not in (a.kind, b.kind):
+        if (
+            folded
+            and a.known is not None
+            and b.known is not None
+            and word in _PYTHON_OPERATORS
+            and DOUBLE not in (a.kind, b.kind)
+        ):
             return self._fold(node, word, a, b)
         if a.kind == b.kind == TRUTH and word in (ast.BitAnd, ast.BitOr, ast.BitXor):
-            return self.op(_WHOLES[word], TRUTH, *self.alike(a, b))
+            return self.op(_INTEGER_OPCODES[word], TRUTH, *self.alike(a, b))
         if word is ast.Div:
             a, b = self.to_float(a), self.to_float(b)
         first = self._first_lane_sum(word, a, b)
         a, b = self.match_kinds(a, b)
         if a.kind in (DOUBLE, FLOAT):
-            if word not in _FLOATS:
+            if word not in _FLOAT_OPCODES:
                 self.fail(node, "no such operation of floats")
-            return self.op(_FLOATS[word], a.kind, a, b)
-        if word in _SHIFTS:
+            return self.op(_FLOAT_OPCODES[word], a.kind, a, b)
+        if word in _SHIFT_OPERATORS:
             return self._shift(node, word, a, b)
-        if word in _WHOLES:
-            result = self.op(_WHOLES[word], a.kind, a, b)
+        if word in _INTEGER_OPCODES:
+            result = self.op(_INTEGER_OPCODES[word], a.kind, a, b)
             return Number(result.kind, result.name, None, result.lanes, first)
         if word not in (ast.FloorDiv, ast.Mod):
             self.fail(node, "no such operation of whole numbers")
@@ -143,10 +149,10 @@ class Arithmetic(Vectors[Number]):
         """Compute an operation on two integer literals with an integer result."""
         kind = UNSIGNED if UNSIGNED in (a.kind, b.kind) else INT
         try:
-            value = _FOLDED[word](int(a.known or 0), int(b.known or 0))
+            value = _PYTHON_OPERATORS[word](int(a.known or 0), int(b.known or 0))
         except (ZeroDivisionError, ValueError) as problem:
             self.fail(node, f"{problem}")
-        if kind == INT and value not in _INT_RANGE:
+        if kind == INT and value not in _INT64_RANGE:
             self.fail(node, f"{value} is no whole number of 64 bits: write `np.uint64(…)` of an operand for one without a sign")
         return Number(kind, constant(wrap_integer(value, kind)).name, wrap_integer(value, kind))
 
@@ -168,8 +174,8 @@ class Arithmetic(Vectors[Number]):
             checked = b if counts is None else self.select(counts, b, self.convert(constant(1), b.kind))
             self.do("divisor", checked, *([self.mask] if b.wide and self.mask is not None else []), node=node)
             without = self.compare("eq", b, constant(0))
-            if a.kind == INT and (a.known is None or a.known == _INT_RANGE[0]):
-                both = self.logical_and(self.compare("eq", b, constant(-1)), self.compare("eq", a, constant(_INT_RANGE[0])))
+            if a.kind == INT and (a.known is None or a.known == _INT64_RANGE[0]):
+                both = self.logical_and(self.compare("eq", b, constant(-1)), self.compare("eq", a, constant(_INT64_RANGE[0])))
                 without = self.op("or", TRUTH, *self.alike(without, both))
             b = self.select(without, self.convert(constant(1), b.kind), b)
         elif b.known == -1:
@@ -196,11 +202,13 @@ class Arithmetic(Vectors[Number]):
         if word not in (ast.Add, ast.Sub) or a.base != "i64" or b.base != "i64" or (b.first and word is ast.Sub):
             return None
         one, other = (a.first, b) if a.first else (a, b.first)
-        return None if one is None or other is None or one.wide or other.wide else self.op(_WHOLES[word], INT, one, other)
+        return (
+            None if one is None or other is None or one.wide or other.wide else self.op(_INTEGER_OPCODES[word], INT, one, other)
+        )
 
     def negate(self, a: Number) -> Number:
         if a.known is not None and not a.wide:
-            if a.kind == INT and a.known == _INT_RANGE[0]:
+            if a.kind == INT and a.known == _INT64_RANGE[0]:
                 self.fail(self.node, f"{-a.known} is no whole number of 64 bits")
             return constant(-a.known)
         if a.kind in (DOUBLE, FLOAT):

@@ -14,12 +14,12 @@ from typing import Any
 from antdsl.machine_code import machine, workers_text
 from antdsl.machine_code.kernels import direct
 from antdsl.machine_code.kernels.direct import ArgumentSpec
-from antdsl.machine_code.kernels.direct.argument_text import INTEGER, REAL, RESULTS, TRUTH, UNSIGNED
-from antdsl.machine_code.kernels.types import INT, ArrayType, Scalar
+from antdsl.machine_code.kernels.direct.argument_text import INTEGER_KIND, REAL_KIND, RESULT_WORDS, TRUTH_KIND, UNSIGNED_KIND
+from antdsl.machine_code.kernels.types import INT, ArrayType, ScalarType
 from antdsl.machine_code.memory import address
 
-_FORMATS = {"double": "d", "float": "d", "i64": "q", "u64": "Q", "i1": "q"}
-_KINDS = {"double": REAL, "float": REAL, "i64": INTEGER, "u64": UNSIGNED, "i1": INTEGER}
+_CTYPES_FORMATS = {"double": "d", "float": "d", "i64": "q", "u64": "Q", "i1": "q"}
+_RESULT_KINDS = {"double": REAL_KIND, "float": REAL_KIND, "i64": INTEGER_KIND, "u64": UNSIGNED_KIND, "i1": INTEGER_KIND}
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,33 +42,33 @@ class KernelDescription:
         return cls(gives, several == ("1",), tuple(map(int, stored)))
 
 
-def caller(name: str, code: machine.Code, types: Sequence[Any], description: KernelDescription) -> Callable[..., Any]:
+def caller(name: str, code: machine.LoadedCode, types: Sequence[Any], description: KernelDescription) -> Callable[..., Any]:
     """Return a function of a kernel's arguments. `types` are those of its annotations."""
     specs = list(_argument_specs(types, description.stored))
-    words = RESULTS + sum(_word_count(each) for each in specs)
+    words = RESULT_WORDS + sum(_word_count(each) for each in specs)
     result_kinds, several = list(description.gives), description.several
     plain_call = _plain(name, code.function(name), types, specs, words, result_kinds, several)
     if several and len(result_kinds) == 1:
         return plain_call
-    kinds = [TRUTH if each == "i1" else _KINDS[each] for each in result_kinds]
+    kinds = [TRUTH_KIND if each == "i1" else _RESULT_KINDS[each] for each in result_kinds]
     return direct.make_builtin(name, code, specs, words, kinds, plain_call) or plain_call
 
 
 def parallel_caller(
-    name: str, code: machine.Code, types: Sequence[Any], description: KernelDescription, single_call: Callable[..., Any]
+    name: str, code: machine.LoadedCode, types: Sequence[Any], description: KernelDescription, single_call: Callable[..., Any]
 ) -> Callable[..., Any] | None:
     """Return a function that runs a kernel in parts, or None where there is none. The last two arguments of the kernel are where
     its loop begins and ends. The function takes these arguments, a number of parts, and the address of a pool. It returns a list
     of the kernel's results for each part, which the pool's workers compute. Arguments that it cannot read go to `single_call`, in
     one part."""
     specs = list(_argument_specs(types, description.stored))
-    words = RESULTS + sum(_word_count(each) for each in specs)
-    if any(not isinstance(each, Scalar) or each.kind != INT for each in types[-2:]) or (
+    words = RESULT_WORDS + sum(_word_count(each) for each in specs)
+    if any(not isinstance(each, ScalarType) or each.kind != INT for each in types[-2:]) or (
         description.several and len(description.gives) == 1
     ):
         return None
-    range_specs = [ArgumentSpec((len(types) + k,), words + k, INTEGER) for k in range(2)]
-    kinds = [TRUTH if each == "i1" else _KINDS[each] for each in description.gives]
+    range_specs = [ArgumentSpec((len(types) + k,), words + k, INTEGER_KIND) for k in range(2)]
+    kinds = [TRUTH_KIND if each == "i1" else _RESULT_KINDS[each] for each in description.gives]
 
     def alone(*arguments: Any) -> list[Any]:
         return [single_call(*arguments[:-2])]
@@ -80,7 +80,7 @@ def parallel_caller(
 
 def _argument_specs(types: Sequence[Any], stored: Sequence[int]) -> Iterator[ArgumentSpec]:
     """Yield the arguments that a kernel expects and their positions in the table; a tuple comes before its elements."""
-    place, arrays = RESULTS, 0
+    place, arrays = RESULT_WORDS, 0
 
     def each_of(many: Sequence[Any], path: tuple[int, ...]) -> Iterator[ArgumentSpec]:
         nonlocal place, arrays
@@ -89,8 +89,8 @@ def _argument_specs(types: Sequence[Any], stored: Sequence[int]) -> Iterator[Arg
             if isinstance(type, ArrayType):
                 spec = ArgumentSpec(at, place, 0, type.of.dtype, type.axes, type.strided, arrays in stored)
                 arrays += 1
-            elif isinstance(type, Scalar):
-                spec = ArgumentSpec(at, place, _KINDS[type.kind])
+            elif isinstance(type, ScalarType):
+                spec = ArgumentSpec(at, place, _RESULT_KINDS[type.kind])
             else:
                 yield ArgumentSpec(at, count=len(type))
                 yield from each_of(type, at)
@@ -112,7 +112,7 @@ def _plain(
 ) -> Callable[..., Any]:
     """The same in Python."""
     word_specs = [each for each in specs if each.count is None]
-    results = struct.Struct("=" + "".join(_FORMATS[each] for each in result_kinds))
+    results = struct.Struct("=" + "".join(_CTYPES_FORMATS[each] for each in result_kinds))
     truths = [k for k, each in enumerate(result_kinds) if each == "i1"]
 
     def run(*arguments: Any) -> Any:
@@ -123,10 +123,10 @@ def _plain(
             if each.dtype is not None:
                 for place, word in enumerate(_describe_array(name, each, value), each.place):
                     integers[place] = word
-            elif each.kind == REAL:
+            elif each.kind == REAL_KIND:
                 real[each.place] = value
             else:
-                (integers if each.kind == INTEGER else unsigned)[each.place] = int(value)
+                (integers if each.kind == INTEGER_KIND else unsigned)[each.place] = int(value)
         function(ctypes.addressof(buffer), 0, 0)
         if not result_kinds:
             return None

@@ -7,16 +7,16 @@ from __future__ import annotations
 
 import ast
 
-from antdsl.machine_code.kernels.arithmetic import Arithmetic
-from antdsl.machine_code.kernels.ir import ZEROS
-from antdsl.machine_code.kernels.types import INT, TRUTH, Scalar
+from antdsl.machine_code.kernels.arithmetic import ArithmeticEmitter
+from antdsl.machine_code.kernels.ir import ZEROS_CONSTANT
+from antdsl.machine_code.kernels.types import INT, TRUTH, ScalarType
 from antdsl.machine_code.kernels.values import Array, Number, constant
-from antdsl.machine_code.kinds import WIDTH
+from antdsl.machine_code.kinds import LANE_COUNT
 
-ALL = Number(TRUTH, "splat (i1 true)", True, WIDTH)  # all turns
+ALL_LANES = Number(TRUTH, "splat (i1 true)", True, LANE_COUNT)  # all turns
 
 
-class Elements(Arithmetic):
+class ElementAccess(ArithmeticEmitter):
     """Reads and stores of elements."""
 
     def check_index(self, node: ast.AST, index: Number, length: Number, count: int = 1) -> None:
@@ -30,7 +30,7 @@ class Elements(Arithmetic):
                 index, length = self.select(counts, index, constant(0)), self.select(counts, length, constant(count))
             self.do("index", index, length, *([self.mask] if index.wide and self.mask is not None else []), x=count, node=node)
 
-    def _check_span(self, array: Array, first: Number, count: int = WIDTH) -> None:
+    def _check_span(self, array: Array, first: Number, count: int = LANE_COUNT) -> None:
         """Check that elements read or stored at once lie in the array, for all iterations."""
         self.do("span", first, *array.lengths, x=count)
 
@@ -76,7 +76,7 @@ class Elements(Arithmetic):
 
     def _load_lanes(self, array: Array, kind: str, place: Number) -> Number:
         """Load consecutive elements, one for each iteration."""
-        return self.op("load", kind, place, x=_alignment(array), lanes=WIDTH)
+        return self.op("load", kind, place, x=_alignment(array), lanes=LANE_COUNT)
 
     def store_element(self, node: ast.AST, array: Array, at: Number, item: Number) -> None:
         """Store an element so far behind the first one."""
@@ -86,7 +86,7 @@ class Elements(Arithmetic):
         if not at.wide:
             self.do("store", value, self._place(array, at))
             return
-        mask = self.mask or ALL
+        mask = self.mask or ALL_LANES
         if at.first:
             self._check_span(array, at.first)
             place = self._place(array, at.first)
@@ -94,7 +94,7 @@ class Elements(Arithmetic):
                 value = self.op("select", value.kind, mask, value, self._load_lanes(array, value.kind, place))
             self.do("store", value, place, x=_alignment(array))
             return
-        for lane in range(WIDTH):
+        for lane in range(LANE_COUNT):
             stored, next_block = "", ""
             if mask.known is None:
                 stored, next_block = self.label("stored"), self.label("after")
@@ -106,7 +106,7 @@ class Elements(Arithmetic):
                 self.jump(next_block)
                 self.begin(next_block)
 
-    def to_stored_kind(self, scalar: Scalar, item: Number) -> Number:
+    def to_stored_kind(self, scalar: ScalarType, item: Number) -> Number:
         """A number as an array of this type holds it."""
         value = self.convert(item, scalar.kind)
         if value.kind == TRUTH:
@@ -143,14 +143,14 @@ class Elements(Arithmetic):
             counts = self.any_lane(self.mask)
         else:
             counts = self.logical_and(self.compare("ge", at, constant(0)), self.compare("lt", at, self.count(array)))
-        return place if counts.known is not None else self.op("select", "ptr", counts, place, ZEROS)
+        return place if counts.known is not None else self.op("select", "ptr", counts, place, ZEROS_CONSTANT)
 
     def _addresses(self, array: Array, at: Number) -> Number:
         """Return the addresses of elements; for inactive lanes that of zeros, which no code writes to."""
         addresses = self._place(array, at)
         if self.mask is None or self.mask.known is not None:
             return addresses
-        return self.op("select", "ptr", self.mask, addresses, self.widened(ZEROS))
+        return self.op("select", "ptr", self.mask, addresses, self.widened(ZEROS_CONSTANT))
 
     def load_consecutive(self, node: ast.AST, array: Array, at: Number, count: int) -> tuple[Number, ...]:
         """Return `count` consecutive elements of an array of numbers, as computed with. `count` is a multiple of four."""
@@ -159,7 +159,7 @@ class Elements(Arithmetic):
             offsets = [self.arithmetic(node, ast.Add(), at, constant(k)) for k in range(count)]
             return tuple(self.load_element(array, each) for each in offsets)
         addresses = self._addresses(array, at)
-        lanes = [self.one(addresses, lane) for lane in range(WIDTH)]
+        lanes = [self.one(addresses, lane) for lane in range(LANE_COUNT)]
         return tuple(each for k in range(0, count, 4) for each in self._load_four(array, lanes, k))
 
     def _load_four(self, array: Array, lanes: list[Number], offset: int) -> list[Number]:
@@ -181,19 +181,19 @@ class Elements(Arithmetic):
         """The three elements of each of the rows from one on."""
         place, parts = self._rows_address(array, first), []
         for k in range(3):
-            parts.append(self._load_lanes(array, array.of.kind, self._element_address(array, place, WIDTH * k)))
+            parts.append(self._load_lanes(array, array.of.kind, self._element_address(array, place, LANE_COUNT * k)))
         columns = []
         for column in range(3):
-            positions = range(column, 3 * WIDTH, 3)
-            low = self.shuffle(parts[0], parts[1], tuple(k if k < 2 * WIDTH else 0 for k in positions))
-            order = tuple(k - WIDTH if k >= 2 * WIDTH else lane for lane, k in enumerate(positions))
+            positions = range(column, 3 * LANE_COUNT, 3)
+            low = self.shuffle(parts[0], parts[1], tuple(k if k < 2 * LANE_COUNT else 0 for k in positions))
+            order = tuple(k - LANE_COUNT if k >= 2 * LANE_COUNT else lane for lane, k in enumerate(positions))
             columns.append(self.shuffle(low, parts[2], order))
         return tuple(columns)
 
     def _rows_address(self, array: Array, first: Number) -> Number:
         """Return the address of consecutive rows of three elements from `first` on."""
         start = self.op("mul", INT, first, Number(INT, "3"))
-        self._check_span(array, start, 3 * WIDTH)
+        self._check_span(array, start, 3 * LANE_COUNT)
         return self._place(array, start)
 
     def put_three(self, node: ast.AST, array: Array, row: Number, items: tuple[Number, ...]) -> None:
@@ -203,16 +203,16 @@ class Elements(Arithmetic):
                 self.store_element(node, array, at, item)
             return
         self.check_index(node, row, array.lengths[0])
-        kind, mask = array.of.kind, self.mask or ALL
+        kind, mask = array.of.kind, self.mask or ALL_LANES
         values = [self.widened(self.convert(each, kind)) for each in items]
         if mask.known is None:
             values = [self.select(mask, *each) for each in zip(values, self._load_three_lanes(array, row.first), strict=True)]
         place = self._rows_address(array, row.first)
         for part in range(3):
-            positions = [divmod(k, 3) for k in range(WIDTH * part, WIDTH * (part + 1))]
-            two = self.shuffle(values[0], values[1], tuple(lane + WIDTH * (c == 1) for lane, c in positions))
-            order = tuple(WIDTH + lane if c == 2 else k for k, (lane, c) in enumerate(positions))
-            address = self._element_address(array, place, WIDTH * part)
+            positions = [divmod(k, 3) for k in range(LANE_COUNT * part, LANE_COUNT * (part + 1))]
+            two = self.shuffle(values[0], values[1], tuple(lane + LANE_COUNT * (c == 1) for lane, c in positions))
+            order = tuple(LANE_COUNT + lane if c == 2 else k for k, (lane, c) in enumerate(positions))
+            address = self._element_address(array, place, LANE_COUNT * part)
             self.do("store", self.shuffle(two, values[2], order), address, x=_alignment(array))
 
     def _row_offsets(self, node: ast.AST, array: Array, row: Number) -> list[Number]:
@@ -221,13 +221,13 @@ class Elements(Arithmetic):
 
     def fetch_ahead(self, array: Array, at: Number) -> tuple[()]:
         """Prefetch memory."""
-        for lane in range(WIDTH if at.wide else 1):
+        for lane in range(LANE_COUNT if at.wide else 1):
             self.do("prefetch", self._place(array, self.one(at, lane) if at.wide else at))
         return ()
 
     def _gather(self, array: Array, at: Number) -> Number:
         addresses = self._addresses(array, at)
-        return self.combine_lanes(self.op("load", array.of.loaded, self.one(addresses, lane)) for lane in range(WIDTH))
+        return self.combine_lanes(self.op("load", array.of.loaded, self.one(addresses, lane)) for lane in range(LANE_COUNT))
 
 
 def _alignment(array: Array) -> str:

@@ -10,32 +10,32 @@ from itertools import pairwise
 from types import ModuleType
 from typing import Any, NoReturn
 
-from antdsl.machine_code.kernels.elements import Elements
-from antdsl.machine_code.kernels.functions import WRITTEN, fetch_ahead, load_consecutive, put_three, scratch, three
-from antdsl.machine_code.kernels.ir import MOST
+from antdsl.machine_code.kernels.elements import ElementAccess
+from antdsl.machine_code.kernels.functions import EMITTER_BY_FUNCTION, fetch_ahead, load_consecutive, put_three, scratch, three
+from antdsl.machine_code.kernels.ir import MAX_CONSECUTIVE_ELEMENTS
 from antdsl.machine_code.kernels.records import field_types, is_record, rebuild_like
-from antdsl.machine_code.kernels.types import DOUBLE, FLOAT, INT, TRUTH, UNSIGNED, ArrayType, Scalar
-from antdsl.machine_code.kernels.units import Unit
-from antdsl.machine_code.kernels.values import Array, Item, Number, constant, leaves
+from antdsl.machine_code.kernels.types import DOUBLE, FLOAT, INT, TRUTH, UNSIGNED, ArrayType, ScalarType
+from antdsl.machine_code.kernels.units import KernelUnit
+from antdsl.machine_code.kernels.values import Array, KernelItem, Number, constant, leaves
 
-_COMPARED = {ast.Lt: "lt", ast.LtE: "le", ast.Gt: "gt", ast.GtE: "ge", ast.Eq: "eq", ast.NotEq: "ne"}
+_COMPARISON_WORDS = {ast.Lt: "lt", ast.LtE: "le", ast.Gt: "gt", ast.GtE: "ge", ast.Eq: "eq", ast.NotEq: "ne"}
 
 
-class Expressions(Elements):
+class ExpressionEmitter(ElementAccess):
     """Expressions of Python. `variables` has the value of each name, `world` the names of the function's module."""
 
     world: dict[str, Any]
-    unit: Unit
+    unit: KernelUnit
 
     def lookup_name(self, name: str) -> Any:
         """Return the item of a name, in which variables are not loaded yet."""
         raise NotImplementedError
 
-    def loaded(self, item: Any) -> Item:
+    def loaded(self, item: Any) -> KernelItem:
         """Return such an item with the values of its variables loaded."""
         raise NotImplementedError
 
-    def call_function(self, node: ast.Call, function: Any, inputs: list[Item]) -> Item:
+    def call_function(self, node: ast.Call, function: Any, inputs: list[KernelItem]) -> KernelItem:
         raise NotImplementedError
 
     def number(self, node: ast.expr) -> Number:
@@ -48,7 +48,7 @@ class Expressions(Elements):
         value = self.number(node)
         return constant(bool(value.known)) if value.known is not None else self.convert(value, TRUTH)
 
-    def value(self, node: ast.expr) -> Item:
+    def value(self, node: ast.expr) -> KernelItem:
         match node:
             case ast.Constant(value=bool() | int() | float() as known):
                 return constant(known)
@@ -110,9 +110,9 @@ class Expressions(Elements):
         values = [self.number(part) for part in parts]
         conjunction = None
         for (a, b), operator in zip(pairwise(values), operators, strict=True):
-            if type(operator) not in _COMPARED:
+            if type(operator) not in _COMPARISON_WORDS:
                 self.fail(parts[0], "no such comparison")
-            held = self.compare(_COMPARED[type(operator)], a, b)
+            held = self.compare(_COMPARISON_WORDS[type(operator)], a, b)
             conjunction = held if conjunction is None else self.logical_and(conjunction, held)
         assert conjunction is not None
         return conjunction
@@ -135,7 +135,7 @@ class Expressions(Elements):
         self.begin(end)
         return self.load(place, TRUTH)
 
-    def _conditional(self, node: ast.expr, test: ast.expr, then: ast.expr, other: ast.expr) -> Item:
+    def _conditional(self, node: ast.expr, test: ast.expr, then: ast.expr, other: ast.expr) -> KernelItem:
         condition = self.truth(test)
         if condition.known is not None:
             return self.value(then if condition.known else other)
@@ -160,7 +160,7 @@ class Expressions(Elements):
         self.begin(end)
         loaded = iter([self.load(place, kind, each) for kind, place, each in zip(kinds, slots, lanes, strict=True)])
 
-        def again(item: Item) -> Item:
+        def again(item: KernelItem) -> KernelItem:
             if isinstance(item, Array):
                 self.fail(node, "arrays cannot be chosen between")
             return rebuild_like(item, map(again, item)) if isinstance(item, tuple) else next(loaded)
@@ -173,7 +173,7 @@ class Expressions(Elements):
             return self.match_kinds(a, b)[0].kind
         return DOUBLE if DOUBLE in kinds else INT
 
-    def _store_leaves(self, item: Item, kinds: list[str], lanes: list[int], slots: list[Number]) -> None:
+    def _store_leaves(self, item: KernelItem, kinds: list[str], lanes: list[int], slots: list[Number]) -> None:
         for number, kind, each, place in zip(leaves(item), kinds, lanes, slots, strict=True):
             value = self.convert(number, kind)
             self.put(place, self.widened(value) if each > 1 else value)
@@ -200,13 +200,13 @@ class Expressions(Elements):
             return self.logical_and(first, rest)
         return self.op("or", TRUTH, *self.alike(first, rest))
 
-    def _conditional_wide(self, node: ast.expr, condition: Number, then: ast.expr, other: ast.expr) -> Item:
+    def _conditional_wide(self, node: ast.expr, condition: Number, then: ast.expr, other: ast.expr) -> KernelItem:
         with self.where(condition):
             first = self.value(then)
         with self.where(self.invert(condition)):
             second = self.value(other)
 
-        def chosen(a: Item, b: Item) -> Item:
+        def chosen(a: KernelItem, b: KernelItem) -> KernelItem:
             if isinstance(a, tuple):
                 return rebuild_like(a, (chosen(x, y) for x, y in zip(a, b, strict=True)))
             if isinstance(a, Array):
@@ -216,7 +216,7 @@ class Expressions(Elements):
 
         return chosen(first, second)
 
-    def _attribute(self, node: ast.expr, of: ast.expr, attribute: str) -> Item:
+    def _attribute(self, node: ast.expr, of: ast.expr, attribute: str) -> KernelItem:
         if isinstance(of, ast.Name) and isinstance(self.world.get(of.id), ModuleType):
             return constant(getattr(self.world[of.id], attribute))
         value = self._unloaded_value(of)
@@ -237,7 +237,7 @@ class Expressions(Elements):
             self.fail(node, "an array needs one index for each axis")
         return self.offset(node, array, [self.number(part) for part in parts])
 
-    def _index_item(self, node: ast.expr, of: Item, index: ast.expr) -> Item:
+    def _index_item(self, node: ast.expr, of: KernelItem, index: ast.expr) -> KernelItem:
         if isinstance(of, tuple) and isinstance(index, ast.Slice):
             return of[slice(*(self._constant_index(node, end) for end in (index.lower, index.upper, index.step)))]
         if isinstance(of, tuple):
@@ -259,7 +259,7 @@ class Expressions(Elements):
             self.fail(node, "these must be whole numbers that are written in the source")
         return known
 
-    def _call(self, node: ast.Call, function: ast.expr, arguments: list[ast.expr]) -> Item:
+    def _call(self, node: ast.Call, function: ast.expr, arguments: list[ast.expr]) -> KernelItem:
         known = self.resolve_name(node, function)
         if is_record(known):
             return self._record(node, known)
@@ -270,14 +270,14 @@ class Expressions(Elements):
             return value.lengths[0] if isinstance(value, Array) else constant(len(value))
         if known is scratch:
             count, dtype = self.number(arguments[0]), self.resolve_name(node, arguments[1])
-            if count.known is None or not isinstance(dtype, Scalar):
+            if count.known is None or not isinstance(dtype, ScalarType):
                 self.fail(node, "scratch(COUNT, TYPE) with a count of the text")
             return Array(dtype, self.allocate(int(count.known), dtype.stored), (count,))
         inputs = [self.value(each) for each in arguments]
         if known in (load_consecutive, fetch_ahead, three, put_three):
             return self._load_elements(node, known, inputs)
         try:
-            written = WRITTEN.get(known)
+            written = EMITTER_BY_FUNCTION.get(known)
         except TypeError:
             written = None
         if written is not None:
@@ -286,7 +286,7 @@ class Expressions(Elements):
             return written(self, *inputs)
         return self.call_function(node, known, inputs)
 
-    def _record(self, node: ast.Call, record: Any) -> Item:
+    def _record(self, node: ast.Call, record: Any) -> KernelItem:
         """Return a record from a call of its class, with positional and keyword fields."""
         names = record._fields
         if len(node.args) > len(names):
@@ -298,15 +298,15 @@ class Expressions(Elements):
             self.fail(node, f"`{record.__name__}` is given no `{missing[0]}`")
         return self._check_fields(node, record, fields)
 
-    def _replace_fields(self, node: ast.Call, item: Item) -> Item:
+    def _replace_fields(self, node: ast.Call, item: KernelItem) -> KernelItem:
         """A record with other values in some fields."""
         if not hasattr(item, "_fields") or node.args:
             self.fail(node, "`_replace` belongs to records, and is given fields by name")
-        fields: dict[str, Item] = {}
+        fields: dict[str, KernelItem] = {}
         self._add_keyword_fields(node, type(item), fields)
         return self._check_fields(node, type(item), {**item._asdict(), **fields})
 
-    def _add_keyword_fields(self, node: ast.Call, record: Any, fields: dict[str, Item]) -> None:
+    def _add_keyword_fields(self, node: ast.Call, record: Any, fields: dict[str, KernelItem]) -> None:
         """Adds what a call gives by name."""
         for each in node.keywords:
             name = each.arg or "**"
@@ -319,15 +319,15 @@ class Expressions(Elements):
     def _fail_no_field(self, node: ast.AST, record: Any, name: str) -> NoReturn:
         self.fail(node, f"`{record.__name__}` has no field `{name}`: its fields are {', '.join(record._fields)}")
 
-    def _check_fields(self, node: ast.Call, record: Any, fields: dict[str, Item]) -> Item:
+    def _check_fields(self, node: ast.Call, record: Any, fields: dict[str, KernelItem]) -> KernelItem:
         types = field_types(record)._asdict()
         return record(**{name: self.fit_to_type(node, name, item, types[name]) for name, item in fields.items()})
 
-    def fit_to_type(self, node: ast.AST, name: str, item: Item, type_: Any) -> Item:
+    def fit_to_type(self, node: ast.AST, name: str, item: KernelItem, type_: Any) -> KernelItem:
         """Return an item of a given type: a constant is converted, any other item must have the type."""
         if type_ is Any:
             return item
-        if isinstance(type_, Scalar) and isinstance(item, Number):
+        if isinstance(type_, ScalarType) and isinstance(item, Number):
             if item.known is None and item.kind != type_.kind:
                 self.fail(node, f"`{name}` is {type_.kind}, and is given {item.kind}")
             return self.as_kind(item, type_.kind)
@@ -339,7 +339,7 @@ class Expressions(Elements):
             return rebuild_like(item, (self.fit_to_type(node, name, a, b) for a, b in zip(item, type_, strict=True)))
         self.fail(node, f"`{name}` is given a value of another type")
 
-    def _load_elements(self, node: ast.Call, known: Any, inputs: list[Item]) -> Item:
+    def _load_elements(self, node: ast.Call, known: Any, inputs: list[KernelItem]) -> KernelItem:
         """Several elements of an array at once."""
         if len(inputs) < 2 or not (isinstance(inputs[0], Array) and isinstance(inputs[1], Number)):
             self.fail(node, "this needs an array and an index")
@@ -348,8 +348,8 @@ class Expressions(Elements):
             return self.fetch_ahead(array, at)
         if known is load_consecutive:
             count = others[0].known
-            if not isinstance(count, int) or count % 4 or not 0 < count <= MOST:
-                self.fail(node, f"this must be a multiple of 4 up to {MOST} that is written in the source")
+            if not isinstance(count, int) or count % 4 or not 0 < count <= MAX_CONSECUTIVE_ELEMENTS:
+                self.fail(node, f"this must be a multiple of 4 up to {MAX_CONSECUTIVE_ELEMENTS} that is written in the source")
             return self.load_consecutive(node, array, at, count)
         if len(array.lengths) != 2 or array.steps is not None or array.of.kind not in (DOUBLE, FLOAT):
             self.fail(node, "this must be a contiguous array (n, 3) of floats")

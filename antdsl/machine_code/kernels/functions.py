@@ -14,10 +14,10 @@ from antdsl.machine_code.kernels.types import DOUBLE, FLOAT, INT, TRUTH, UNSIGNE
 from antdsl.machine_code.kernels.values import Number, constant
 
 if TYPE_CHECKING:
-    from antdsl.machine_code.kernels.statements import Writer
+    from antdsl.machine_code.kernels.statements import StatementWriter
 
 
-_TIED = 1.5 * 2.0**52  # added to a number, it leaves a whole one in the last bits of the sum
+_ROUNDING_MAGIC = 1.5 * 2.0**52  # added to a number, it leaves a whole one in the last bits of the sum
 
 
 def independent(begin: int, end: int) -> Iterator[int]:
@@ -65,20 +65,20 @@ def as_float(bits: Any) -> Any:
 
 
 def _intrinsic(stem: str) -> Callable[..., Number]:
-    def write(w: Writer, a: Number) -> Number:
+    def write(w: StatementWriter, a: Number) -> Number:
         a = w.to_float(a)
         return w.op(stem, a.kind, a)
 
     return write
 
 
-def _absolute(w: Writer, a: Number) -> Number:
+def _absolute(w: StatementWriter, a: Number) -> Number:
     if a.kind in (DOUBLE, FLOAT):
         return w.op("fabs", a.kind, a)
     return w.select(w.compare("lt", a, constant(0)), w.negate(a), a)
 
 
-def _lesser(w: Writer, *values: Number) -> Number:
+def _lesser(w: StatementWriter, *values: Number) -> Number:
     """Return the minimum as Python defines it: the first value, unless another is less."""
     best = values[0]
     for each in values[1:]:
@@ -87,7 +87,7 @@ def _lesser(w: Writer, *values: Number) -> Number:
     return best
 
 
-def _greater(w: Writer, *values: Number) -> Number:
+def _greater(w: StatementWriter, *values: Number) -> Number:
     best = values[0]
     for each in values[1:]:
         a, b = w.match_kinds(each, best)
@@ -95,12 +95,12 @@ def _greater(w: Writer, *values: Number) -> Number:
     return best
 
 
-def _is_finite(w: Writer, a: Number) -> Number:
+def _is_finite(w: StatementWriter, a: Number) -> Number:
     a = w.to_float(a)
     return w.compare("lt", w.op("fabs", a.kind, a), w.convert(constant(math.inf), a.kind))
 
 
-def _is_nan(w: Writer, a: Number) -> Number:
+def _is_nan(w: StatementWriter, a: Number) -> Number:
     a = w.to_float(a)
     return w.op("fno", TRUTH, a, a)
 
@@ -109,33 +109,33 @@ def _make_conversion(kind: str) -> Callable[..., Number]:
     return lambda w, a: w.convert(a, kind)
 
 
-def _floor(w: Writer, a: Number) -> Number:
+def _floor(w: StatementWriter, a: Number) -> Number:
     return w.convert(_intrinsic("floor")(w, a), INT)
 
 
-def _bits(w: Writer, a: Number) -> Number:
+def _bits(w: StatementWriter, a: Number) -> Number:
     return w.op("bitcast", INT, w.convert(a, DOUBLE))
 
 
-def _nearest_integer(w: Writer, a: Number) -> Number:
-    bits = _bits(w, w.arithmetic(ast.Pass(), ast.Add(), a, constant(_TIED)))
-    return w.arithmetic(ast.Pass(), ast.Sub(), bits, constant(as_bits(_TIED)))
+def _nearest_integer(w: StatementWriter, a: Number) -> Number:
+    bits = _bits(w, w.arithmetic(ast.Pass(), ast.Add(), a, constant(_ROUNDING_MAGIC)))
+    return w.arithmetic(ast.Pass(), ast.Sub(), bits, constant(as_bits(_ROUNDING_MAGIC)))
 
 
-def _float(w: Writer, a: Number) -> Number:
+def _float(w: StatementWriter, a: Number) -> Number:
     return w.op("bitcast", DOUBLE, w.convert(a, INT))
 
 
 def _make_narrowing(bits: int, signed: bool) -> Callable[..., Number]:
     """To fewer bits and back, as a cast does."""
 
-    def write(w: Writer, a: Number) -> Number:
+    def write(w: StatementWriter, a: Number) -> Number:
         return w.op("sext" if signed else "zext", INT, w.op("trunc", f"i{bits}", w.convert(a, INT)))
 
     return write
 
 
-WRITTEN: Mapping[Any, Callable[..., Number]] = {
+EMITTER_BY_FUNCTION: Mapping[Any, Callable[..., Number]] = {
     np.sqrt: _intrinsic("sqrt"), math.sqrt: _intrinsic("sqrt"), np.floor: _intrinsic("floor"), math.floor: _floor,
     np.ceil: _intrinsic("ceil"), np.rint: _intrinsic("rint"), abs: _absolute, np.abs: _absolute, min: _lesser, max: _greater,
     np.isfinite: _is_finite, math.isfinite: _is_finite, np.isnan: _is_nan, math.isnan: _is_nan, int: _make_conversion(INT),

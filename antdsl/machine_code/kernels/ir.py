@@ -9,24 +9,26 @@ from dataclasses import dataclass, field
 from functools import cache
 from typing import Any, Generic, NamedTuple, NoReturn, TypeVar
 
-from antdsl.machine_code.kernels.operations import CLASSES, ENDS, OPS
+from antdsl.machine_code.kernels.operations import BLOCK_ENDS, OPERATION_BY_NAME, TYPES_BY_CLASS
 from antdsl.machine_code.kernels.values import Number, text_type
-from antdsl.machine_code.kinds import WIDTH
+from antdsl.machine_code.kinds import LANE_COUNT
 
-CHECKS = {  # operations that are checks, with their messages
+CHECK_MESSAGES = {  # operations that are checks, with their messages
     "index": "index out of range, or negative",
     "span": "lanes access memory outside the array",
     "divisor": "integer division by 0",
 }
 Value = TypeVar("Value", bound=Number)
-MOST = 64  # consecutive elements at most
-ZEROS = Number("ptr", "@zeros")  # read by inactive lanes
-ORDERS = Number("ptr", "@orders")  # the bytes of `LANES_OF`
-_SETS = [[lane for lane in range(WIDTH) if bits >> lane & 1] for bits in range(1 << WIDTH)]
-LANES_OF = [[*lanes, *[0] * (WIDTH - len(lanes))] for lanes in _SETS]  # of each set of eight lanes their numbers, then zeros
-_NUMBERS = frozenset().union(*(CLASSES[each] for each in "fib"))
-_OF_MORE = ENDS | {"load", "store", "call"}
-_GLOBAL = {ZEROS.name: "ptr", ORDERS.name: "ptr"}
+MAX_CONSECUTIVE_ELEMENTS = 64  # consecutive elements at most
+ZEROS_CONSTANT = Number("ptr", "@zeros")  # read by inactive lanes
+LANE_ORDERS_CONSTANT = Number("ptr", "@orders")  # the bytes of `LANES_OF`
+_LANE_SETS = [[lane for lane in range(LANE_COUNT) if bits >> lane & 1] for bits in range(1 << LANE_COUNT)]
+LANES_BY_MASK = [
+    [*lanes, *[0] * (LANE_COUNT - len(lanes))] for lanes in _LANE_SETS
+]  # of each set of eight lanes their numbers, then zeros
+_NUMBER_TYPES = frozenset().union(*(TYPES_BY_CLASS[each] for each in "fib"))
+_VARIADIC_OPERATIONS = BLOCK_ENDS | {"load", "store", "call"}
+_GLOBAL_TYPES = {ZEROS_CONSTANT.name: "ptr", LANE_ORDERS_CONSTANT.name: "ptr"}
 
 
 class NotInSubset(Exception):
@@ -48,7 +50,7 @@ class Instruction(NamedTuple):
     line: int
 
 
-class Block(NamedTuple):
+class BasicBlock(NamedTuple):
     """A sequence of instructions; the last one names the next block."""
 
     label: str
@@ -56,7 +58,7 @@ class Block(NamedTuple):
 
 
 @dataclass(slots=True)
-class Function:
+class IrFunction:
     """A function. `slots`: its stack slots. `result`: its result types, as text. `attribute`: as in LLVM."""
 
     name: str
@@ -65,10 +67,10 @@ class Function:
     attribute: str = ""
     result: str = "void"
     slots: list[Instruction] = field(default_factory=list)
-    blocks: list[Block] = field(default_factory=list)
+    blocks: list[BasicBlock] = field(default_factory=list)
 
 
-class Builder(ABC, Generic[Value]):
+class IrBuilder(ABC, Generic[Value]):
     """Adds the instructions of one function."""
 
     def __init__(self, place: str, file: str) -> None:
@@ -76,7 +78,7 @@ class Builder(ABC, Generic[Value]):
         self.node: ast.AST = ast.Pass()  # the statement that is written
         self.line = 0  # where it is
         self.slots: list[Instruction] = []
-        self.blocks = [Block("entry", [])]
+        self.blocks = [BasicBlock("entry", [])]
         self.block_now = self.blocks[0]
         self._numbers = 0
 
@@ -124,7 +126,7 @@ class Builder(ABC, Generic[Value]):
         return f"{stem}{self._numbers}"
 
     def begin(self, label: str) -> None:
-        self.block_now = Block(label, [])
+        self.block_now = BasicBlock(label, [])
         self.blocks.append(self.block_now)
 
     def jump(self, label: str) -> None:
@@ -138,7 +140,7 @@ class Builder(ABC, Generic[Value]):
         raise NotInSubset(f"{self.file}, line {line}, `{self.place}`: {why}")
 
 
-def verify(functions: Sequence[Function], others: Mapping[str, Function] | None = None) -> None:
+def verify(functions: Sequence[IrFunction], others: Mapping[str, IrFunction] | None = None) -> None:
     """Raise InvalidCode where operand types do not fit the operation, or a register is defined twice or read before. A block must
     also end with its only branch. `others`: further functions that they call."""
     known = {**(others or {}), **{each.name: each for each in functions}}
@@ -147,12 +149,12 @@ def verify(functions: Sequence[Function], others: Mapping[str, Function] | None 
 
 
 class _Verifier:
-    def __init__(self, function: Function, known: Mapping[str, Function]) -> None:
+    def __init__(self, function: IrFunction, known: Mapping[str, IrFunction]) -> None:
         self.function, self.known = function, known
         self.types = {each.name: each.type for each in function.arguments}
         self.slots = {each.result.name: each.extra for each in function.slots if each.result is not None}
         self.labels = {each.label for each in function.blocks}
-        self.types |= dict.fromkeys(self.slots, "ptr") | _GLOBAL
+        self.types |= dict.fromkeys(self.slots, "ptr") | _GLOBAL_TYPES
 
     def run(self) -> None:
         for block in self.function.blocks:
@@ -160,7 +162,7 @@ class _Verifier:
                 raise InvalidCode(f"{self.function.name}: block {block.label} is empty")
             last = block.body[-1]
             for each in block.body:
-                if (each.op in ENDS) != (each is last):
+                if (each.op in BLOCK_ENDS) != (each is last):
                     self.fail(each, f"block {block.label} does not end with its only branch")
                 self.instruction(each)
 
@@ -177,7 +179,7 @@ class _Verifier:
         gives = "" if result is None else result.type
         if not _fits(op, types, gives):
             self.fail(each, "types do not fit the operation")
-        if op in _OF_MORE:
+        if op in _VARIADIC_OPERATIONS:
             self._check_rest(each, types, gives)
         if result is not None:
             if result.name in known:
@@ -208,7 +210,7 @@ class _Verifier:
 @cache
 def _fits(op: str, types: tuple[str, ...], result: str) -> bool:
     """Return whether the types of operands and result match an operation."""
-    takes, gives, lanewise = OPS[op].takes, OPS[op].gives, OPS[op].lanewise
+    takes, gives, lanewise = OPERATION_BY_NAME[op].takes, OPERATION_BY_NAME[op].gives, OPERATION_BY_NAME[op].lanewise
     parts = [split_type(each) for each in types]
     bases = [base for _, base in parts]
     lanes = parts[0][0] if parts else 1
@@ -237,4 +239,4 @@ def split_type(type: str) -> tuple[int, str]:
 def _matches_class(letter: str, base: str, first: str) -> bool:
     if letter in "v*":
         return True
-    return base == first if letter == "=" else base in (_NUMBERS if letter == "n" else CLASSES.get(letter, (letter,)))
+    return base == first if letter == "=" else base in (_NUMBER_TYPES if letter == "n" else TYPES_BY_CLASS.get(letter, (letter,)))

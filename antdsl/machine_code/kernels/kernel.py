@@ -17,24 +17,24 @@ from antdsl.machine_code import codes, library, machine
 from antdsl.machine_code.entries import inner_text
 from antdsl.machine_code.kernels import sources
 from antdsl.machine_code.kernels.calling import KernelDescription, caller, parallel_caller
-from antdsl.machine_code.kernels.checks import CHECKED, Checks, guard_call
+from antdsl.machine_code.kernels.checks import CHECKS_ENABLED, CheckRenderer, guard_call
 from antdsl.machine_code.kernels.checks.line_tables import LineTables
-from antdsl.machine_code.kernels.direct.argument_text import RESULTS
-from antdsl.machine_code.kernels.ir import Function, verify
+from antdsl.machine_code.kernels.direct.argument_text import RESULT_WORDS
+from antdsl.machine_code.kernels.ir import IrFunction, verify
 from antdsl.machine_code.kernels.records import rebuild_like, resolve_annotation
 from antdsl.machine_code.kernels.rendering import render_functions
 from antdsl.machine_code.kernels.side_by_side import write_function
-from antdsl.machine_code.kernels.types import INT, LLVM, ArrayType, Scalar
-from antdsl.machine_code.kernels.units import Unit, result_type
-from antdsl.machine_code.kernels.values import Array, Item, Number, leaves
-from antdsl.machine_code.module import Module
+from antdsl.machine_code.kernels.types import INT, LLVM_TYPE_BY_KIND, ArrayType, ScalarType
+from antdsl.machine_code.kernels.units import KernelUnit, result_type
+from antdsl.machine_code.kernels.values import Array, KernelItem, Number, leaves
+from antdsl.machine_code.module import LlvmModule
 
 PythonFunction = Callable[..., Any]
 F = TypeVar("F", bound=PythonFunction)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Part:
+class KernelPart:
     """A function that kernels call, either as `alwaysinline` or as LLVM decides."""
 
     function: FunctionType
@@ -61,7 +61,7 @@ class Part:
 
 def _part(attribute: str) -> Callable[[F], F]:
     def decorate(function: F) -> F:
-        function.part = Part(function, attribute)  # type: ignore[attr-defined, arg-type]
+        function.part = KernelPart(function, attribute)  # type: ignore[attr-defined, arg-type]
         return function
 
     return decorate
@@ -80,7 +80,7 @@ class Kernel:
     __call__: Callable[..., Any]
 
     def __init__(self, function: FunctionType) -> None:
-        self.part = Part(function)
+        self.part = KernelPart(function)
         self.__doc__, self.__name__, self.__module__ = function.__doc__, function.__name__, function.__module__
         self._lock = Lock()
         self._run: Callable[..., Any] | None = None
@@ -101,18 +101,20 @@ class Kernel:
                 code = codes.code(self.text_key(host), lambda: self.text(host))
                 self._run = self.__call__ = run = self.caller(code)
                 self._apart = cache(
-                    lambda: _guard(parallel_caller(self.__name__, code, types, self._description(code), run), code, CHECKED)
+                    lambda: _guard(
+                        parallel_caller(self.__name__, code, types, self._description(code), run), code, CHECKS_ENABLED
+                    )
                 )
             return self._run
 
-    def caller(self, code: machine.Code, checked: bool = CHECKED) -> Callable[..., Any]:
+    def caller(self, code: machine.LoadedCode, checked: bool = CHECKS_ENABLED) -> Callable[..., Any]:
         """Return the function that calls the code of a text that contains this kernel."""
         guarded_call: Callable[..., Any] = _guard(
             caller(self.__name__, code, self.types(), self._description(code)), code, checked
         )
         return guarded_call
 
-    def _description(self, code: machine.Code) -> KernelDescription:
+    def _description(self, code: machine.LoadedCode) -> KernelDescription:
         return KernelDescription.read(code.constant_text(_description_name(self.__name__)))
 
     def parted(self) -> Callable[..., list[Any]] | None:
@@ -139,37 +141,40 @@ class Kernel:
         named = function.__code__.co_varnames[: function.__code__.co_argcount]
         return [resolve_annotation(function.__annotations__.get(name), function.__globals__) for name in named]
 
-    def text(self, target: machine.Target = machine.ANY) -> str:
+    def text(self, target: machine.Target = machine.PORTABLE_TARGET) -> str:
         """What is compiled, in LLVM's language."""
         return text_of([self], target)
 
-    def instructions(self) -> tuple[str, Item, list[Function]]:
+    def instructions(self) -> tuple[str, KernelItem, list[IrFunction]]:
         """For the interpreter, without lanes: the called function, what it returns, and all functions, callees first."""
-        unit = Unit(lanes=1)
+        unit = KernelUnit(lanes=1)
         words, arrays = count(), count()
         name, result = write_function(unit, self.part, [_argument(each, words, [], arrays) for each in self.types()])
         verify(unit.functions)
         return name, result, unit.functions
 
 
-def text_of(kernels: Sequence[Kernel], target: machine.Target, checked: bool = CHECKED) -> str:
+def text_of(kernels: Sequence[Kernel], target: machine.Target, checked: bool = CHECKS_ENABLED) -> str:
     """The text of several kernels with different names, in LLVM's language."""
-    unit, module, tables = Unit(), Module(target), LineTables() if checked else None
+    unit, module, tables = KernelUnit(), LlvmModule(target), LineTables() if checked else None
     entries = [line for each in kernels for line in _entry(each, unit, module, tables)]
     verify(unit.functions)
-    functions = render_functions(unit.functions, Checks() if checked else None, tables)
-    return "\n".join([f"; {machine.ALL_PASSES}", module.text(), *functions, *entries, *(tables.text() if tables else [])]) + "\n"
+    functions = render_functions(unit.functions, CheckRenderer() if checked else None, tables)
+    return (
+        "\n".join([f"; {machine.ALL_PASSES_COMMENT}", module.text(), *functions, *entries, *(tables.text() if tables else [])])
+        + "\n"
+    )
 
 
-def _entry(kernel: Kernel, unit: Unit, module: Module, tables: LineTables | None) -> tuple[str, str]:
+def _entry(kernel: Kernel, unit: KernelUnit, module: LlvmModule, tables: LineTables | None) -> tuple[str, str]:
     """The constant that describes a kernel, and the function that reads its arguments from a table and stores its results."""
-    words, arrays, body = count(RESULTS), count(), list[str]()
+    words, arrays, body = count(RESULT_WORDS), count(), list[str]()
     inputs = [_argument(each, words, body, arrays) for each in kernel.types()]
     name, result = write_function(unit, kernel.part, inputs)
     arguments = ", ".join(each.typed for item in inputs for each in leaves(item))
     results = list(leaves(result))
-    if len(results) > RESULTS:
-        raise TypeError(f"{kernel.__name__} gives back more than {RESULTS} numbers")
+    if len(results) > RESULT_WORDS:
+        raise TypeError(f"{kernel.__name__} gives back more than {RESULT_WORDS} numbers")
     code = kernel.part.function.__code__
     line_table = "" if tables is None else tables.begin_function(kernel.__name__, code.co_filename, code.co_firstlineno)
     call = f"call {result_type(result)} {name}({arguments})" + ("" if tables is None else tables.of(0))
@@ -179,7 +184,7 @@ def _entry(kernel: Kernel, unit: Unit, module: Module, tables: LineTables | None
         if len(results) > 1:
             value = f"%given{k}"
             body.append(f"  {value} = extractvalue {result_type(result)} %given, {k}")
-        stored = LLVM[each.kind]
+        stored = LLVM_TYPE_BY_KIND[each.kind]
         if stored == "i1":
             body.append(f"  %wide{k} = zext i1 {value} to i64")
             value, stored = f"%wide{k}", "i64"
@@ -198,7 +203,7 @@ def _description_name(name: str) -> str:
     return f"about.{name}"
 
 
-def _guard(run: Any, code: machine.Code, checked: bool) -> Any:
+def _guard(run: Any, code: machine.LoadedCode, checked: bool) -> Any:
     return guard_call(run, code) if checked and run is not None else run
 
 
@@ -207,12 +212,12 @@ def kernel(function: PythonFunction) -> Kernel:
     return Kernel(function)  # type: ignore[arg-type]
 
 
-def _argument(type: Any, words: Iterator[int], body: list[str], numbers: Iterator[int]) -> Item:
+def _argument(type: Any, words: Iterator[int], body: list[str], numbers: Iterator[int]) -> KernelItem:
     """Return the item of an argument, read from these words of the table."""
 
     def read(kind: str) -> Number:
         k = next(words)
-        stored = "double" if kind == "float" else "i64" if kind == "i1" else kind if kind == "ptr" else LLVM[kind]
+        stored = "double" if kind == "float" else "i64" if kind == "i1" else kind if kind == "ptr" else LLVM_TYPE_BY_KIND[kind]
         body.append(f"  %p{k} = getelementptr i64, ptr %t, i64 {k}\n  %w{k} = load {stored}, ptr %p{k}")
         if kind == "float":
             body.append(f"  %n{k} = fptrunc double %w{k} to float")
@@ -224,7 +229,7 @@ def _argument(type: Any, words: Iterator[int], body: list[str], numbers: Iterato
 
     if isinstance(type, tuple):
         return rebuild_like(type, (_argument(each, words, body, numbers) for each in type))
-    if isinstance(type, Scalar):
+    if isinstance(type, ScalarType):
         return read(type.kind)
     if not isinstance(type, ArrayType):
         raise TypeError("an argument of a kernel has a type of `kernels`")

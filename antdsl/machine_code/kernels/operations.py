@@ -17,11 +17,11 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 
-DTYPES: Final[Mapping[str, Any]] = {
+DTYPE_BY_TYPE: Final[Mapping[str, Any]] = {
     "double": np.float64, "float": np.float32, "i64": np.int64, "i32": np.int32, "i16": np.int16, "i8": np.int8, "i1": np.bool_,
 }  # fmt: skip
 # Classes of types: floats, whole numbers, conditions, addresses; numbers, and everything.
-CLASSES: Final[Mapping[str, frozenset[str]]] = {
+TYPES_BY_CLASS: Final[Mapping[str, frozenset[str]]] = {
     "f": frozenset({"double", "float"}),
     "i": frozenset({"i64", "i32", "i16", "i8"}),
     "b": frozenset({"i1"}),
@@ -142,8 +142,8 @@ def _zeros_below(a: Any) -> Any:
     return a.dtype.type((int(a) & -int(a)).bit_length() - 1)
 
 
-_ORDER: Final = {"lt": operator.lt, "le": operator.le, "gt": operator.gt, "ge": operator.ge}
-OPS: Final[Mapping[str, Operation]] = {
+_ORDER_OPERATORS: Final = {"lt": operator.lt, "le": operator.le, "gt": operator.gt, "ge": operator.ge}
+OPERATION_BY_NAME: Final[Mapping[str, Operation]] = {
     **_binary("f=", {"fadd": operator.add, "fsub": operator.sub, "fmul": operator.mul, "fdiv": operator.truediv}),
     **_binary("f=", {"frem": np.fmod}),
     **_functions("f", {"sqrt": np.sqrt, "floor": np.floor, "ceil": np.ceil, "rint": np.rint, "fabs": np.abs}),
@@ -157,10 +157,10 @@ OPS: Final[Mapping[str, Operation]] = {
     "cttz": Operation("i", "=", "call {r.type} @llvm.cttz.{0.suffix}({0.typed}, i1 true)", _zeros_below, extra_types=", i1"),
     **_binary("i=", {"shl": operator.lshift, "ashr": operator.rshift}),
     **_binary("n=", {"and": operator.and_, "or": operator.or_, "xor": operator.xor}),
-    **_comparisons("f=", "f", "fcmp", "o", {**_ORDER, "eq": operator.eq}),
+    **_comparisons("f=", "f", "fcmp", "o", {**_ORDER_OPERATORS, "eq": operator.eq}),
     **_comparisons("f=", "f", "fcmp", "u", {"ne": operator.ne, "no": lambda a, b: (a != a) | (b != b)}),
-    **_comparisons("i=", "s", "icmp", "s", _ORDER),
-    **_comparisons("i=", "u", "icmp", "u", {name: _on_unsigned(function) for name, function in _ORDER.items()}),
+    **_comparisons("i=", "s", "icmp", "s", _ORDER_OPERATORS),
+    **_comparisons("i=", "u", "icmp", "u", {name: _on_unsigned(function) for name, function in _ORDER_OPERATORS.items()}),
     **_comparisons("n=", "", "icmp", "", {"eq": operator.eq, "ne": operator.ne}),
     "select": Operation("bvv", "2", "select {0.typed}, {1.typed}, {2.typed}", lambda c, a, b: a if c else b),
     **_casts("i", "i", {"sext": _cast}),
@@ -208,4 +208,4 @@ OPS: Final[Mapping[str, Operation]] = {
     "span": Operation("i*", "", "", lanewise=False),
     "divisor": Operation("i*", "", "", lanewise=False),
 }
-ENDS: Final = frozenset({"jump", "branch", "return"})
+BLOCK_ENDS: Final = frozenset({"jump", "branch", "return"})

@@ -6,30 +6,43 @@ from collections.abc import Sequence
 from functools import cache
 from typing import Any
 
-from antdsl.machine_code.kernels.checks import Checks
+from antdsl.machine_code.kernels.checks import CheckRenderer
 from antdsl.machine_code.kernels.checks.line_tables import LineTables
-from antdsl.machine_code.kernels.ir import CHECKS, LANES_OF, MOST, ORDERS, ZEROS, Function, Instruction, split_type
-from antdsl.machine_code.kernels.operations import OPS
+from antdsl.machine_code.kernels.ir import (
+    CHECK_MESSAGES,
+    LANE_ORDERS_CONSTANT,
+    LANES_BY_MASK,
+    MAX_CONSECUTIVE_ELEMENTS,
+    ZEROS_CONSTANT,
+    Instruction,
+    IrFunction,
+    split_type,
+)
+from antdsl.machine_code.kernels.operations import OPERATION_BY_NAME
 from antdsl.machine_code.kernels.values import Number
-from antdsl.machine_code.kinds import WIDTH
+from antdsl.machine_code.kinds import LANE_COUNT
 
-_BYTES = ", ".join(f"i8 {lane}" for lanes in LANES_OF for lane in lanes)
-_TABLES = {
-    ZEROS.name: f"{ZEROS.name} = internal constant [{MOST} x i64] zeroinitializer, align 64",
-    ORDERS.name: f"{ORDERS.name} = internal constant [{WIDTH << WIDTH} x i8] [{_BYTES}]",
+_LANE_ORDER_BYTES = ", ".join(f"i8 {lane}" for lanes in LANES_BY_MASK for lane in lanes)
+_CONSTANT_TABLES = {
+    ZEROS_CONSTANT.name: f"{ZEROS_CONSTANT.name} = internal constant [{MAX_CONSECUTIVE_ELEMENTS} x i64] zeroinitializer, "
+    f"align 64",
+    LANE_ORDERS_CONSTANT.name: f"{LANE_ORDERS_CONSTANT.name} = internal constant [{LANE_COUNT << LANE_COUNT} x i8] "
+    f"[{_LANE_ORDER_BYTES}]",
 }
 
 
-def render_functions(functions: Sequence[Function], checks: Checks | None = None, tables: LineTables | None = None) -> list[str]:
+def render_functions(
+    functions: Sequence[IrFunction], checks: CheckRenderer | None = None, tables: LineTables | None = None
+) -> list[str]:
     """Return the texts of functions and of the LLVM functions that they call. Without `checks`, their checks are left out;
     without `tables`, their lines."""
-    declared = {ZEROS.name: _TABLES[ZEROS.name]}
+    declared = {ZEROS_CONSTANT.name: _CONSTANT_TABLES[ZEROS_CONSTANT.name]}
     texts = [function_text(each, declared, checks, tables) for each in functions]
     return [*declared.values(), *texts, *([] if checks is None else [checks.text()])]
 
 
 def function_text(
-    function: Function, declared: dict[str, str], checks: Checks | None = None, tables: LineTables | None = None
+    function: IrFunction, declared: dict[str, str], checks: CheckRenderer | None = None, tables: LineTables | None = None
 ) -> str:
     """Return the text of a function. Add the LLVM functions that it calls, and the tables that it reads, to `declared`."""
     arguments = ", ".join(each.typed for each in function.arguments)
@@ -43,7 +56,7 @@ def function_text(
         if k:
             lines.append(f"{block.label}:")
         for each in block.body:
-            if each.op not in CHECKS:
+            if each.op not in CHECK_MESSAGES:
                 lines.append(_line(each, declared) if tables is None else _line(each, declared) + tables.of(each.line))
             elif checks is not None:
                 lines += checks.lines(function, each)
@@ -55,13 +68,13 @@ def function_text(
 def _line(each: Instruction, declared: dict[str, str]) -> str:
     op, result, operands, extra, _ = each
     if op in ("jump", "branch"):  # their labels are in no other line
-        return "  " + OPS[op].text.format(*operands, x=extra)
+        return "  " + OPERATION_BY_NAME[op].text.format(*operands, x=extra)
     text, called = _pattern(op, tuple([operand.type for operand in operands]), "void" if result is None else result.type, extra)
     names = tuple([operand.name for operand in operands])
     if called is not None:
         declared.setdefault(*called)
-    elif op == "element" and names[0] in _TABLES:
-        declared[names[0]] = _TABLES[names[0]]
+    elif op == "element" and names[0] in _CONSTANT_TABLES:
+        declared[names[0]] = _CONSTANT_TABLES[names[0]]
     return "  " + text % names if result is None else f"  {result.name} = {text % names}"
 
 
@@ -69,7 +82,7 @@ def _line(each: Instruction, declared: dict[str, str]) -> str:
 def _pattern(op: str, types: tuple[str, ...], gives: str, extra: Any) -> tuple[str, tuple[str, str] | None]:
     """Return the text of an operation on these types, with `%s` for each operand, and the LLVM function that it calls, with its
     declaration."""
-    operation = OPS[op]
+    operation = OPERATION_BY_NAME[op]
     operands = [Number(base, "%s", None, lanes) for lanes, base in map(split_type, types)]
     lanes, base = split_type(gives)
     everything = ", ".join(operand.typed for operand in operands) or ("void" if op == "return" else "")

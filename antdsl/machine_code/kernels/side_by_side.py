@@ -12,43 +12,43 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any
 
-from antdsl.machine_code.kernels.elements import ALL
-from antdsl.machine_code.kernels.ir import Function
+from antdsl.machine_code.kernels.elements import ALL_LANES
+from antdsl.machine_code.kernels.ir import IrFunction
 from antdsl.machine_code.kernels.records import rebuild_like
-from antdsl.machine_code.kernels.statements import Writer, stored_names
+from antdsl.machine_code.kernels.statements import StatementWriter, stored_names
 from antdsl.machine_code.kernels.types import INT, TRUTH
-from antdsl.machine_code.kernels.units import Unit, Variable, result_type
-from antdsl.machine_code.kernels.values import Item, Number, constant, leaves, rename_item, type_key
-from antdsl.machine_code.kinds import WIDTH
+from antdsl.machine_code.kernels.units import KernelUnit, StackVariable, result_type
+from antdsl.machine_code.kernels.values import KernelItem, Number, constant, leaves, rename_item, type_key
+from antdsl.machine_code.kinds import LANE_COUNT
 
-_LEAVES = (ast.Break, ast.Continue, ast.Return)
+_EXIT_STATEMENTS = (ast.Break, ast.Continue, ast.Return)
 
 
 @dataclass(slots=True)
-class Turns:
+class LoopTurns:
     """The masks of a loop or function: iterations that are in it, and those that run the code that follows now."""
 
     inside: Number
     now: Number
 
 
-class SideBySide(Writer):
+class SimdWriter(StatementWriter):
     """Writer of a function for one iteration or for several in lanes."""
 
-    def __init__(self, unit: Unit, part: Any, mask: Number | None = None) -> None:
+    def __init__(self, unit: KernelUnit, part: Any, mask: Number | None = None) -> None:
         super().__init__(unit, *part.source())
         self.gives = part.types().get("return", Any)
-        self.turns: list[Turns] = []
-        self.results: list[Variable] = []
+        self.turns: list[LoopTurns] = []
+        self.results: list[StackVariable] = []
         self.fresh: set[Number] = set()  # places that no turn has written to yet
         if mask is not None:
             self.mask = mask
             self._enter()
 
-    def _enter(self) -> Turns:
+    def _enter(self) -> LoopTurns:
         """Begin a loop or a function for the active lanes."""
         assert self.mask is not None
-        turns = Turns(self.slot(TRUTH, WIDTH), self.slot(TRUTH, WIDTH))
+        turns = LoopTurns(self.slot(TRUTH, LANE_COUNT), self.slot(TRUTH, LANE_COUNT))
         self.put(turns.inside, self.mask)
         self.put(turns.now, self.mask)
         self.turns.append(turns)
@@ -56,21 +56,21 @@ class SideBySide(Writer):
 
     # --- variables -----------------------------------------------------------------------------------------------------
 
-    def variable(self, item: Number) -> Variable:
+    def variable(self, item: Number) -> StackVariable:
         if self.mask is None:
             return super().variable(item)
-        place = self.slot(item.kind, WIDTH)
+        place = self.slot(item.kind, LANE_COUNT)
         self.fresh.add(place)
-        return Variable(item.kind, place, WIDTH)
+        return StackVariable(item.kind, place, LANE_COUNT)
 
-    def assign(self, node: ast.AST, name: str, item: Item) -> None:
+    def assign(self, node: ast.AST, name: str, item: KernelItem) -> None:
         is_consecutive = self.mask is not None and isinstance(item, Number) and bool(item.first)
-        if is_consecutive and self.mask == ALL and name not in self.variables and stored_names(self.definition)[name] == 1:
+        if is_consecutive and self.mask == ALL_LANES and name not in self.variables and stored_names(self.definition)[name] == 1:
             self.variables[name] = item  # stays known to follow from turn to turn
         else:
             super().assign(node, name, item)
 
-    def change(self, node: ast.AST, variable: Variable, value: Number) -> None:
+    def change(self, node: ast.AST, variable: StackVariable, value: Number) -> None:
         if self.mask is None:
             super().change(node, variable, value)
             return
@@ -78,7 +78,7 @@ class SideBySide(Writer):
             self.fail(node, "what several turns would change at once belongs to none of them")
         value = self.widened(value)
         if self.mask.known is None and variable.place not in self.fresh:
-            value = self.select(self.mask, value, self.load(variable.place, variable.kind, WIDTH))
+            value = self.select(self.mask, value, self.load(variable.place, variable.kind, LANE_COUNT))
         self.fresh.discard(variable.place)
         self.put(variable.place, value)
 
@@ -120,11 +120,11 @@ class SideBySide(Writer):
         """Remove from the mask the iterations that have left in `body`."""
         if _has_exits(body):
             assert self.mask is not None
-            self.mask = self.logical_and(self.mask, self.load(self.turns[-1].now, TRUTH, WIDTH))
+            self.mask = self.logical_and(self.mask, self.load(self.turns[-1].now, TRUTH, LANE_COUNT))
 
     def _clear_mask(self, place: Number) -> None:
         assert self.mask is not None
-        self.put(place, self.op("and", TRUTH, self.load(place, TRUTH, WIDTH), self.invert(self.widened(self.mask))))
+        self.put(place, self.op("and", TRUTH, self.load(place, TRUTH, LANE_COUNT), self.invert(self.widened(self.mask))))
 
     def leave(self, loop: bool) -> None:
         if self.mask is None:
@@ -143,7 +143,7 @@ class SideBySide(Writer):
         head, inner, end = self.label("while"), self.label("body"), self.label("end")
         self.jump(head)
         self.begin(head)
-        self.mask = self.load(turns.inside, TRUTH, WIDTH)
+        self.mask = self.load(turns.inside, TRUTH, LANE_COUNT)
         active_mask = self.logical_and(self.mask, self.widened(self.truth(test)))
         self.put(turns.inside, active_mask)
         self.put(turns.now, active_mask)
@@ -162,7 +162,7 @@ class SideBySide(Writer):
         self.turns.pop()
         self.mask, self.open = outer_mask, True
         if any(isinstance(each, ast.Return) for statement in body for each in ast.walk(statement)):
-            self.mask = self.logical_and(outer_mask, self.load(self.turns[-1].now, TRUTH, WIDTH))
+            self.mask = self.logical_and(outer_mask, self.load(self.turns[-1].now, TRUTH, LANE_COUNT))
 
     def count_loop(
         self, name: str, begin: Number, end: Number, step: int, body: list[ast.stmt], write: Callable[[], None] | None = None
@@ -177,7 +177,7 @@ class SideBySide(Writer):
             self._uniform_loop(name, begin, end, step, write)
             return
         outer_mask, turns = self.mask, self._enter()
-        lanes = WIDTH if wide else 1
+        lanes = LANE_COUNT if wide else 1
         number = self.slot(INT, lanes)
         begin, end = (self.widened(begin), self.widened(end)) if wide else (begin, end)
         self.put(number, begin)
@@ -185,7 +185,9 @@ class SideBySide(Writer):
         self.jump(head)
         self.begin(head)
         at = self.load(number, INT, lanes)
-        active_mask = self.logical_and(self.load(turns.inside, TRUTH, WIDTH), self.compare("lt" if step > 0 else "gt", at, end))
+        active_mask = self.logical_and(
+            self.load(turns.inside, TRUTH, LANE_COUNT), self.compare("lt" if step > 0 else "gt", at, end)
+        )
         active_mask = self.widened(active_mask)
         self.put(turns.inside, active_mask)
         self.put(turns.now, active_mask)
@@ -226,7 +228,7 @@ class SideBySide(Writer):
         self.jump(head)
         self.begin(exit_label)
 
-    def unrolled_loop(self, node: ast.AST, target: ast.expr, items: list[Item], body: list[ast.stmt]) -> None:
+    def unrolled_loop(self, node: ast.AST, target: ast.expr, items: list[KernelItem], body: list[ast.stmt]) -> None:
         if self.mask is None:
             super().unrolled_loop(node, target, items, body)
             return
@@ -234,7 +236,7 @@ class SideBySide(Writer):
         outer_mask, turns = self.mask, self._enter()
         for item in items:
             if left:
-                self.mask = self.load(turns.inside, TRUTH, WIDTH)
+                self.mask = self.load(turns.inside, TRUTH, LANE_COUNT)
                 self.put(turns.now, self.mask)
             self.bind(node, target, item)
             self.block(body)
@@ -242,7 +244,7 @@ class SideBySide(Writer):
         self.unbind(target)
         self._rejoin_after_loop(outer_mask, body)
 
-    def return_item(self, node: ast.AST, item: Item) -> None:
+    def return_item(self, node: ast.AST, item: KernelItem) -> None:
         if self.mask is None:
             super().return_item(node, item)
             return
@@ -257,7 +259,7 @@ class SideBySide(Writer):
             self._clear_mask(turns.now)
             self._clear_mask(turns.inside)
 
-    def _widen(self, item: Item) -> Item:
+    def _widen(self, item: KernelItem) -> KernelItem:
         return rebuild_like(item, map(self._widen, item)) if isinstance(item, tuple) else self.widened(item)
 
     def end(self) -> None:
@@ -266,7 +268,7 @@ class SideBySide(Writer):
             super().end()
             return
         self.result = self.result or ()
-        numbers = [self.load(each.place, each.kind, WIDTH) for each in self.results]
+        numbers = [self.load(each.place, each.kind, LANE_COUNT) for each in self.results]
         self.emit_return(rename_item(self.result, iter([each.name for each in numbers])))
 
     # --- loops and calls -----------------------------------------------------------------------------------------------
@@ -280,23 +282,23 @@ class SideBySide(Writer):
             return
         begin, end = self.convert(begin, INT), self.convert(end, INT)
         count = self.op("sub", INT, end, begin)
-        rest = self.op("and", INT, count, constant(-WIDTH))
+        rest = self.op("and", INT, count, constant(-LANE_COUNT))
         none = self.op("slt", TRUTH, count, constant(0))
         middle = self.select(none, begin, self.op("add", INT, begin, rest))
         known, loops = dict(self.variables), self.loops
-        with self._scalar_loop(begin, middle, WIDTH) as at:
-            steps = Number(INT, f"<{', '.join(f'i64 {k}' for k in range(WIDTH))}>", lanes=WIDTH)
+        with self._scalar_loop(begin, middle, LANE_COUNT) as at:
+            steps = Number(INT, f"<{', '.join(f'i64 {k}' for k in range(LANE_COUNT))}>", lanes=LANE_COUNT)
             lanes = self.op("add", INT, self.widened(at), steps)
-            self.mask, self.loops = ALL, []
+            self.mask, self.loops = ALL_LANES, []
             self._enter()
-            self.variables[name] = Number(INT, lanes.name, None, WIDTH, at)
+            self.variables[name] = Number(INT, lanes.name, None, LANE_COUNT, at)
             self.block(body)
             self.turns.pop()
             self.mask, self.open, self.variables, self.loops = None, True, dict(known), loops
         super().count_loop(name, middle, end, 1, body)
         self.variables = known  # what a turn has named is its own
 
-    def call_function(self, node: ast.Call, function: Any, inputs: list[Item]) -> Item:
+    def call_function(self, node: ast.Call, function: Any, inputs: list[KernelItem]) -> KernelItem:
         part = getattr(function, "part", None)
         if part is None:
             self.fail(node, f"`{ast.unparse(node.func)}` is no function of kernels")
@@ -325,10 +327,10 @@ class SideBySide(Writer):
 
 def _has_exits(body: list[ast.stmt]) -> bool:
     """Return whether iterations may leave a loop or their function in these statements."""
-    return any(isinstance(each, _LEAVES) for statement in body for each in ast.walk(statement))
+    return any(isinstance(each, _EXIT_STATEMENTS) for statement in body for each in ast.walk(statement))
 
 
-def write_function(unit: Unit, part: Any, inputs: list[Item], wide: bool = False) -> tuple[str, Item]:
+def write_function(unit: KernelUnit, part: Any, inputs: list[KernelItem], wide: bool = False) -> tuple[str, KernelItem]:
     """Return the name and the result of a part's function for items of these types, written once. `wide`: for several turns in
     SIMD lanes; the last argument is the mask of those that count."""
     key = (part, ",".join(type_key(each) for each in inputs) + ("," if wide else ""))
@@ -337,11 +339,11 @@ def write_function(unit: Unit, part: Any, inputs: list[Item], wide: bool = False
         unit.specialisations[key] = name, None
         numbers = iter(f"%x{k}" for k in range(100_000))
         own = [rename_item(each, numbers) for each in inputs]
-        mask = Number(TRUTH, "%mask", lanes=WIDTH) if wide else None
-        w = SideBySide(unit, part, mask)
+        mask = Number(TRUTH, "%mask", lanes=LANE_COUNT) if wide else None
+        w = SimdWriter(unit, part, mask)
         arguments = [each for item in own for each in leaves(item)] + ([mask] if mask else [])
         w.run(own)
-        unit.functions.append(Function(name, w.file, arguments, part.attribute, result_type(w.result), w.slots, w.blocks))
+        unit.functions.append(IrFunction(name, w.file, arguments, part.attribute, result_type(w.result), w.slots, w.blocks))
         unit.specialisations[key] = name, w.result
     elif unit.specialisations[key][1] is None:
         raise RecursionError(f"{part} calls itself")

@@ -18,11 +18,11 @@ import numpy as np
 from antdsl import machine_code
 from antdsl.bounded import read_bounded
 from antdsl.limits import MIB
-from antdsl.machine_code.kernels.checks import CHECKED
+from antdsl.machine_code.kernels.checks import CHECKS_ENABLED
 from antdsl.machine_code.kernels.records import field_types, is_record, resolve_annotation
-from antdsl.machine_code.kernels.types import ArrayType, Scalar
+from antdsl.machine_code.kernels.types import ArrayType, ScalarType
 
-_LARGEST = 4 * MIB  # of a file
+_MAX_SOURCE_BYTES = 4 * MIB  # of a file
 
 
 class _UnknownSource(Exception):
@@ -31,7 +31,7 @@ class _UnknownSource(Exception):
 
 def key(part: Any, types: list[Any]) -> str | None:
     """Return a key for the text of a kernel with arguments of these types; None where there is none. A text begins otherwise."""
-    parts: list[str] = [_writers(), f"checked {CHECKED}", *map(_type_text, types)]
+    parts: list[str] = [_writers(), f"checked {CHECKS_ENABLED}", *map(_type_text, types)]
     known: dict[int, int] = {}
     try:
         _describe_function(part, parts, known)
@@ -70,7 +70,7 @@ def _digest(path: str) -> str:
 
 @cache
 def _digest_of(path: str, changed: int, size: int) -> str:
-    return blake2b(read_bounded(path, _LARGEST), digest_size=16).hexdigest()
+    return blake2b(read_bounded(path, _MAX_SOURCE_BYTES), digest_size=16).hexdigest()
 
 
 def _describe_function(part: Any, parts: list[str], known: dict[int, int]) -> None:
@@ -118,7 +118,7 @@ def _describe_value(value: Any, names: list[str], parts: list[str], known: dict[
         parts.append(f"{type(value).__qualname__} {len(value)}")
         for each in value:
             _describe_value(each, names, parts, known)
-    elif value is None or isinstance(value, bool | int | float | str | np.generic | Scalar | ArrayType):
+    elif value is None or isinstance(value, bool | int | float | str | np.generic | ScalarType | ArrayType):
         parts.append(f"{type(value).__name__} {value!r}")
     elif isinstance(value, GenericAlias):
         parts.append(_type_text(resolve_annotation(value, {})))

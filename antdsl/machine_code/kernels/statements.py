@@ -8,30 +8,30 @@ from collections.abc import Callable
 from functools import lru_cache
 from typing import Any
 
-from antdsl.machine_code.kernels.expressions import Expressions
+from antdsl.machine_code.kernels.expressions import ExpressionEmitter
 from antdsl.machine_code.kernels.functions import independent
 from antdsl.machine_code.kernels.records import rebuild_like
 from antdsl.machine_code.kernels.types import DOUBLE, FLOAT, INT, TRUTH, UNSIGNED
-from antdsl.machine_code.kernels.units import Loop, Unit, Variable, result_type
-from antdsl.machine_code.kernels.values import Array, Item, Number, constant, has_arrays, leaves, type_key
+from antdsl.machine_code.kernels.units import KernelUnit, LoopLabels, StackVariable, result_type
+from antdsl.machine_code.kernels.values import Array, KernelItem, Number, constant, has_arrays, leaves, type_key
 
-_WRITTEN_OUT = 4  # turns up to which a loop over constants in the text is unrolled
+_MAX_UNROLLED_TURNS = 4  # turns up to which a loop over constants in the text is unrolled
 
 
-class Writer(Expressions):
+class StatementWriter(ExpressionEmitter):
     """Writer of one function for arguments of certain types."""
 
-    def __init__(self, unit: Unit, file: str, definition: ast.FunctionDef, world: dict[str, Any]) -> None:
+    def __init__(self, unit: KernelUnit, file: str, definition: ast.FunctionDef, world: dict[str, Any]) -> None:
         super().__init__(definition.name, file)
         self.unit, self.definition, self.world = unit, definition, world
         self.variables: dict[str, Any] = {}
-        self.loops: list[Loop] = []
-        self.result: Item = None
+        self.loops: list[LoopLabels] = []
+        self.result: KernelItem = None
         self.returns = False
         self.gives: Any = Any  # the type of what it gives back
         self.open = True  # whether the text has come to a place that is reached
 
-    def run(self, inputs: list[Item]) -> None:
+    def run(self, inputs: list[KernelItem]) -> None:
         """Write the body, its arguments being these."""
         names = [each.arg for each in self.definition.args.args]
         if len(names) != len(inputs):
@@ -57,40 +57,40 @@ class Writer(Expressions):
             self.fail(self.definition, f"`{name}` is not known where it is read")
         return self.variables[name]
 
-    def _constants(self, value: Any) -> Item:
+    def _constants(self, value: Any) -> KernelItem:
         if isinstance(value, tuple):
             return rebuild_like(value, (self._constants(each) for each in value))
         return constant(value)
 
-    def loaded(self, item: Any) -> Item:
+    def loaded(self, item: Any) -> KernelItem:
         if isinstance(item, tuple):
             return rebuild_like(item, (self.loaded(each) for each in item))
-        if isinstance(item, Variable):
+        if isinstance(item, StackVariable):
             return self.load(item.place, item.kind, item.lanes)
         return item
 
     # --- assignment ----------------------------------------------------------------------------------------------------
 
-    def assign(self, node: ast.AST, name: str, item: Item) -> None:
+    def assign(self, node: ast.AST, name: str, item: KernelItem) -> None:
         """Assign a value to a name; the first assignment decides its type."""
         if name not in self.variables:
             self.variables[name] = self._allocate(item)
         self._assign_into(node, name, self.variables[name], item)
 
-    def _allocate(self, item: Item) -> Any:
+    def _allocate(self, item: KernelItem) -> Any:
         if isinstance(item, tuple):
             return rebuild_like(item, (self._allocate(each) for each in item))
         return item if isinstance(item, Array) else self.variable(item)
 
-    def variable(self, item: Number) -> Variable:
+    def variable(self, item: Number) -> StackVariable:
         """Room for a number."""
-        return Variable(item.kind, self.slot(item.kind, item.lanes), item.lanes)
+        return StackVariable(item.kind, self.slot(item.kind, item.lanes), item.lanes)
 
-    def _assign_into(self, node: ast.AST, name: str, destination: Any, item: Item) -> None:
+    def _assign_into(self, node: ast.AST, name: str, destination: Any, item: KernelItem) -> None:
         if isinstance(destination, tuple) and type(destination) is type(item) and len(destination) == len(item):
             for one, other in zip(destination, item, strict=True):
                 self._assign_into(node, name, one, other)
-        elif isinstance(destination, Variable) and isinstance(item, Number):
+        elif isinstance(destination, StackVariable) and isinstance(item, Number):
             if item.kind != destination.kind and not (
                 item.known is not None or item.kind == TRUTH or (item.kind, destination.kind) == (INT, DOUBLE)
             ):
@@ -101,11 +101,11 @@ class Writer(Expressions):
         elif not (isinstance(destination, Array) and item == destination):
             self.fail(node, f"`{name}` is given a value of another type")
 
-    def change(self, node: ast.AST, variable: Variable, value: Number) -> None:
+    def change(self, node: ast.AST, variable: StackVariable, value: Number) -> None:
         """Give a variable another value."""
         self.put(variable.place, value)
 
-    def _assign_target(self, node: ast.AST, target: ast.expr, item: Item) -> None:
+    def _assign_target(self, node: ast.AST, target: ast.expr, item: KernelItem) -> None:
         match target:
             case ast.Name(id="_"):
                 pass
@@ -130,7 +130,7 @@ class Writer(Expressions):
         self.unit.written.add(array.origin)
         self.store_element(node, array, at, item)
 
-    def _fill(self, node: ast.AST, array: Item, item: Item) -> None:
+    def _fill(self, node: ast.AST, array: KernelItem, item: KernelItem) -> None:
         """`a[:] = number`."""
         if not isinstance(array, Array) or array.steps is not None or not isinstance(item, Number):
             self.fail(node, "`a[:] = number` of an array in one piece")
@@ -225,10 +225,10 @@ class Writer(Expressions):
         self.begin(head)
         self.branch(self.truth(test), inner, end)
         self.begin(inner)
-        self._body(Loop(head, end), lambda: self.block(body))
+        self._body(LoopLabels(head, end), lambda: self.block(body))
         self.begin(end)
 
-    def _body(self, loop: Loop, write: Callable[[], None]) -> None:
+    def _body(self, loop: LoopLabels, write: Callable[[], None]) -> None:
         """A turn of a loop, and on to what follows it."""
         self.loops.append(loop)
         write()
@@ -248,7 +248,7 @@ class Writer(Expressions):
             begin, end = (constant(0), numbers[0]) if len(numbers) == 1 else numbers[:2]
             if begin.known is not None and end.known is not None:
                 turns = range(int(begin.known), int(end.known), step)
-                if len(turns) <= _WRITTEN_OUT:
+                if len(turns) <= _MAX_UNROLLED_TURNS:
                     self.unrolled_loop(node, target, [constant(k) for k in turns], body)
                     return
             if known is independent:
@@ -280,18 +280,18 @@ class Writer(Expressions):
         """Write a loop in which several iterations can run at once."""
         raise NotImplementedError
 
-    def unrolled_loop(self, node: ast.AST, target: ast.expr, items: list[Item], body: list[ast.stmt]) -> None:
+    def unrolled_loop(self, node: ast.AST, target: ast.expr, items: list[KernelItem], body: list[ast.stmt]) -> None:
         end = self.label("end")
         for item in items:
             following = self.label("next")
             self.bind(node, target, item)
-            self._body(Loop(following, end), lambda: self.block(body))
+            self._body(LoopLabels(following, end), lambda: self.block(body))
             self.begin(following)
         self.jump(end)
         self.begin(end)
         self.unbind(target)
 
-    def bind(self, node: ast.AST, target: ast.expr, item: Item) -> None:
+    def bind(self, node: ast.AST, target: ast.expr, item: KernelItem) -> None:
         """Bind the names of an unrolled loop's iteration. Literals stay literals."""
         if isinstance(target, ast.Name):
             self.variables[target.id] = item
@@ -321,13 +321,13 @@ class Writer(Expressions):
         if isinstance(self.variables.get(name), Number):  # left behind by a loop that was written out
             del self.variables[name]
         self.assign(self.definition, name, at)
-        self._body(Loop(following, exit_label), write)
+        self._body(LoopLabels(following, exit_label), write)
         self.begin(following)
         self.put(number, self.op("add", INT, at, constant(step)))
         self.jump(head)
         self.begin(exit_label)
 
-    def return_item(self, node: ast.AST, item: Item) -> None:
+    def return_item(self, node: ast.AST, item: KernelItem) -> None:
         if self.returns and type_key(item) != type_key(self.result):
             item = self.match_item(node, item, self.result)
         if has_arrays(item):
@@ -335,7 +335,7 @@ class Writer(Expressions):
         self.result, self.returns, self.open = item if not self.returns else self.result, True, False
         self.emit_return(item)
 
-    def emit_return(self, item: Item) -> None:
+    def emit_return(self, item: KernelItem) -> None:
         """Leave the function, which gives back an item."""
         numbers = list(leaves(item))
         if len(numbers) < 2:
@@ -346,7 +346,7 @@ class Writer(Expressions):
             aggregate = self.op("insertvalue", aggregate.kind, aggregate, each, x=k)
         self.do("return", aggregate)
 
-    def match_item(self, node: ast.AST, item: Item, other: Item) -> Item:
+    def match_item(self, node: ast.AST, item: KernelItem, other: KernelItem) -> KernelItem:
         """Convert an item to the type of another result of the function."""
         if isinstance(item, tuple) and type(item) is type(other) and len(item) == len(other):
             return rebuild_like(item, (self.match_item(node, a, b) for a, b in zip(item, other, strict=True)))

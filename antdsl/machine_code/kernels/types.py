@@ -10,11 +10,11 @@ from numpy.typing import NDArray
 
 # Kinds of values; only the name distinguishes u64 from i64.
 DOUBLE, FLOAT, INT, UNSIGNED, TRUTH = "double", "float", "i64", "u64", "i1"
-LLVM = {DOUBLE: "double", FLOAT: "float", INT: "i64", UNSIGNED: "i64", TRUTH: "i1"}
+LLVM_TYPE_BY_KIND = {DOUBLE: "double", FLOAT: "float", INT: "i64", UNSIGNED: "i64", TRUTH: "i1"}
 
 
 @dataclass(frozen=True, slots=True)
-class Scalar:
+class ScalarType:
     """A number: how it is stored in an array (`dtype`, `stored`) and worked with (`kind`)."""
 
     name: str
@@ -25,7 +25,7 @@ class Scalar:
     @property
     def loaded(self) -> str:
         """The kind of a loaded number before its conversion to the computed kind."""
-        return self.kind if LLVM[self.kind] == self.stored else self.stored
+        return self.kind if LLVM_TYPE_BY_KIND[self.kind] == self.stored else self.stored
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,7 +33,7 @@ class ArrayType:
     """An array type with a number of axes. With `strided`, each axis has its own step; otherwise the array is contiguous."""
 
     axes: int
-    of: Scalar
+    of: ScalarType
     strided: bool = False
 
 
@@ -57,8 +57,8 @@ if TYPE_CHECKING:
 
 else:
 
-    def _scalar(name: str, dtype: Any, stored: str, kind: str) -> Scalar:
-        return Scalar(name, np.dtype(dtype), stored, kind)
+    def _scalar(name: str, dtype: Any, stored: str, kind: str) -> ScalarType:
+        return ScalarType(name, np.dtype(dtype), stored, kind)
 
     F64, F32 = _scalar("F64", np.float64, "double", DOUBLE), _scalar("F32", np.float32, "float", FLOAT)
     I64, I32 = _scalar("I64", np.int64, "i64", INT), _scalar("I32", np.int32, "i32", INT)
@@ -70,7 +70,7 @@ else:
         def __init__(self, axes: int, strided: bool = False) -> None:
             self.axes, self.strided = axes, strided
 
-        def __getitem__(self, of: Scalar) -> ArrayType:
+        def __getitem__(self, of: ScalarType) -> ArrayType:
             return ArrayType(self.axes, of, self.strided)
 
     Array1, Array2, Array3, Strided2 = _Axes(1), _Axes(2), _Axes(3), _Axes(2, True)

@@ -5,13 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import Any
 
-from antdsl.machine_code.kernels.ir import Function
-from antdsl.machine_code.kernels.values import Item, Number, leaves
-from antdsl.machine_code.kinds import WIDTH
+from antdsl.machine_code.kernels.ir import IrFunction
+from antdsl.machine_code.kernels.values import KernelItem, Number, leaves
+from antdsl.machine_code.kinds import LANE_COUNT
 
 
 @dataclass(slots=True)
-class Variable:
+class StackVariable:
     """A number that may change: its kind, and its stack slot."""
 
     kind: str
@@ -24,7 +24,7 @@ class Variable:
 
 
 @dataclass(slots=True)
-class Loop:
+class LoopLabels:
     """Where `continue` and `break` go to."""
 
     following: str
@@ -32,17 +32,17 @@ class Loop:
 
 
 @dataclass(slots=True, eq=False)
-class Unit:
+class KernelUnit:
     """All functions of a text. `specialisations`: their names and results, by key. `written`: the numbers of the arguments with
     arrays that some function stores to. `lanes`: the lanes of independent loops, 1 or 8."""
 
-    lanes: int = WIDTH
-    functions: list[Function] = field(default_factory=list)
-    specialisations: dict[tuple[Any, str], tuple[str, Item]] = field(default_factory=dict)
+    lanes: int = LANE_COUNT
+    functions: list[IrFunction] = field(default_factory=list)
+    specialisations: dict[tuple[Any, str], tuple[str, KernelItem]] = field(default_factory=dict)
     written: set[int] = field(default_factory=set)
 
 
-def result_type(item: Item) -> str:
+def result_type(item: KernelItem) -> str:
     """Return the result type of a function that returns an item."""
     numbers = [each.type for each in leaves(item)]
     return "void" if not numbers else numbers[0] if len(numbers) == 1 else f"{{{', '.join(numbers)}}}"

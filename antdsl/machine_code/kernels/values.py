@@ -8,11 +8,11 @@ from functools import cache
 from typing import Any
 
 from antdsl.machine_code.kernels.records import rebuild_like
-from antdsl.machine_code.kernels.types import DOUBLE, FLOAT, INT, LLVM, TRUTH, UNSIGNED, Scalar
+from antdsl.machine_code.kernels.types import DOUBLE, FLOAT, INT, LLVM_TYPE_BY_KIND, TRUTH, UNSIGNED, ScalarType
 from antdsl.machine_code.kinds import F32, F64, I64, literal
 
-Item = Any  # Number, Array, or a tuple or record of items
-_SUFFIXES = {"double": "f64", "float": "f32", "ptr": "p0"}
+KernelItem = Any  # Number, Array, or a tuple or record of items
+_INTRINSIC_SUFFIXES = {"double": "f64", "float": "f32", "ptr": "p0"}
 
 
 @dataclass(slots=True, unsafe_hash=True)
@@ -39,7 +39,7 @@ class Number:
     @property
     def base(self) -> str:
         """The type of one lane in LLVM's language."""
-        return LLVM.get(self.kind, self.kind)
+        return LLVM_TYPE_BY_KIND.get(self.kind, self.kind)
 
     @property
     def typed(self) -> str:
@@ -48,14 +48,14 @@ class Number:
     @property
     def suffix(self) -> str:
         """The suffix of the name of an intrinsic function for such numbers."""
-        one = _SUFFIXES.get(self.base, self.base)
+        one = _INTRINSIC_SUFFIXES.get(self.base, self.base)
         return f"v{self.lanes}{one}" if self.lanes > 1 else one
 
 
 @cache
 def text_type(kind: str, lanes: int = 1) -> str:
     """A kind in LLVM's language."""
-    one = LLVM.get(kind, kind)
+    one = LLVM_TYPE_BY_KIND.get(kind, kind)
     return f"<{lanes} x {one}>" if lanes > 1 else one
 
 
@@ -63,7 +63,7 @@ def text_type(kind: str, lanes: int = 1) -> str:
 class Array:
     """An array, by the name of its address, the lengths of its axes, and the step along each axis in elements."""
 
-    of: Scalar
+    of: ScalarType
     address: Number
     lengths: tuple[Number, ...]
     steps: tuple[Number, ...] | None = None
@@ -89,7 +89,7 @@ def constant(value: Any) -> Number:
     raise TypeError(f"{value!r} is no number of a kernel")
 
 
-def leaves(item: Item) -> Iterator[Number]:
+def leaves(item: KernelItem) -> Iterator[Number]:
     """Yield the numbers of an item, in order; for an array its address, lengths and steps."""
     if isinstance(item, tuple):
         for each in item:
@@ -102,12 +102,12 @@ def leaves(item: Item) -> Iterator[Number]:
         yield item
 
 
-def has_arrays(item: Item) -> bool:
+def has_arrays(item: KernelItem) -> bool:
     """Whether an item is an array, or has one in it."""
     return any(map(has_arrays, item)) if isinstance(item, tuple) else isinstance(item, Array)
 
 
-def type_key(item: Item) -> str:
+def type_key(item: KernelItem) -> str:
     """What a function of this item is known by."""
     if isinstance(item, tuple):
         record = "" if type(item) is tuple else f"{type(item).__module__}.{type(item).__qualname__}"
@@ -117,7 +117,7 @@ def type_key(item: Item) -> str:
     return f"{item.kind}{item.lanes}" if item.wide else str(item.kind)
 
 
-def rename_item(item: Item, names: Iterator[str]) -> Item:
+def rename_item(item: KernelItem, names: Iterator[str]) -> KernelItem:
     """The same with other names, for instance those of arguments."""
     if isinstance(item, tuple):
         return rebuild_like(item, (rename_item(each, names) for each in item))

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 
-from antdsl.machine_code.kernels.ir import Builder, Value
+from antdsl.machine_code.kernels.ir import IrBuilder, Value
 from antdsl.machine_code.kernels.values import Number
-from antdsl.machine_code.kinds import F32, WIDTH
+from antdsl.machine_code.kinds import F32, LANE_COUNT
 
 
-class Vectors(Builder[Value]):
+class Vectors(IrBuilder[Value]):
     """Writes what puts lanes in place."""
 
     def widened(self, value: Value) -> Value:
@@ -17,16 +17,16 @@ class Vectors(Builder[Value]):
         if value.wide:
             return value
         if value.name[0] not in "%@":
-            return self.named_number(value.kind, f"splat ({value.typed})", WIDTH, value.known)
-        none = Number(value.kind, "poison", lanes=WIDTH)
+            return self.named_number(value.kind, f"splat ({value.typed})", LANE_COUNT, value.known)
+        none = Number(value.kind, "poison", lanes=LANE_COUNT)
         first = self.op("insertelement", value.kind, none, value, x=0)
-        return self.op("shufflevector", value.kind, first, none, x=f"<{WIDTH} x i32> zeroinitializer")
+        return self.op("shufflevector", value.kind, first, none, x=f"<{LANE_COUNT} x i32> zeroinitializer")
 
     def one(self, value: Number, lane: int) -> Value:
         """The number of one lane."""
         return self.op("extractelement", value.kind, value, x=lane, lanes=1)
 
-    def combine_lanes(self, values: Iterable[Value], lanes: int = WIDTH, onto: Value | None = None) -> Value:
+    def combine_lanes(self, values: Iterable[Value], lanes: int = LANE_COUNT, onto: Value | None = None) -> Value:
         """Return single numbers in one lane each, from the first on; the remaining lanes come from `onto`."""
         for lane, value in enumerate(values):
             previous = self.named_number(value.kind, "poison", lanes) if onto is None else onto
@@ -41,11 +41,13 @@ class Vectors(Builder[Value]):
 
     def turned(self, value: Number, by: int) -> Value:
         """Return the value rotated by `by` lanes: each lane gets the number of the lane `by` further on."""
-        return self.shuffle(value, Number(value.kind, "poison", lanes=WIDTH), [(k + by) % WIDTH for k in range(WIDTH)])
+        return self.shuffle(
+            value, Number(value.kind, "poison", lanes=LANE_COUNT), [(k + by) % LANE_COUNT for k in range(LANE_COUNT)]
+        )
 
     def columns(self, rows: Sequence[Number]) -> list[Value]:
         """Return the four columns of eight rows of four numbers, in as few instructions as the lane size allows."""
-        eight = range(WIDTH)
+        eight = range(LANE_COUNT)
         if rows[0].kind == F32:
             a, b, c, d = (self.shuffle(rows[k], rows[k + 4], eight) for k in range(4))
             low, high = (0, 8, 1, 9, 4, 12, 5, 13), (2, 10, 3, 11, 6, 14, 7, 15)
@@ -55,7 +57,7 @@ class Vectors(Builder[Value]):
         pairs = [self.shuffle(rows[k], rows[k + 2], eight) for k in (0, 1, 4, 5)]
         output = []
         for first in (0, 1):
-            order = tuple(e + other for e in range(first, WIDTH, 2) for other in (0, WIDTH))
+            order = tuple(e + other for e in range(first, LANE_COUNT, 2) for other in (0, LANE_COUNT))
             x, y = (self.shuffle(pairs[k], pairs[k + 1], order) for k in (0, 2))
             output.append([self.shuffle(x, y, tuple(e + k for e in (0, 1, 4, 5, 8, 9, 12, 13))) for k in (0, 2)])
         return [output[first][half] for half in (0, 1) for first in (0, 1)]

@@ -24,12 +24,20 @@ from numpy.typing import NDArray
 
 from antdsl.machine_code.memory import address
 from antdsl.numerics import parallel
-from antdsl.numerics.host import EACH
-from antdsl.numerics.row_hash.loops import CONTIGUOUS, HALVES, HEAD, NUMBERS, STRIDED, WORDS, text
+from antdsl.numerics.host import PARTS_PER_THREAD
+from antdsl.numerics.row_hash.loops import (
+    CONTIGUOUS_WORD,
+    HALVES_WORD,
+    ROW_NUMBER_WORD,
+    STRIDED_WORD,
+    TABLE_HEADER_WORDS,
+    TABLE_WORDS_PER_WORD,
+    text,
+)
 
-_HALF = 0xFFFFFFFF
+_LOW_32_BITS = 0xFFFFFFFF
 _MASK_64 = 0xFFFFFFFFFFFFFFFF
-Longs = NDArray[np.int64]
+Int64Array = NDArray[np.int64]
 
 
 def row_hash(ids: NDArray[np.int64] | None, columns: Sequence[NDArray[Any]]) -> bytes:
@@ -37,19 +45,19 @@ def row_hash(ids: NDArray[np.int64] | None, columns: Sequence[NDArray[Any]]) -> 
     each other. None: the numbers of the rows, for a table with ordered rows."""
     count = len(columns[0]) if ids is None else len(ids)
     arrays = [np.ascontiguousarray(column) for column in (columns if ids is None else (ids, *columns))]
-    return _to_digest(Table(arrays, keys, ids=ids is not None).sums(count))
+    return _to_digest(HashTable(arrays, keys, ids=ids is not None).sums(count))
 
 
 def _to_digest(sums: Sequence[int]) -> bytes:
     return b"".join((int(each) & _MASK_64).to_bytes(8, "little") for each in sums)
 
 
-class RowHash:
+class RowHasher:
     """Repeated `row_hash` of tables that mostly have the same addresses. These are looked up once."""
 
     def __init__(self) -> None:
         self._arrays: list[NDArray[Any]] = []  # the ids first, where there are any
-        self._table: Table | None = None
+        self._table: HashTable | None = None
         self._whole: list[NDArray[Any]] = []
         self._parts: list[NDArray[Any]] = []
 
@@ -70,7 +78,7 @@ class RowHash:
             return _to_digest((0, 0))
         table = self._table
         if table is None or len(arrays) != len(self._arrays) or not table.rebind(arrays, self._arrays):
-            self._table = table = Table(arrays, keys, ids=ids is not None)
+            self._table = table = HashTable(arrays, keys, ids=ids is not None)
         self._arrays = arrays
         return _to_digest(table.sums(count, threads))
 
@@ -86,7 +94,7 @@ def _describe_columns(names: tuple[str, ...], types: tuple[np.dtype[Any], ...]) 
 
 
 @cache
-def keys(number: int) -> Longs:
+def keys(number: int) -> Int64Array:
     """The keys of a word by its number in the row: of its first and its second half in one lane, then in the other, 32 bits each.
     Two numbers of SplitMix64 that begins at 0."""
     halves: list[int] = []
@@ -95,15 +103,15 @@ def keys(number: int) -> Longs:
         z = (z ^ z >> 30) * 0xBF58476D1CE4E5B9 & _MASK_64
         z = (z ^ z >> 27) * 0x94D049BB133111EB & _MASK_64
         z ^= z >> 31
-        halves += [z & _HALF, z >> 32]
+        halves += [z & _LOW_32_BITS, z >> 32]
     return np.array(halves, np.int64)
 
 
-_Part = tuple[int, int, int]  # which column, how many bytes from its begin on, and from one value to the next
+_WordPart = tuple[int, int, int]  # which column, how many bytes from its begin on, and from one value to the next
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Form:
+class _ColumnForm:
     """The common layout of all arrays for a column: type, steps, axes after the first, and whether they are contiguous."""
 
     dtype: np.dtype[Any]
@@ -112,15 +120,15 @@ class _Form:
     piece: bool
 
 
-class Table:
+class HashTable:
     """The memory layout of a table's columns, for machine code. `columns` [n] or [n, k], of 1, 2, 4 or 8 bytes a value, are not
     stored here. `keys` returns the four of a word by its number. `ids`: whether the first column is those of the rows; otherwise
     the numbers of the rows are."""
 
     def __init__(self, columns: Sequence[NDArray[Any]], keys: Callable[[int], NDArray[np.int64]], *, ids: bool) -> None:
-        self._forms = [_Form(each.dtype, each.strides, each.shape[1:], each.flags.c_contiguous) for each in columns]
-        words: list[tuple[int, list[_Part]]] = [] if ids else [(NUMBERS, [])]
-        half: list[_Part] = []
+        self._forms = [_ColumnForm(each.dtype, each.strides, each.shape[1:], each.flags.c_contiguous) for each in columns]
+        words: list[tuple[int, list[_WordPart]]] = [] if ids else [(ROW_NUMBER_WORD, [])]
+        half: list[_WordPart] = []
         for k, column in enumerate(columns):
             size = column.itemsize
             step = size if column.ndim == 1 and column.flags.c_contiguous else column.strides[0]
@@ -128,14 +136,14 @@ class Table:
                 raise ValueError("a column of fewer than four bytes per value must be contiguous")
             for offset in (0,) if column.ndim == 1 else [column.strides[1] * part for part in range(column.shape[1])]:
                 if size == 8:
-                    words.append((CONTIGUOUS if step == size else STRIDED, [(k, offset, step)]))
+                    words.append((CONTIGUOUS_WORD if step == size else STRIDED_WORD, [(k, offset, step)]))
                 elif half:
-                    words.append((HALVES, [*half, (k, offset, step)]))
+                    words.append((HALVES_WORD, [*half, (k, offset, step)]))
                     half = []
                 else:
                     half = [(k, offset, step)]
         if half:
-            words.append((HALVES, half * 2))
+            words.append((HALVES_WORD, half * 2))
         table: list[int] = []
         self._slots: list[list[tuple[int, int]]] = [[] for _ in columns]  # of each column: words with its address, and how far on
         for number, (kind, parts) in enumerate(words):
@@ -144,8 +152,8 @@ class Table:
             steps = [word for _, _, step in parts for word in (0, step)]
             table += [kind, *steps, *[0] * (4 - len(steps)), *keys(number).tolist()]
         self._table = np.array(table, np.int64)
-        self._heads: Longs = np.zeros((0, HEAD), np.int64)  # of each chunk
-        self._chunks: Longs = np.zeros((0, 3), np.int64)
+        self._heads: Int64Array = np.zeros((0, TABLE_HEADER_WORDS), np.int64)  # of each chunk
+        self._chunks: Int64Array = np.zeros((0, 3), np.int64)
         self.rebind(columns, [None] * len(columns))
 
     def rebind(self, columns: Sequence[NDArray[Any]], previous: Sequence[NDArray[Any] | None]) -> bool:
@@ -166,10 +174,10 @@ class Table:
 
     def sums(self, count: int, threads: int = 1) -> tuple[int, int]:
         """Return the sums of both lanes over `count` rows, each row mixed, modulo 2^64."""
-        chunks = 1 if threads < 2 else max(1, min(EACH * threads, count // parallel.PART))
+        chunks = 1 if threads < 2 else max(1, min(PARTS_PER_THREAD * threads, count // parallel.MIN_AGENTS_PER_THREAD))
         if len(self._heads) != chunks or self._chunks[-1, 2] != count:
-            self._heads = np.zeros((chunks, HEAD), np.int64)
-            self._heads[:, 2:] = len(self._table) // WORDS, address(self._table)
+            self._heads = np.zeros((chunks, TABLE_HEADER_WORDS), np.int64)
+            self._heads[:, 2:] = len(self._table) // TABLE_WORDS_PER_WORD, address(self._table)
             ends = [count * k // chunks for k in range(chunks + 1)]
             self._chunks = np.array([(address(self._heads[k]), *ends[k : k + 2]) for k in range(chunks)], np.int64)
         self._heads[:, :2] = 0

@@ -10,19 +10,21 @@ from collections.abc import Sequence
 from antdsl.machine_code import machine
 from antdsl.machine_code.entries import inner_text
 from antdsl.machine_code.library import library_text
-from antdsl.machine_code.module import Module
+from antdsl.machine_code.module import LlvmModule
 
-CONTIGUOUS, STRIDED, NUMBERS, HALVES = range(4)  # kinds of words
-WORDS = 9  # words of a table for each of the row's words: kind, two addresses each before the bytes of a step, four keys
-HEAD = 4  # words of the table of a call: both sums, how many words a row has, and where the table of these begins
-LANES = 8  # rows that are looked at together
-_BLOCK = 1_024  # rows
-_TIMES = (0xFF51AFD7ED558CCD - 2**64, 0xC4CEB9FE1A85EC53 - 2**64)
-_LONG, _HALF = f"<{LANES} x i64>", f"<{LANES} x i32>"
-_TURNS = "<" + ", ".join(f"i64 {k}" for k in range(LANES)) + ">"
+CONTIGUOUS_WORD, STRIDED_WORD, ROW_NUMBER_WORD, HALVES_WORD = range(4)  # kinds of words
+TABLE_WORDS_PER_WORD = (
+    9  # words of a table for each of the row's words: kind, two addresses each before the bytes of a step, four keys
+)
+TABLE_HEADER_WORDS = 4  # words of the table of a call: both sums, how many words a row has, and where the table of these begins
+ROWS_PER_STEP = 8  # rows that are looked at together
+_BLOCK_ROWS = 1_024  # rows
+_MIX_MULTIPLIERS = (0xFF51AFD7ED558CCD - 2**64, 0xC4CEB9FE1A85EC53 - 2**64)
+_LONG_LANES_TYPE, _HALF_LANES_TYPE = f"<{ROWS_PER_STEP} x i64>", f"<{ROWS_PER_STEP} x i32>"
+_LANE_NUMBERS = "<" + ", ".join(f"i64 {k}" for k in range(ROWS_PER_STEP)) + ">"
 
 
-class _Text:
+class _TextBuilder:
     """Lines of a function, with unique names for its values."""
 
     def __init__(self) -> None:
@@ -45,24 +47,27 @@ class _Text:
 
     def broadcast(self, value: str, kind: str = "i64") -> str:
         """A number in all lanes."""
-        one = self.put(f"insertelement <{LANES} x {kind}> poison, {kind} {value}, i64 0")
-        return self.put(f"shufflevector <{LANES} x {kind}> {one}, <{LANES} x {kind}> poison, <{LANES} x i32> zeroinitializer")
+        one = self.put(f"insertelement <{ROWS_PER_STEP} x {kind}> poison, {kind} {value}, i64 0")
+        return self.put(
+            f"shufflevector <{ROWS_PER_STEP} x {kind}> {one}, <{ROWS_PER_STEP} x {kind}> poison, <{ROWS_PER_STEP} x i32> "
+            f"zeroinitializer"
+        )
 
 
 def _constant(value: int) -> str:
-    return "<" + ", ".join([f"i64 {value}"] * LANES) + ">"
+    return "<" + ", ".join([f"i64 {value}"] * ROWS_PER_STEP) + ">"
 
 
 @library_text
 def text(target: machine.Target) -> str:
     """Return the compiled text: a function of such a table that adds the sums of rows from the first to before the last."""
-    module = Module(target)
+    module = LlvmModule(target)
     module.declare("llvm.memset.p0.i64", "void", ["ptr", "i8", "i64", "i1"])
-    w = _Text()
+    w = _TextBuilder()
     w.do("%words.at = getelementptr i64, ptr %t, i64 2\n  %words = load i64, ptr %words.at")
     w.do("%table.at = getelementptr i64, ptr %t, i64 3\n  %table = load ptr, ptr %table.at")
     for name in ("lane0", "lane1", "values"):
-        w.do(f"%{name} = alloca [{_BLOCK} x i64], align 64")
+        w.do(f"%{name} = alloca [{_BLOCK_ROWS} x i64], align 64")
     w.do("call void @llvm.memset.p0.i64(ptr align 64 %values, i8 0, i64 64, i1 false)")  # of lanes without a row
     w.do("br label %blocks")
     w.at("blocks")
@@ -72,10 +77,10 @@ def text(target: machine.Target) -> str:
     w.do("%left = sub i64 %end, %first\n  %more = icmp sgt i64 %left, 0\n  br i1 %more, label %block, label %over")
     # The rows left in the end, fewer than lanes, are a separate block: all words of it are gathered.
     w.at("block")
-    w.do(f"%long = icmp slt i64 %left, {_BLOCK}\n  %most = select i1 %long, i64 %left, i64 {_BLOCK}")
-    w.do(f"%few = icmp slt i64 %most, {LANES}\n  %even = and i64 %most, {-LANES}")
+    w.do(f"%long = icmp slt i64 %left, {_BLOCK_ROWS}\n  %most = select i1 %long, i64 %left, i64 {_BLOCK_ROWS}")
+    w.do(f"%few = icmp slt i64 %most, {ROWS_PER_STEP}\n  %even = and i64 %most, {-ROWS_PER_STEP}")
     w.do("%count = select i1 %few, i64 %most, i64 %even\n  %next = add i64 %first, %count")
-    w.do(f"%up = add i64 %count, {LANES - 1}\n  %room = and i64 %up, {-LANES}\n  %bytes = shl i64 %room, 3")
+    w.do(f"%up = add i64 %count, {ROWS_PER_STEP - 1}\n  %room = and i64 %up, {-ROWS_PER_STEP}\n  %bytes = shl i64 %room, 3")
     for lane in (0, 1):
         w.do(f"call void @llvm.memset.p0.i64(ptr align 64 %lane{lane}, i8 0, i64 %bytes, i1 false)")
     w.do("br label %words.loop")
@@ -89,19 +94,19 @@ def text(target: machine.Target) -> str:
     return f"{module.text()}\n{inner_text(module, 'rows', chr(10).join(w.lines))}\n"
 
 
-def _words(w: _Text) -> None:
+def _words(w: _TextBuilder) -> None:
     """Add up both lanes of a block, word by word."""
     w.at("words.loop")
     w.do("%w = phi i64 [ 0, %block ], [ %w.next, %added ]")
     w.do("%w.more = icmp slt i64 %w, %words\n  br i1 %w.more, label %word, label %mix")
     w.at("word")
-    word = w.place("%table", "i64", w.put(f"mul i64 %w, {WORDS}"))
-    addresses = [w.place(word, "i64", str(k)) for k in range(WORDS)]
+    word = w.place("%table", "i64", w.put(f"mul i64 %w, {TABLE_WORDS_PER_WORD}"))
+    addresses = [w.place(word, "i64", str(k)) for k in range(TABLE_WORDS_PER_WORD)]
     kind, *steps = (w.put(f"load i64, ptr {addresses[k]}") for k in (0, 2, 4))
     columns = [w.put(f"load ptr, ptr {addresses[k]}") for k in (1, 3)]
     keys = [w.broadcast(w.put(f"load i64, ptr {place}")) for place in addresses[5:]]
     begins = [w.place(column, "i8", w.put(f"mul i64 %first, {step}")) for column, step in zip(columns, steps, strict=True)]
-    kind_tests = [w.put(f"icmp eq i64 {kind}, {each}") for each in (CONTIGUOUS, HALVES)]
+    kind_tests = [w.put(f"icmp eq i64 {kind}, {each}") for each in (CONTIGUOUS_WORD, HALVES_WORD)]
     in_place = w.put("xor i1 %few, true")
     pairs = kind_tests[1]
     for step in steps:
@@ -110,8 +115,8 @@ def _words(w: _Text) -> None:
     w.do("br i1 %as.it.is, label %add, label %other\nother:\n  br i1 %as.pairs, label %pairs, label %gather")
     w.at("gather")
     w.do(
-        f"switch i64 {kind}, label %halves [ i64 {CONTIGUOUS}, label %strided  i64 {STRIDED}, label %strided"
-        f"  i64 {NUMBERS}, label %numbers ]"
+        f"switch i64 {kind}, label %halves [ i64 {CONTIGUOUS_WORD}, label %strided  i64 {STRIDED_WORD}, label %strided"
+        f"  i64 {ROW_NUMBER_WORD}, label %numbers ]"
     )
     w.at("strided")
     _gather_values(w, "strided.loop", "strided", begins[0], steps[0], "i64", None)
@@ -134,30 +139,30 @@ def _words(w: _Text) -> None:
     w.do("%w.next = add i64 %w, 1\n  br label %words.loop")
 
 
-def _add_products(w: _Text, label: str, predecessor: str, columns: Sequence[str], keys: Sequence[str]) -> None:
+def _add_products(w: _TextBuilder, label: str, predecessor: str, columns: Sequence[str], keys: Sequence[str]) -> None:
     """Add the products of a word to both lanes of a block, after the block `predecessor`. The word comes from one column of full
     words, or from two of halves."""
-    _loop(w, label, predecessor, LANES, "%room")
+    _loop(w, label, predecessor, ROWS_PER_STEP, "%room")
     if len(columns) == 1:
         place = w.place(columns[0], "i64", f"%{label}.i")
-        low = w.put(f"load {_LONG}, ptr {place}, align 1")
-        halves = [low, w.put(f"lshr {_LONG} {low}, {_constant(32)}")]
+        low = w.put(f"load {_LONG_LANES_TYPE}, ptr {place}, align 1")
+        halves = [low, w.put(f"lshr {_LONG_LANES_TYPE} {low}, {_constant(32)}")]
     else:
         addresses = [w.place(column, "i32", f"%{label}.i") for column in columns]
-        loaded = [w.put(f"load {_HALF}, ptr {place}, align 1") for place in addresses]
-        halves = [w.put(f"zext {_HALF} {half} to {_LONG}") for half in loaded]
+        loaded = [w.put(f"load {_HALF_LANES_TYPE}, ptr {place}, align 1") for place in addresses]
+        halves = [w.put(f"zext {_HALF_LANES_TYPE} {half} to {_LONG_LANES_TYPE}") for half in loaded]
     for lane in (0, 1):
-        sums = [w.put(f"add {_LONG} {half}, {keys[2 * lane + k]}") for k, half in enumerate(halves)]
-        cut = [w.put(f"and {_LONG} {value}, {_constant(0xFFFFFFFF)}") for value in sums]
+        sums = [w.put(f"add {_LONG_LANES_TYPE} {half}, {keys[2 * lane + k]}") for k, half in enumerate(halves)]
+        cut = [w.put(f"and {_LONG_LANES_TYPE} {value}, {_constant(0xFFFFFFFF)}") for value in sums]
         place = w.place(f"%lane{lane}", "i64", f"%{label}.i")
-        known = w.put(f"load {_LONG}, ptr {place}, align 64")
-        product = w.put(f"mul {_LONG} {cut[0]}, {cut[1]}")
-        w.do(f"store {_LONG} {w.put(f'add {_LONG} {known}, {product}')}, ptr {place}, align 64")
+        known = w.put(f"load {_LONG_LANES_TYPE}, ptr {place}, align 64")
+        product = w.put(f"mul {_LONG_LANES_TYPE} {cut[0]}, {cut[1]}")
+        w.do(f"store {_LONG_LANES_TYPE} {w.put(f'add {_LONG_LANES_TYPE} {known}, {product}')}, ptr {place}, align 64")
     _end(w, label)
     w.do("br label %added")
 
 
-def _write_halves(w: _Text, name: str, begin: str, step: str) -> None:
+def _write_halves(w: _TextBuilder, name: str, begin: str, step: str) -> None:
     """Write the low or the `high` halves of words from a column of values of at most 4 bytes, and continue at `name`.done."""
     shift = 32 if name == "high" else 0
     w.do(f"br i1 %few, label %{name}.few, label %{name}.many")
@@ -180,7 +185,7 @@ def _write_halves(w: _Text, name: str, begin: str, step: str) -> None:
             w.do(f"br label %{name}.done")
 
 
-def _loop(w: _Text, label: str, predecessor: str, step: int, count: str) -> None:
+def _loop(w: _TextBuilder, label: str, predecessor: str, step: int, count: str) -> None:
     """Begin a loop over the rows of a block, after the block `predecessor`."""
     w.do(f"br label %{label}")
     w.at(label)
@@ -190,29 +195,29 @@ def _loop(w: _Text, label: str, predecessor: str, step: int, count: str) -> None
     w.do(f"%{label}.next = add i64 %{label}.i, {step}")
 
 
-def _end(w: _Text, label: str) -> None:
+def _end(w: _TextBuilder, label: str) -> None:
     w.do(f"br label %{label}")
     w.at(f"{label}.end")
 
 
-def _read_halves(w: _Text, label: str, predecessor: str, begin: str, kind: str, shift: int) -> None:
+def _read_halves(w: _TextBuilder, label: str, predecessor: str, begin: str, kind: str, shift: int) -> None:
     """Emit a loop that adds contiguous values in memory as halves of 64-bit values."""
-    _loop(w, label, predecessor, LANES, "%room")
+    _loop(w, label, predecessor, ROWS_PER_STEP, "%room")
     at = w.place(begin, kind, f"%{label}.i")
-    half = w.put(f"load <{LANES} x {kind}>, ptr {at}, align 1")
+    half = w.put(f"load <{ROWS_PER_STEP} x {kind}>, ptr {at}, align 1")
     if kind != "i32":
-        half = w.put(f"sext <{LANES} x {kind}> {half} to {_HALF}")
-    half = w.put(f"zext {_HALF} {half} to {_LONG}")
+        half = w.put(f"sext <{ROWS_PER_STEP} x {kind}> {half} to {_HALF_LANES_TYPE}")
+    half = w.put(f"zext {_HALF_LANES_TYPE} {half} to {_LONG_LANES_TYPE}")
     place = w.place("%values", "i64", f"%{label}.i")
     if shift:
-        low = w.put(f"load {_LONG}, ptr {place}, align 64")
-        moved = w.put(f"shl {_LONG} {half}, {_constant(shift)}")
-        half = w.put(f"or {_LONG} {low}, {moved}")
-    w.do(f"store {_LONG} {half}, ptr {place}, align 64")
+        low = w.put(f"load {_LONG_LANES_TYPE}, ptr {place}, align 64")
+        moved = w.put(f"shl {_LONG_LANES_TYPE} {half}, {_constant(shift)}")
+        half = w.put(f"or {_LONG_LANES_TYPE} {low}, {moved}")
+    w.do(f"store {_LONG_LANES_TYPE} {half}, ptr {place}, align 64")
     _end(w, label)
 
 
-def _gather_values(w: _Text, label: str, predecessor: str, begin: str, step: str, kind: str, shift: int | None) -> None:
+def _gather_values(w: _TextBuilder, label: str, predecessor: str, begin: str, step: str, kind: str, shift: int | None) -> None:
     """Write values that are `step` bytes apart, one by one, as full words or as halves."""
     _loop(w, label, predecessor, 1, "%count")
     at = w.place(begin, "i8", w.put(f"mul i64 %{label}.i, {step}"))
@@ -230,17 +235,17 @@ def _gather_values(w: _Text, label: str, predecessor: str, begin: str, step: str
     _end(w, label)
 
 
-def _write_row_numbers(w: _Text) -> None:
+def _write_row_numbers(w: _TextBuilder) -> None:
     """Write the numbers of the rows."""
-    _loop(w, "numbers.of", "numbers", LANES, "%room")
-    number = w.put(f"add {_LONG} {w.broadcast(w.put('add i64 %first, %numbers.of.i'))}, {_TURNS}")
+    _loop(w, "numbers.of", "numbers", ROWS_PER_STEP, "%room")
+    number = w.put(f"add {_LONG_LANES_TYPE} {w.broadcast(w.put('add i64 %first, %numbers.of.i'))}, {_LANE_NUMBERS}")
     place = w.place("%values", "i64", "%numbers.of.i")
-    w.do(f"store {_LONG} {number}, ptr {place}, align 64")
+    w.do(f"store {_LONG_LANES_TYPE} {number}, ptr {place}, align 64")
     _end(w, "numbers.of")
     w.do("br label %add")
 
 
-def _mix_rows(w: _Text) -> None:
+def _mix_rows(w: _TextBuilder) -> None:
     """Mix both lanes of each row of a block and add them to the sums, row by row: few processors multiply 64 bits in lanes."""
     w.at("mix")
     w.do("br label %mixing")
@@ -253,7 +258,7 @@ def _mix_rows(w: _Text) -> None:
     for lane in (0, 1):
         place = w.place(f"%lane{lane}", "i64", "%m")
         h = w.put(f"load i64, ptr {place}, align 8")
-        for factor in (*_TIMES, None):
+        for factor in (*_MIX_MULTIPLIERS, None):
             shifted = w.put(f"lshr i64 {h}, 33")
             h = w.put(f"xor i64 {h}, {shifted}")
             h = h if factor is None else w.put(f"mul i64 {h}, {factor}")

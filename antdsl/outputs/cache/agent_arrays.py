@@ -74,7 +74,7 @@ def write_numbers(population: Population, name: str, factor: float, out: NDArray
     of = population.now[name]
     if of.dtype == np.float32:
         work = partial(frame_loops.agent_numbers, of, population.id_ranks(), np.float32(factor), out)
-        parallel.in_parts(work, len(of), threads, parallel.LIGHT)
+        parallel.in_parts(work, len(of), threads, parallel.MIN_LIGHT_ITEMS_PER_THREAD)
     else:
         out[:] = of.take(population.in_id_order()).astype(np.float32, copy=False) * np.float32(factor)
 
@@ -87,7 +87,7 @@ def write_colours(world: World, population: Population, out: NDArray[np.float32]
         return
     colours, ranks = np.array(machines[0].colours, np.float32), population.id_ranks()
     work = partial(frame_loops.agent_colours, colours, population.now[f"{machines[0].name}.state"], ranks, out)
-    if not all(parallel.in_parts(work, len(ranks), world.options.threads, parallel.LIGHT)):
+    if not all(parallel.in_parts(work, len(ranks), world.options.threads, parallel.MIN_LIGHT_ITEMS_PER_THREAD)):
         raise IndexError("a state that does not belong to the species has no colour")
 
 
@@ -95,7 +95,7 @@ def _write_states(world: World, population: Population, out: NDArray[np.int16]) 
     machines = population.plan.machines
     if machines:
         work = partial(frame_loops.agent_integers, population.now[f"{machines[0].name}.state"], population.id_ranks(), out)
-        parallel.in_parts(work, len(population), world.options.threads, parallel.LIGHT)
+        parallel.in_parts(work, len(population), world.options.threads, parallel.MIN_LIGHT_ITEMS_PER_THREAD)
     else:
         out[:] = 0
 

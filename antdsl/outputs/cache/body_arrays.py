@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl.bodies.agents.definition import BodyError, Definition
-from antdsl.bodies.agents.packed import PARTS, digest, pack_definition, unpack_definition
+from antdsl.bodies.agents.packed import ARRAY_NAMES, digest, pack_definition, unpack_definition
 from antdsl.bodies.files.definition_checks import Parts, check_definition
 from antdsl.diagnostics import Report
 from antdsl.outputs.cache.manifest import BodyEntry, Manifest
@@ -44,8 +44,8 @@ class StoredBodies:
 
 def definition_of(manifest: Manifest, static: Arrays, number: int) -> Definition:
     """Return the definition at an index of the manifest's list. Raises BodyError where it is missing, damaged, or another one."""
-    arrays = {part: static[name] for part in PARTS if (name := f"body.{number}.{part}") in static}
-    if number >= len(manifest.bodies) or len(arrays) != len(PARTS):
+    arrays = {part: static[name] for part in ARRAY_NAMES if (name := f"body.{number}.{part}") in static}
+    if number >= len(manifest.bodies) or len(arrays) != len(ARRAY_NAMES):
         raise BodyError("is not there")
     definition = unpack_checked(arrays)
     if digest(definition) != manifest.bodies[number].digest:

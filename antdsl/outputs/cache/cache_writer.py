@@ -38,7 +38,7 @@ from antdsl.outputs.cache.npz import npz_file
 from antdsl.outputs.surface_error import surface_error
 from antdsl.runtime import World, checkpoint, feet_hash, state_hash
 from antdsl.runtime.checkpoints import STATE_HASH
-from antdsl.whole import PART, is_link, make_folder, write_atomically
+from antdsl.whole import PART_SUFFIX, is_link, make_folder, write_atomically
 
 Arrays = Mapping[str, NDArray[Any]]
 
@@ -82,7 +82,9 @@ def prepare_folder(folder: Path, *, force: bool) -> None:
     marker = folder / MARKER
     if not marker.exists():
         # a lock or a half-written marker is what a run leaves that was killed as it began
-        others = sorted(name.name for name in folder.iterdir() if name.name != LOCK and not name.match(f".{MARKER}.*{PART}"))
+        others = sorted(
+            name.name for name in folder.iterdir() if name.name != LOCK and not name.match(f".{MARKER}.*{PART_SUFFIX}")
+        )
         if others and not force:
             raise ForeignFolder(f"`{folder}` has files that are not a cache's, such as `{others[0]}`")
         write_atomically(marker, b"This folder is written by antdsl; what is in it may be replaced by the next run.\n")
@@ -100,7 +102,7 @@ def _files(folder: Path) -> Iterator[Path]:
 
 def _unfinished_files(folder: Path) -> list[Path]:
     """Return unfinished files of killed runs."""
-    return [part for place in (folder, folder / "frames", folder / "checkpoints") for part in place.glob(f".*{PART}")]
+    return [part for place in (folder, folder / "frames", folder / "checkpoints") for part in place.glob(f".*{PART_SUFFIX}")]
 
 
 def clear(folder: Path, above: int | None = None, damaged: Container[int] = ()) -> None:

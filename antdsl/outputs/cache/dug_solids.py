@@ -13,7 +13,7 @@ from antdsl.ground.solid import Volume
 from antdsl.numerics.records import part_of
 from antdsl.outputs.cache.cache_reader import Cache, CacheError
 from antdsl.outputs.cache.solid_pieces import Piece, join_pieces, start_volume
-from antdsl.outputs.cutting import Cut
+from antdsl.outputs.cutting import CutPlane
 from antdsl.outputs.pictures.model import Solid
 
 
@@ -25,7 +25,7 @@ class _DugSolid:
     pieces: dict[int, Piece] = field(default_factory=dict)
     drawn: Solid | None = None
 
-    def surface(self, name: str, offset: NDArray[np.float64], scale: float, cut: Cut | None) -> Solid:
+    def surface(self, name: str, offset: NDArray[np.float64], scale: float, cut: CutPlane | None) -> Solid:
         if cut is not None:
             opened = cut.cut_volume(self.volume, offset, scale)
             vertices, faces = join_pieces([(v, f) for _, v, f in opened.surface(changed_only=False)])
@@ -42,7 +42,7 @@ class _DugSolid:
 class DugSolids:
     """Solids frame by frame. Frames in order are fastest; any other is dug again from the checkpoint before it."""
 
-    def __init__(self, cache: Cache, static: Mapping[str, NDArray[Any]], cut: Cut | None = None) -> None:
+    def __init__(self, cache: Cache, static: Mapping[str, NDArray[Any]], cut: CutPlane | None = None) -> None:
         self.cache, self._static, self._cut = cache, static, cut
         self._kept = {m.name: _DugSolid(start_volume(m.name, static)) for m in cache.manifest.meshes if m.row.is_dug}
         self._at: int | None = None

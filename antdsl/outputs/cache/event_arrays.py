@@ -21,7 +21,7 @@ from antdsl.numerics.vectors import dot
 from antdsl.outputs.cache.places import scene_places
 from antdsl.program.tables.columns import CONTACT
 from antdsl.runtime import World, take_emissions
-from antdsl.runtime.moving.capsules import Crowd, NearPairs, find_near_pairs
+from antdsl.runtime.moving.capsules import CapsuleCrowd, NearbyPairs, find_near_pairs
 
 Arrays = dict[str, NDArray[Any]]
 
@@ -39,7 +39,7 @@ def _emits(world: World, scale: float) -> Arrays:
 def _contacts(world: World, scale: float) -> Arrays:
     if len(world) < 2:
         return {column.field: np.zeros((0, *column.dimensions()), column.type) for column in CONTACT}
-    crowd = Crowd(world)
+    crowd = CapsuleCrowd(world)
     near = find_near_pairs(crowd)
     pairs = np.flatnonzero(near.gap < 0)
     i, j, points = near.rows[near.i[pairs]], near.rows[near.j[pairs]], _contact_points(near, pairs)
@@ -56,7 +56,7 @@ def _contacts(world: World, scale: float) -> Arrays:
     }  # fmt: skip
 
 
-def _contact_points(near: NearPairs, pairs: NDArray[np.intp]) -> NDArray[np.float64]:
+def _contact_points(near: NearbyPairs, pairs: NDArray[np.intp]) -> NDArray[np.float64]:
     """Return the contact points of two capsules (3, k) mm: midway between their surfaces, on the shortest line between their
     axes."""
     i, j, direction, gap = near.i[pairs], near.j[pairs], near.direction[:, pairs], near.gap[pairs]

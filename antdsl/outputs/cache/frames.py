@@ -35,12 +35,12 @@ from antdsl.outputs.cache.pose_arrays import clips_playing, display_arrays, laye
 from antdsl.outputs.cache.solid_pieces import PieceMaker, start_pieces
 from antdsl.outputs.flow_arrows import arrows
 from antdsl.plan.registers import pair_values
-from antdsl.program.model import Kind, Program
+from antdsl.program.model import Program, TypeKind
 from antdsl.runtime.checkpoints import STATE_HASH
 from antdsl.runtime.lifecycle import event_names
 from antdsl.runtime.moving.moving_geometry import ground_velocity, vertices_at
 from antdsl.runtime.world import Population, World
-from antdsl.scene.setting import Setting
+from antdsl.scene.setting import WorldSetting
 
 Arrays = dict[str, NDArray[Any]]
 
@@ -68,7 +68,7 @@ class FrameMaker:
             (species.name, a.name): self.scale ** float(a.type.dim.length)
             for species in program.species.values()
             for a in species.attributes
-            if a.type.kind is Kind.NUMBER
+            if a.type.kind is TypeKind.NUMBER
         }
         self.agents = AgentArrays(self.scale, self.factors, self.pairs)
 
@@ -133,7 +133,7 @@ def _plain_number_names(program: Program) -> set[str]:
     return {a.name for species in program.species.values() for a in species.attributes if a.each is None}
 
 
-def static_arrays(world: World, setting: Setting) -> Arrays:
+def static_arrays(world: World, setting: WorldSetting) -> Arrays:
     """Return static data: meshes, positions of field cells, flows as arrows, in scene units, relative to the origin."""
     scale = 1.0 / setting.unit_mm
     arrays: Arrays = {}
@@ -157,7 +157,7 @@ def _start_positions(field: PheromoneField) -> NDArray[np.float64]:
 
 def make_manifest(
     world: World,
-    setting: Setting,
+    setting: WorldSetting,
     *,
     version: str,
     scene: str,
@@ -228,7 +228,7 @@ def _scale_point(place: NDArray[np.float64], scale: float) -> tuple[float, float
     return x, y, z
 
 
-def _mesh_entry(setting: Setting, name: str, kind: str, looks: Mapping[str, Look | Mapping[str, Look]]) -> MeshEntry:
+def _mesh_entry(setting: WorldSetting, name: str, kind: str, looks: Mapping[str, Look | Mapping[str, Look]]) -> MeshEntry:
     off, look = setting.deviations.get(name), looks.get(name)
     deviation = None if off is None else off / setting.unit_mm
     moves = name in setting.moves.meshes
@@ -250,7 +250,7 @@ def _looks(looks: Look | Mapping[str, Look] | None, names: list[str]) -> tuple[L
 
 
 def _species_entry(
-    population: Population, setting: Setting, body: str | None, definition: int | None, feelers: tuple[FeelersEntry, ...]
+    population: Population, setting: WorldSetting, body: str | None, definition: int | None, feelers: tuple[FeelersEntry, ...]
 ) -> SpeciesEntry:
     machines = tuple(
         MachineEntry(

@@ -20,7 +20,7 @@ from antdsl.outputs.cache.npz import FILE_BYTES
 from antdsl.outputs.cache.zip_parts import NotStored, Stored, read_headers
 
 HASHES = "hashes.jsonl"
-_BYTES = 400 * limits.FRAMES
+_BYTES = 400 * limits.MAX_FRAMES
 
 
 @dataclass(frozen=True, slots=True)

@@ -12,7 +12,7 @@ from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
 
 from antdsl import limits
 from antdsl.bounded import TooLarge, read_bounded
-from antdsl.program.tables.things import KINDS_OF_THINGS, WITH_FACES, KindOfThing
+from antdsl.program.tables.things import KIND_BY_WORD, WITH_FACES, KindOfThing
 from antdsl.whole import write_atomically
 
 FORMAT = 1
@@ -82,10 +82,10 @@ class SpeciesEntry(Part):
 
     name: Word
     body: Word | None = None
-    definition: Annotated[int, Field(ge=0, lt=limits.BODY_PARTS)] | None = None
+    definition: Annotated[int, Field(ge=0, lt=limits.MAX_BODY_PARTS)] | None = None
     clips: tuple[ClipEntry, ...] = ()
     playing: tuple[Word, ...] = ()
-    wears: Annotated[tuple[Word, ...], Field(max_length=limits.LAYERS_WORN)] = ()
+    wears: Annotated[tuple[Word, ...], Field(max_length=limits.MAX_WORN_LAYERS)] = ()
     channels: tuple[Word, ...] = ()
     looks: tuple[Word, ...] = ()
     feelers: tuple[FeelersEntry, ...] = ()
@@ -131,7 +131,7 @@ class MeshEntry(Part):
     @property
     def row(self) -> KindOfThing:
         """Return what the program knows about its kind."""
-        return KINDS_OF_THINGS[self.kind]
+        return KIND_BY_WORD[self.kind]
 
 
 class FieldEntry(Part):

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from antdsl import limits
 from antdsl.bounded import TooLarge, open_bounded
 from antdsl.outputs.cache.zip_parts import MemberForm, Stored, form_of, stored_file
-from antdsl.scene.geometry.arrays import DTYPES, MAGIC, ArrayFileError, parse_npy, read_archive
+from antdsl.scene.geometry.arrays import ALLOWED_DTYPES, NPY_MAGIC, ArrayFileError, parse_npy, read_archive
 
 __all__ = ["ArrayFileError", "npz_file", "parse_npy", "read_npz", "to_bytes", "to_member"]
 
@@ -69,15 +69,15 @@ def to_member(
 def _type_code(name: str, dtype: np.dtype[Any]) -> str:
     """What a type is in a file."""
     kind = dtype.newbyteorder("<").str
-    if kind not in DTYPES:
+    if kind not in ALLOWED_DTYPES:
         raise ValueError(f"array `{name}` of type {dtype} cannot be stored")
     return kind
 
 
 def _header(kind: str, shape: tuple[int, ...]) -> bytes:
     header = f"{{'descr': '{kind}', 'fortran_order': False, 'shape': {shape!r}, }}".encode("ascii")
-    header += b" " * (-(len(MAGIC) + 2 + len(header) + 1) % 64) + b"\n"
-    return MAGIC + len(header).to_bytes(2, "little") + header
+    header += b" " * (-(len(NPY_MAGIC) + 2 + len(header) + 1) % 64) + b"\n"
+    return NPY_MAGIC + len(header).to_bytes(2, "little") + header
 
 
 def read_npz(path: Path, only: Container[str] | None = None) -> dict[str, NDArray[Any]]:

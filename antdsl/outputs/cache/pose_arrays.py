@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 from antdsl import limits
 from antdsl.bodies.agents.driving import DrivenPose
 from antdsl.bodies.agents.leg_ik import PlacedFeet
-from antdsl.bodies.agents.machine_clips import EARLIER, MachineClips
+from antdsl.bodies.agents.machine_clips import EARLIER_FIELDS, MachineClips
 from antdsl.bodies.agents.varied_bodies import VariationDraws
 from antdsl.numerics import parallel
 from antdsl.numerics.randomness import uniform
@@ -33,13 +33,13 @@ from antdsl.outputs.cache import frame_loops
 from antdsl.outputs.cache.manifest import SpeciesEntry
 from antdsl.program.tables.columns import CLIPS, STANCE
 from antdsl.runtime.world import Population, World
-from antdsl.scene.setting import CrowdData, Setting
+from antdsl.scene.setting import CrowdData, WorldSetting
 
 _AXES = ("x", "y", "z")
 Arrays = Mapping[str, NDArray[Any]]
 # By field, the register behind `MACHINE.` and its type in a frame.
 _REGISTERS = {each.field: ("clip" if each.field == "clip" else f"clip_{each.field}", each.type) for each in CLIPS}
-_USUAL = tuple(field for field in _REGISTERS if field not in EARLIER)
+_USUAL = tuple(field for field in _REGISTERS if field not in EARLIER_FIELDS)
 _CLIPS, _SHARES = ("clip", "before"), ("turns", "weight", "before_turns", "before_weight", "fade")
 
 
@@ -60,7 +60,7 @@ def clips_playing(population: Population, threads: int = 1) -> dict[str, NDArray
         early = now["earlier_fade"] > 0
         if early.any() and (early & (now["fade"] > 0)).any():
             rows = population.in_id_order()
-            values |= {field: now[field].take(rows).astype(_REGISTERS[field][1], copy=False) for field in EARLIER}
+            values |= {field: now[field].take(rows).astype(_REGISTERS[field][1], copy=False) for field in EARLIER_FIELDS}
         arrays |= {f"clips.{population.name}.{machine}.{field}": array for field, array in values.items()}
     return arrays
 
@@ -108,13 +108,13 @@ def feet_of(species: str, arrays: Arrays, count: int, legs: int) -> PlacedFeet |
     return PlacedFeet(*parts) if legs and not any(part is None for part in parts) else None  # type: ignore[arg-type]
 
 
-def layers_worn(population: Population, setting: Setting) -> tuple[str, ...]:
+def layers_worn(population: Population, setting: WorldSetting) -> tuple[str, ...]:
     """The layers that agents of a species may show beside the body's own: those of its states, then those of the scene."""
     by_scene = (name for crowd in _crowds(population, setting) for part in crowd.wears for name in part if name)
-    return tuple(dict.fromkeys((*population.plan.wears, *by_scene)))[: limits.LAYERS_WORN]
+    return tuple(dict.fromkeys((*population.plan.wears, *by_scene)))[: limits.MAX_WORN_LAYERS]
 
 
-def display_arrays(population: Population, setting: Setting) -> dict[str, NDArray[Any]]:
+def display_arrays(population: Population, setting: WorldSetting) -> dict[str, NDArray[Any]]:
     """The arrays of a species, of its agents by id."""
     name, now, plan, rows = population.name, population.now, population.plan, population.in_id_order()
     arrays: dict[str, NDArray[Any]] = {}
@@ -169,12 +169,12 @@ def driven_values(species: SpeciesEntry, arrays: Arrays, ids: NDArray[np.int64],
     )
 
 
-def _crowds(population: Population, setting: Setting) -> Iterator[CrowdData]:
+def _crowds(population: Population, setting: WorldSetting) -> Iterator[CrowdData]:
     return (crowd for crowd in setting.crowds if crowd.species == population.name)
 
 
 def _scene_layer_masks(
-    population: Population, rows: NDArray[np.intp], setting: Setting, layers: tuple[str, ...]
+    population: Population, rows: NDArray[np.intp], setting: WorldSetting, layers: tuple[str, ...]
 ) -> Iterator[NDArray[np.uint64]]:
     """Yield the layers that the scene gives agents: one per part, drawn by the agent's id and the scene's seed for its lifetime.
     Agents born later use the crowd entry of their parent."""

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl.ground.solid import Volume
-from antdsl.ground.solid.bricks import CUBE, Bricks
+from antdsl.ground.solid.bricks import BRICK_NODES, BrickGrid
 from antdsl.runtime import World, take_dug_balls
 
 Arrays = dict[str, NDArray[Any]]
@@ -54,7 +54,7 @@ def start_pieces(world: World, scale: float) -> Arrays:
         arrays |= {
             f"solid.{name}.{key}": np.array(value)
             for key, value in {
-                "values": bricks.values[: bricks.used * CUBE], "table": bricks.table, "shape": bricks.shape,
+                "values": bricks.values[: bricks.used * BRICK_NODES], "table": bricks.table, "shape": bricks.shape,
                 "origin": bricks.origin, "voxel": bricks.voxel, "band": (bricks.least, bricks.most), "offset": np.zeros(3),
             }.items()
         }  # fmt: skip
@@ -72,8 +72,15 @@ def start_volume(name: str, static: Mapping[str, NDArray[Any]]) -> Volume:
     values = read_array("values")
     least, most = (float(end) for end in read_array("band"))
     a, b, c = (int(side) for side in read_array("shape"))
-    bricks = Bricks(
-        read_array("origin"), float(read_array("voxel")), (a, b, c), least, most, read_array("table"), values, len(values) // CUBE
+    bricks = BrickGrid(
+        read_array("origin"),
+        float(read_array("voxel")),
+        (a, b, c),
+        least,
+        most,
+        read_array("table"),
+        values,
+        len(values) // BRICK_NODES,
     )
     bricks.record_start()
     return Volume(bricks)

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from struct import Struct
 
 from antdsl.numerics.check_sums import crc32
-from antdsl.whole import Parts
+from antdsl.whole import BytesParts
 
 LIMIT = (1 << 31) - 1  # larger sizes and offsets are written in eight bytes
 MOST = (1 << 16) - 1  # members; larger counts are written so too
@@ -43,7 +43,7 @@ class Stored:
     """A file that has not been written: `parts` are its consecutive bytes, `headers` everything except the contents of its
     members."""
 
-    parts: Parts
+    parts: BytesParts
     headers: Sequence[bytes]
 
 

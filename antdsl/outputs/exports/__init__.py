@@ -27,7 +27,7 @@ _SUBJECTS = {each.name.partition(".")[0]: each.of for each in FRAME}  # by the f
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Export:
+class ExportFormat:
     """Export to files with some `endings`. `forms`: by name, the functions that write frames of a cache into a file; the first is
     the default. A form returns sentences on what was left out or changed.
 
@@ -49,23 +49,25 @@ class Export:
         return frozenset(each.name for each in fields(self.options[form])) if form in self.options else frozenset()
 
 
-EXPORTS = (
-    Export(
+EXPORT_FORMATS = (
+    ExportFormat(
         (".usdc", ".usda", ".usd"),
         {"instances": export_instances, "xforms": export_xforms, "meshes": export_usd_meshes},
         options={"instances": UsdOptions, "xforms": XformOptions},
         barred=("\\", ":SDF_FORMAT_ARGS:"),
     ),
-    Export((".glb", ".gltf"), {"skinned": export_gltf}),
-    Export((".geo",), {"points": export_geo}, frozenset({"points"})),
-    Export((".csv",), {"keyframes": export_csv, "events": export_csv_events}),
-    Export((".npz",), {"arrays": export_arrays, "poses": export_poses, "volume": export_volumes, "events": export_npz_events}),
-    Export((".ply", ".obj"), {"meshes": export_meshes, "solids": export_solids}, frozenset({"meshes", "solids"})),
+    ExportFormat((".glb", ".gltf"), {"skinned": export_gltf}),
+    ExportFormat((".geo",), {"points": export_geo}, frozenset({"points"})),
+    ExportFormat((".csv",), {"keyframes": export_csv, "events": export_csv_events}),
+    ExportFormat(
+        (".npz",), {"arrays": export_arrays, "poses": export_poses, "volume": export_volumes, "events": export_npz_events}
+    ),
+    ExportFormat((".ply", ".obj"), {"meshes": export_meshes, "solids": export_solids}, frozenset({"meshes", "solids"})),
 )
 
 
 # Other requested endings, and what to write instead: docs/exports.md says why.
-INSTEAD = {
+ALTERNATIVE_ADVICE = {
     ".abc": "`.usdc` with `--as meshes`",
     ".bclip": "`.glb`",
     ".bgeo": "`.geo`",
@@ -74,9 +76,9 @@ INSTEAD = {
 }
 
 
-def export_for(path: Path) -> Export | None:
+def export_for(path: Path) -> ExportFormat | None:
     """Return the export for a path, by its ending in any case; None if there is none."""
-    return next((export for export in EXPORTS if path.suffix.lower() in export.endings), None)
+    return next((export for export in EXPORT_FORMATS if path.suffix.lower() in export.endings), None)
 
 
 @dataclass(frozen=True, eq=False)

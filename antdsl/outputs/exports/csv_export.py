@@ -9,11 +9,11 @@ import numpy as np
 
 from antdsl.outputs.cache.frame_agents import agent_ids, own_arrays, species_rows
 from antdsl.outputs.csv_text import csv_text
-from antdsl.outputs.euler_angles import Angles
+from antdsl.outputs.euler_angles import EulerAngles
 from antdsl.outputs.gallery import Gallery, place_digits
 from antdsl.whole import atomic_file
 
-HEAD = "id,frame,tx,ty,tz,rx,ry,rz,sx,sy,sz,species"
+HEADER_LINE = "id,frame,tx,ty,tz,rx,ry,rz,sx,sy,sz,species"
 
 
 def export_csv(gallery: Gallery, frames: Iterable[int], path: Path) -> None:
@@ -25,9 +25,9 @@ def export_csv(gallery: Gallery, frames: Iterable[int], path: Path) -> None:
 
     Raises CacheError for a damaged frame, OSError where nothing can be written."""
     row = "%d,%d" + f",{place_digits(gallery)}" * 3 + ",%.9g" * 6  # nine digits give a float32 back to the last bit
-    angles = [Angles() for _ in gallery.manifest.species]
+    angles = [EulerAngles() for _ in gallery.manifest.species]
     with atomic_file(path) as file:
-        file.write(f"{HEAD}\n".encode())
+        file.write(f"{HEADER_LINE}\n".encode())
         names = [csv_text([("", each.name)]).replace("%", "%%") for each in gallery.manifest.species]
         for frame in frames:
             arrays = gallery.cache.frame(frame, own_arrays("csv"))

@@ -23,14 +23,14 @@ from antdsl.outputs.gallery import Gallery, place_digits
 from antdsl.program.tables.columns import CONTACT, Column
 from antdsl.whole import atomic_file, write_atomically
 
-KINDS = ("birth", "death", "state", "footfall", "emit", "contact")
-HEAD = "frame,seconds,kind,species,id,x,y,z,nx,ny,nz,what,other_species,other,depth"
-_UP = np.array([0.0, 1.0, 0.0])
+EVENT_KINDS = ("birth", "death", "state", "footfall", "emit", "contact")
+HEADER_LINE = "frame,seconds,kind,species,id,x,y,z,nx,ny,nz,what,other_species,other,depth"
+_DEFAULT_UP = np.array([0.0, 1.0, 0.0])
 _COLUMNS = (Column("frame", "derived", "i8"), *CONTACT[:4], Column("what", "derived", "i4"), *CONTACT[4:])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Events:
+class EventRows:
     """Events of one kind and frame. `species` (by number) and `id` name the agents; `P` and `N` (k, 3) are positions and normals
     in scene units. `what`: the number of the new state, the leg or the event, -1 for none. For contacts: the other agent and the
     penetration depth `depth`."""
@@ -52,7 +52,7 @@ def export_csv_events(gallery: Gallery, frames: Iterable[int], path: Path) -> li
     frames = list(frames)
     names, digits = [entry.name for entry in gallery.manifest.species], place_digits(gallery)
     with atomic_file(path) as file:
-        file.write(f"{HEAD}\n".encode())
+        file.write(f"{HEADER_LINE}\n".encode())
         for frame, events in _all_events(gallery, frames):
             rows: list[list[object]] = []
             for k, word in enumerate(_event_words(gallery, events)):
@@ -71,7 +71,7 @@ def export_npz_events(gallery: Gallery, frames: Iterable[int], path: Path) -> li
     """Write events as arrays: `KIND.frame`, `KIND.species`, `KIND.id`, `KIND.P`, `KIND.N`, `KIND.what`, and for contacts
     `other_species`, `other` and `depth`. `KIND.P` is relative to `origin` float64[3]."""
     frames = list(frames)
-    events_by_kind: dict[str, list[tuple[int, Events]]] = {kind: [] for kind in KINDS}
+    events_by_kind: dict[str, list[tuple[int, EventRows]]] = {kind: [] for kind in EVENT_KINDS}
     for frame, each in _all_events(gallery, frames):
         events_by_kind[each.kind].append((frame, each))
     arrays: dict[str, NDArray[Any]] = {"origin": gallery.origin}
@@ -92,7 +92,7 @@ def _missing_notes(gallery: Gallery, frames: list[int]) -> list[str]:
     return [f"the cache has no events {' and '.join(f'`{k}`' for k in lacks)}: `output: {{events: [{kinds}]}}`"] if lacks else []
 
 
-def _all_events(gallery: Gallery, frames: list[int]) -> Iterator[tuple[int, Events]]:
+def _all_events(gallery: Gallery, frames: list[int]) -> Iterator[tuple[int, EventRows]]:
     """Yield the events of frames, kind after kind. Those of the first frame come from a comparison with the frame before it, if
     there is one."""
     previous: Arrays | None
@@ -111,7 +111,7 @@ def _all_events(gallery: Gallery, frames: list[int]) -> Iterator[tuple[int, Even
         previous, known_pairs = arrays, set(_pairs(arrays))
 
 
-def _compare_frames(gallery: Gallery, previous: Arrays, arrays: Arrays) -> Iterator[Events]:
+def _compare_frames(gallery: Gallery, previous: Arrays, arrays: Arrays) -> Iterator[EventRows]:
     """What two frames tell of."""
     was, now = agent_keys(previous), agent_keys(arrays)
     _, left, right = np.intersect1d(was, now, assume_unique=True, return_indices=True)
@@ -134,17 +134,17 @@ def _compare_frames(gallery: Gallery, previous: Arrays, arrays: Arrays) -> Itera
 
 def _events(
     kind: str, arrays: Arrays, rows: NDArray[np.intp], what: NDArray[Any] | None = None, place: NDArray[np.float64] | None = None
-) -> Events:
+) -> EventRows:
     """Return events of agents at rows of a frame, with their up, and their position unless `place` gives another."""
     none = np.full(len(rows), -1, np.int64)
-    up = turned(np.asarray(arrays["orient"], np.float64)[rows], np.tile(_UP, (len(rows), 1)))
+    up = turned(np.asarray(arrays["orient"], np.float64)[rows], np.tile(_DEFAULT_UP, (len(rows), 1)))
     where = np.asarray(arrays["P"], np.float64)[rows] if place is None else place
     details = none if what is None else np.asarray(what, np.int64)
     species, ids = species_numbers(arrays)[rows], agent_ids(arrays)[rows]
-    return Events(kind, species, ids, where, up, details, none, none, np.zeros(len(rows)))
+    return EventRows(kind, species, ids, where, up, details, none, none, np.zeros(len(rows)))
 
 
-def _stored_events(arrays: Arrays, known_pairs: set[tuple[int, ...]]) -> Iterator[Events]:
+def _stored_events(arrays: Arrays, known_pairs: set[tuple[int, ...]]) -> Iterator[EventRows]:
     """Yield the events stored in a frame; contacts only if they are not in the frame before."""
     for kind in ("emit", "contact"):
         of = part_of(arrays, f"events.{kind}.")
@@ -153,7 +153,7 @@ def _stored_events(arrays: Arrays, known_pairs: set[tuple[int, ...]]) -> Iterato
         none = np.full(len(of["id"]), -1, np.int64)
         what, species, other = (of[name].astype(np.int64) if name in of else none for name in ("event", "other_species", "other"))
         place, normal, depth = (each.astype(np.float64) for each in (of["P"], of["N"], of.get("depth", np.zeros(len(none)))))
-        events = Events(kind, of["species"].astype(np.int64), of["id"], place, normal, what, species, other, depth)
+        events = EventRows(kind, of["species"].astype(np.int64), of["id"], place, normal, what, species, other, depth)
         if kind == "contact":
             new = np.array([pair not in known_pairs for pair in _pairs(arrays)], np.bool_)
             events = take_rows(events, new)
@@ -166,7 +166,7 @@ def _pairs(arrays: Arrays) -> list[tuple[int, ...]]:
     return list(zip(*(arrays[key].tolist() for key in keys), strict=True)) if keys[-1] in arrays else []
 
 
-def _event_words(gallery: Gallery, events: Events) -> list[str]:
+def _event_words(gallery: Gallery, events: EventRows) -> list[str]:
     """Return the descriptions of events: the state that begins, the leg that lands, the event that is emitted."""
     species, manifest = events.species.tolist(), gallery.manifest
     if events.kind == "state":

@@ -28,10 +28,10 @@ from antdsl.whole import write_atomically
 
 Floats = NDArray[np.float64]
 Slot = tuple[NDArray[np.int64], Floats, Floats]
-_HALF = float(np.sqrt(0.5))
-_FROM_Z = np.array([0.0, _HALF, 0.0, _HALF])  # turns +z to +x, about +y
-_TO_Y = np.array([-_HALF, 0.0, 0.0, _HALF])  # turns +z to +y, about +x
-_MOST = 1e6  # a clip that covers others wholly weighs so much more than they
+_SQRT_HALF = float(np.sqrt(0.5))
+_Z_TO_X_ROTATION = np.array([0.0, _SQRT_HALF, 0.0, _SQRT_HALF])  # turns +z to +x, about +y
+_Z_TO_Y_ROTATION = np.array([-_SQRT_HALF, 0.0, 0.0, _SQRT_HALF])  # turns +z to +y, about +x
+_COVERING_CLIP_WEIGHT = 1e6  # a clip that covers others wholly weighs so much more than they
 
 
 def export_geo(gallery: Gallery, frames: Iterable[int], path: Path) -> None:
@@ -69,8 +69,11 @@ def _point_attributes(gallery: Gallery, frame: int, arrays: Arrays) -> dict[str,
     if "v" in arrays:
         attributes["v"] = (_to_y_up(arrays["v"] + arrays.get("v_ground", np.float32(0)), z_up), "vector")
     attributes["w"] = (_to_y_up(_angular_velocity(gallery, frame, arrays, turn), z_up), "vector")
-    facing = rotation_product(turn, np.broadcast_to(_FROM_Z, turn.shape))
-    attributes["orient"] = (rotation_product(np.broadcast_to(_TO_Y, turn.shape), facing) if z_up else facing, "quaternion")
+    facing = rotation_product(turn, np.broadcast_to(_Z_TO_X_ROTATION, turn.shape))
+    attributes["orient"] = (
+        rotation_product(np.broadcast_to(_Z_TO_Y_ROTATION, turn.shape), facing) if z_up else facing,
+        "quaternion",
+    )
     attributes["pscale"] = (np.asarray(arrays["pscale"], np.float64), "")
     if "Cd" in arrays:
         attributes["Cd"] = (np.asarray(arrays["Cd"], np.float64), "color")
@@ -144,7 +147,9 @@ def _slots(machines: Iterable[MachineClips], count: int) -> list[Slot]:
             (machine.clip, machine.turns, machine.weight * (1 - fade)),
         )  # fmt: skip
         together = np.minimum(sum(np.where(clip >= 0, weight, 0.0) for clip, _, weight in layers), 1.0)
-        over = np.where(below > 0, np.minimum(below / np.maximum(1 - together, 1 / _MOST), _MOST), 1.0)
+        over = np.where(
+            below > 0, np.minimum(below / np.maximum(1 - together, 1 / _COVERING_CLIP_WEIGHT), _COVERING_CLIP_WEIGHT), 1.0
+        )
         for clip, turns, weight in layers:
             slots.append((clip.astype(np.int64), turns.astype(np.float64), np.where(clip >= 0, weight * over, 0.0)))
         below = below + together * over

@@ -13,21 +13,21 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl.bodies.agents.definition import STATE
+from antdsl.bodies.agents.definition import STATE_MATERIAL
 from antdsl.bodies.agents.transforms import parts_of
 from antdsl.bodies.body import vertex_normals
 from antdsl.bodies.files.gltf_writer import GltfWriter, ShapeParts
 from antdsl.bodies.posed_body import PosedBody
-from antdsl.outputs.exports.gltf_stage import Stage
-from antdsl.outputs.exports.poses_export import FEWER, NONE, Worn, posed_rows, worn_crowds
+from antdsl.outputs.exports.gltf_stage import GltfStage
+from antdsl.outputs.exports.poses_export import FEWER_AGENTS_ADVICE, NO_AGENTS_MESSAGE, BodyKey, posed_rows, worn_crowds
 from antdsl.outputs.gallery import Gallery
-from antdsl.outputs.numbered_files import NoExport
+from antdsl.outputs.numbered_files import ExportUnavailable
 from antdsl.outputs.pictures.light import decode_srgb
 from antdsl.outputs.pictures.model import Crowd
 from antdsl.whole import write_atomically
 
-_AGENTS, _BYTES = 1000, 1 << 28  # the most that one file is good for
-_SHEAR = 1e-4
+_MAX_FILE_AGENTS, _MAX_FILE_BYTES = 1000, 1 << 28  # the most that one file is good for
+_MAX_IGNORED_SHEAR = 1e-4
 
 Floats = NDArray[np.float64]
 
@@ -38,8 +38,8 @@ def export_gltf(gallery: Gallery, frames: Iterable[int], path: Path) -> list[str
 
     Raises NoExport beyond the limits of glTF, CacheError for a damaged frame, OSError where nothing can be written."""
     frames = list(frames)
-    crowd = _Crowd.gather(gallery, frames)
-    stage = Stage(gallery, frames)
+    crowd = _BodyCollector.gather(gallery, frames)
+    stage = GltfStage(gallery, frames)
     for key, body in crowd.bodies.items():
         _write_agents(stage, body, crowd.colours(key), key[0])
     for frame in frames:
@@ -50,7 +50,7 @@ def export_gltf(gallery: Gallery, frames: Iterable[int], path: Path) -> list[str
 
 
 @dataclass(slots=True, eq=False)
-class _Body:
+class _BodyRecord:
     """Animation of the agents with one body. `arrays` of its frames: the `id` of each row, its `frame` number (from 0), `place`
     float64[4, 4], `local` float32[J, 4, 4] and `channels` float32[C]. `colour` has display values of each id at its first
     frame."""
@@ -61,29 +61,35 @@ class _Body:
 
 
 @dataclass(slots=True, eq=False)
-class _Crowd:
+class _BodyCollector:
     """The agents of a cache by species and body."""
 
-    bodies: dict[Worn, _Body]
+    bodies: dict[BodyKey, _BodyRecord]
     turned: set[str] = field(default_factory=set)  # species with colour changes
 
     @staticmethod
-    def gather(gallery: Gallery, frames: list[int]) -> _Crowd:
-        bodies: dict[Worn, _Body] = {}
-        output = _Crowd(bodies)
+    def gather(gallery: Gallery, frames: list[int]) -> _BodyCollector:
+        bodies: dict[BodyKey, _BodyRecord] = {}
+        output = _BodyCollector(bodies)
         size = 0
         for number, frame in enumerate(frames):
             for key, crowd, worn in worn_crowds(gallery.picture(frame)):
-                body = bodies.setdefault(key, _Body(worn))
+                body = bodies.setdefault(key, _BodyRecord(worn))
                 size += len(crowd.position) * (40 * len(worn.definition.rig.names) + 64)
                 output._add(key, body, crowd, number)
             agents = sum(len(body.colour) for body in bodies.values())
-            if agents > _AGENTS or size > _BYTES:
-                many = f"{agents:,} agents with joints" if agents > _AGENTS else f"more than {_BYTES >> 20} MiB of keys"
-                raise NoExport(f"glTF is for small crowds, but this one has {many}", f"{FEWER}, or write USD: `.usdc`")
+            if agents > _MAX_FILE_AGENTS or size > _MAX_FILE_BYTES:
+                many = (
+                    f"{agents:,} agents with joints"
+                    if agents > _MAX_FILE_AGENTS
+                    else f"more than {_MAX_FILE_BYTES >> 20} MiB of keys"
+                )
+                raise ExportUnavailable(
+                    f"glTF is for small crowds, but this one has {many}", f"{FEWER_AGENTS_ADVICE}, or write USD: `.usdc`"
+                )
         return output
 
-    def _add(self, key: Worn, body: _Body, crowd: Crowd, number: int) -> None:
+    def _add(self, key: BodyKey, body: _BodyRecord, crowd: Crowd, number: int) -> None:
         rows = posed_rows(crowd) | {"frame": np.full(len(crowd.position), number, np.int64)}
         for name in ("id", "frame", "place", "local", "channels"):
             body.arrays.setdefault(name, []).append(rows[name])
@@ -91,11 +97,11 @@ class _Crowd:
             if body.colour.setdefault(one, tuple(colour)) != tuple(colour):
                 self.turned.add(key[0])
 
-    def colours(self, key: Worn) -> dict[int, tuple[float, ...]]:
+    def colours(self, key: BodyKey) -> dict[int, tuple[float, ...]]:
         return self.bodies[key].colour
 
     def notes(self) -> list[str]:
-        messages = [] if self.bodies else [NONE]
+        messages = [] if self.bodies else [NO_AGENTS_MESSAGE]
         messages += [
             f"agents of `{species}` keep the colour of their first state: glTF has no colours over time"
             for species in sorted(self.turned)
@@ -106,13 +112,13 @@ class _Crowd:
         return messages
 
 
-def _write_agents(stage: Stage, body: _Body, colours: dict[int, tuple[float, ...]], species: str) -> None:
+def _write_agents(stage: GltfStage, body: _BodyRecord, colours: dict[int, tuple[float, ...]], species: str) -> None:
     """The nodes, skins and animation of all agents with one body."""
     worn = body.worn
     rig, writer = worn.definition.rig, stage.writer
     ids, frame, place, local, channels = map(np.concatenate, body.arrays.values())
     move, turn, size, shear = parts_of(local.astype(np.float64))
-    if shear.size and np.abs(shear).max() > _SHEAR:
+    if shear.size and np.abs(shear).max() > _MAX_IGNORED_SHEAR:
         stage.add_note("a shear of joints is left out: glTF has none")
     order = np.lexsort((frame, ids))
     shapes = [_shape(writer, worn, binding.shape) for binding in worn.bindings]
@@ -144,12 +150,12 @@ def _shape(writer: GltfWriter, worn: PosedBody, name: str) -> ShapeParts:
     return ShapeParts(writer, worn.definition, shape, normals)
 
 
-def _materials(stage: Stage, worn: PosedBody, colour: tuple[float, ...]) -> dict[str, int]:
+def _materials(stage: GltfStage, worn: PosedBody, colour: tuple[float, ...]) -> dict[str, int]:
     """Return the numbers of a body's materials. Triangles without a material have the agent's state colour."""
     state = tuple(float(part) for part in decode_srgb(np.array(colour)))
     own: dict[str, Any] = dict(worn.definition.materials)
     used = (material for binding in worn.bindings for material in worn.definition.shapes[binding.shape].materials)
     return {
-        name: stage.material(name or STATE, own[name] if name in own and name != STATE else state)
-        for name in dict.fromkeys(("", STATE, *own, *used))
+        name: stage.material(name or STATE_MATERIAL, own[name] if name in own and name != STATE_MATERIAL else state)
+        for name in dict.fromkeys(("", STATE_MATERIAL, *own, *used))
     }

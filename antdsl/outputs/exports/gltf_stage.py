@@ -19,15 +19,15 @@ from antdsl.outputs.pictures.light import decode_srgb
 from antdsl.outputs.pictures.model import Item, Picture, Solid
 from antdsl.scene.model import UNIT_MM
 
-_SENSOR, _WIDE = 36.0, 16 / 9
-_HALF = float(np.sqrt(0.5))
-_RIGID = 1e-4  # of its size, by which the points of a mesh may be off a rigid movement
+_SENSOR_WIDTH_MM, _DEFAULT_ASPECT = 36.0, 16 / 9
+_SQRT_HALF = float(np.sqrt(0.5))
+_RIGID_TOLERANCE = 1e-4  # of its size, by which the points of a mesh may be off a rigid movement
 
 Floats = NDArray[np.float64]
 
 
 @dataclass(slots=True, eq=False)
-class _Moving:
+class _MovingNode:
     """A mesh or an item: its node and its animation."""
 
     node: int
@@ -37,7 +37,7 @@ class _Moving:
     sizes: list[Floats] = field(default_factory=list)
 
 
-class Stage:
+class GltfStage:
     """The scene of a glTF file. Frames are counted from 0 in the order of `frames`; a frame missing from the cache still takes
     its time."""
 
@@ -49,13 +49,13 @@ class Stage:
         self._channels: list[dict[str, Any]] = []
         self._times: dict[bytes, int] = {}
         self._materials: dict[Any, int] = {}
-        self._solids: dict[str, tuple[_Moving, Floats]] = {}
-        self._items: dict[int, _Moving] = {}
+        self._solids: dict[str, tuple[_MovingNode, Floats]] = {}
+        self._items: dict[int, _MovingNode] = {}
         self._dug: dict[str, Solid] = {}
         scale = UNIT_MM[gallery.manifest.units] / 1000
         world: dict[str, Any] = {"name": "World", "children": [], "scale": [scale] * 3}
         if gallery.manifest.up == "z":
-            world["rotation"] = [-_HALF, 0.0, 0.0, _HALF]
+            world["rotation"] = [-_SQRT_HALF, 0.0, 0.0, _SQRT_HALF]
         if gallery.origin.any():
             x, y, z = (gallery.origin * scale).tolist()
             world["translation"] = [x, z, -y] if gallery.manifest.up == "z" else [x, y, z]  # JSON: double precision
@@ -166,10 +166,10 @@ class Stage:
         vertices = np.asarray(solid.vertices, np.float64)
         if solid.name not in self._solids:
             node = self.body(self._world, solid.name, self._mesh(solid.name, vertices, solid.faces, None), None)
-            self._solids[solid.name] = _Moving(node), vertices
+            self._solids[solid.name] = _MovingNode(node), vertices
         moving, first = self._solids[solid.name]
         turn, move, off = _fit_rigid(first, vertices)
-        if off > _RIGID * max(float(np.ptp(first, axis=0).max()), 1e-12):
+        if off > _RIGID_TOLERANCE * max(float(np.ptp(first, axis=0).max()), 1e-12):
             self.add_note(f"`{solid.name}` changes its shape; only its shape in frame {self.frames[0]} is written")
             return
         moving.frames.append(frame)
@@ -184,7 +184,7 @@ class Stage:
             if self.gallery.manifest.up == "z":
                 points = np.stack([points[:, 0], -points[:, 2], points[:, 1]], axis=1)
             node = self.body(self._world, item.name, self._mesh(item.name, points, faces, decode_srgb(colours)), None)
-            self._items[number] = _Moving(node)
+            self._items[number] = _MovingNode(node)
         moving = self._items[number]
         moving.frames.append(frame)
         moving.moves.append(np.asarray(item.position, np.float64))
@@ -223,10 +223,10 @@ class Stage:
         first = self.gallery.camera(self.frames[0])
         if first is None:
             return
-        angle = 2 * np.arctan(_SENSOR / _WIDE / 2 / first.focal)
+        angle = 2 * np.arctan(_SENSOR_WIDTH_MM / _DEFAULT_ASPECT / 2 / first.focal)
         away = float(np.linalg.norm(np.subtract(first.at, first.look_at))) * UNIT_MM[self.gallery.manifest.units] / 1000
         reach = max(away, 1e-6)  # metres: the scale of a node does not count for its camera
-        lens = {"yfov": float(angle), "aspectRatio": _WIDE, "znear": reach * 1e-3, "zfar": reach * 1e3}
+        lens = {"yfov": float(angle), "aspectRatio": _DEFAULT_ASPECT, "znear": reach * 1e-3, "zfar": reach * 1e3}
         number = self.writer.add("cameras", {"type": "perspective", "perspective": lens})
         node = self._node(self._world, {"name": "camera", "camera": number})
         moves, turns, camera_frames = [], [], self.frames if self.gallery.camera_moves else self.frames[:1]

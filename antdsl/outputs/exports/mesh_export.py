@@ -10,19 +10,19 @@ import numpy as np
 
 from antdsl.bodies.body import turned
 from antdsl.numerics.records import take_rows
-from antdsl.outputs.exports.mesh_files import Part, write_mesh
-from antdsl.outputs.exports.poses_export import FEWER, NONE, Worn, worn_crowds
+from antdsl.outputs.exports.mesh_files import MeshPart, write_mesh
+from antdsl.outputs.exports.poses_export import FEWER_AGENTS_ADVICE, NO_AGENTS_MESSAGE, BodyKey, worn_crowds
 from antdsl.outputs.gallery import Gallery
-from antdsl.outputs.numbered_files import NoExport, numbered_path
+from antdsl.outputs.numbered_files import ExportUnavailable, numbered_path
 from antdsl.outputs.pictures.light import decode_srgb, encode_srgb
 from antdsl.outputs.pictures.model import Crowd
-from antdsl.outputs.usd.values import ROOT, Samples, StageOutput, box, disk_failures, identifier, mesh, root, vectors
+from antdsl.outputs.usd.values import ROOT_PATH, StageOutput, ValueSamples, box, disk_failures, identifier, mesh, root, vectors
 from antdsl.scene.geometry.usd import pxr
 from antdsl.scene.model import UNIT_MM
 from antdsl.whole import atomic_path
 
-_MOST = 20_000_000  # points of a frame
-_BATCH = 64  # agents that are posed at once
+_MAX_FRAME_POINTS = 20_000_000  # points of a frame
+_AGENTS_PER_BATCH = 64  # agents that are posed at once
 
 
 def export_meshes(gallery: Gallery, frames: Iterable[int], path: Path) -> list[str]:
@@ -54,7 +54,7 @@ def export_usd_meshes(gallery: Gallery, frames: Iterable[int], path: Path) -> li
         stage.SetStartTimeCode(frames[0])
         stage.SetEndTimeCode(frames[-1])
         stage.SetDefaultPrim(root(stage, gallery.origin).GetPrim())
-        out, samples = StageOutput(stage), dict[str, tuple[Samples, ...]]()
+        out, samples = StageOutput(stage), dict[str, tuple[ValueSamples, ...]]()
         for frame in frames:
             for each in _posed_meshes(gallery, frame, common_ids):
                 if each.name not in samples:
@@ -68,10 +68,10 @@ def export_usd_meshes(gallery: Gallery, frames: Iterable[int], path: Path) -> li
     return notes
 
 
-def _usd_mesh(out: StageOutput, part: Part) -> tuple[Samples, ...]:
+def _usd_mesh(out: StageOutput, part: MeshPart) -> tuple[ValueSamples, ...]:
     species, _, number = part.name.rpartition("_")
-    pxr("UsdGeom").Xform.Define(out.stage, f"{ROOT}/{identifier(species)}")
-    usd_mesh = mesh(out.stage, f"{ROOT}/{identifier(species)}/agent_{number}", part.points, part.faces, part.normals)
+    pxr("UsdGeom").Xform.Define(out.stage, f"{ROOT_PATH}/{identifier(species)}")
+    usd_mesh = mesh(out.stage, f"{ROOT_PATH}/{identifier(species)}/agent_{number}", part.points, part.faces, part.normals)
     assert part.colours is not None
     usd_mesh.CreateDisplayColorPrimvar("vertex").Set(vectors(decode_srgb(part.colours)))
     attributes = (usd_mesh.GetPointsAttr(), usd_mesh.GetExtentAttr(), usd_mesh.GetNormalsAttr())
@@ -80,40 +80,44 @@ def _usd_mesh(out: StageOutput, part: Part) -> tuple[Samples, ...]:
     return tuple(out.samples(attribute, vectors, np.float32) for attribute in attributes)
 
 
-def _common_agents(gallery: Gallery, frames: list[int]) -> tuple[dict[Worn, set[int]], list[str]]:
+def _common_agents(gallery: Gallery, frames: list[int]) -> tuple[dict[BodyKey, set[int]], list[str]]:
     """Return the ids of agents that are in all frames in the same layers, by species and layers, and messages."""
-    common_ids: dict[Worn, set[int]] = {}
-    all_ids: dict[Worn, set[int]] = {}
+    common_ids: dict[BodyKey, set[int]] = {}
+    all_ids: dict[BodyKey, set[int]] = {}
     for k, frame in enumerate(frames):
-        frame_ids: dict[Worn, set[int]] = {}
+        frame_ids: dict[BodyKey, set[int]] = {}
         for key, crowd, _ in worn_crowds(gallery.picture(frame)):
             frame_ids.setdefault(key, set()).update(np.asarray(crowd.ids).tolist())
         common_ids = frame_ids if not k else {name: ids & frame_ids.get(name, set()) for name, ids in common_ids.items()}
         for name, ids in frame_ids.items():
             all_ids.setdefault(name, set()).update(ids)
     if not all_ids:
-        return {}, [NONE]
+        return {}, [NO_AGENTS_MESSAGE]
     if not any(common_ids.values()):
-        raise NoExport("no agent with a body is there in all of these frames", "choose others with `--ids` or `--frames`")
+        raise ExportUnavailable(
+            "no agent with a body is there in all of these frames", "choose others with `--ids` or `--frames`"
+        )
     left = sum(len(ids - common_ids.get(key, set())) for key, ids in all_ids.items())
     return common_ids, [f"{left} agents are not there in all of these frames, and are left out"] if left else []
 
 
-def _posed_meshes(gallery: Gallery, frame: int, common_ids: dict[Worn, set[int]]) -> Iterator[Part]:
+def _posed_meshes(gallery: Gallery, frame: int, common_ids: dict[BodyKey, set[int]]) -> Iterator[MeshPart]:
     """The posed mesh of each agent, by species and id."""
-    parts: list[tuple[str, int, Part]] = []
+    parts: list[tuple[str, int, MeshPart]] = []
     total = 0
     for key, crowd, worn in worn_crowds(gallery.picture(frame)):
         rows = np.flatnonzero(np.isin(np.asarray(crowd.ids), sorted(common_ids.get(key, ()))))
         total += len(rows) * len(worn.own)
-        if total > _MOST:
-            raise NoExport(f"the meshes of so many agents have more than {_MOST:,} points a frame", FEWER)
-        for a in range(0, len(rows), _BATCH):
-            parts += _pose_batch(key[0], crowd, rows[a : a + _BATCH])
+        if total > _MAX_FRAME_POINTS:
+            raise ExportUnavailable(
+                f"the meshes of so many agents have more than {_MAX_FRAME_POINTS:,} points a frame", FEWER_AGENTS_ADVICE
+            )
+        for a in range(0, len(rows), _AGENTS_PER_BATCH):
+            parts += _pose_batch(key[0], crowd, rows[a : a + _AGENTS_PER_BATCH])
     return (part for _, _, part in sorted(parts, key=lambda each: each[:2]))
 
 
-def _pose_batch(species: str, crowd: Crowd, rows: np.ndarray[Any, Any]) -> list[tuple[str, int, Part]]:
+def _pose_batch(species: str, crowd: Crowd, rows: np.ndarray[Any, Any]) -> list[tuple[str, int, MeshPart]]:
     worn = crowd.worn
     assert crowd.ids is not None
     points, normals = crowd.posed(worn, rows)
@@ -124,5 +128,5 @@ def _pose_batch(species: str, crowd: Crowd, rows: np.ndarray[Any, Any]) -> list[
     parts = []
     for k, row in enumerate(rows.tolist()):
         number, colours = int(crowd.ids[row]), own[k % len(own)] * (1 - tint) + tint * crowd.colour[row]
-        parts.append((species, number, Part(f"{species}_{number}", placed[k], worn.faces, across[k], colours)))
+        parts.append((species, number, MeshPart(f"{species}_{number}", placed[k], worn.faces, across[k], colours)))
     return parts

@@ -13,11 +13,11 @@ from numpy.typing import NDArray
 from antdsl.whole import atomic_file
 
 Floats = NDArray[np.floating]
-_BLOCK = 1 << 16  # lines that are made at once
+_LINES_PER_BLOCK = 1 << 16  # lines that are made at once
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Part:
+class MeshPart:
     """A mesh of a file: `points` (n, 3), `faces` (m, 3), unit `normals` (n, 3) and display (sRGB) `colours` (n, 3) from 0 to 1,
     or None."""
 
@@ -28,7 +28,7 @@ class Part:
     colours: NDArray[np.floating] | None = None
 
 
-def write_mesh(path: Path, parts: Sequence[Part], origin: NDArray[np.float64]) -> None:
+def write_mesh(path: Path, parts: Sequence[MeshPart], origin: NDArray[np.float64]) -> None:
     """Write meshes into one file, one after the other. The suffix selects the format: `.ply`, or `.obj` with one named object per
     mesh.
 
@@ -48,7 +48,7 @@ def write_mesh(path: Path, parts: Sequence[Part], origin: NDArray[np.float64]) -
 
 
 def _write_ply(
-    file: IO[bytes], parts: Sequence[Part], starts: NDArray[np.int64], points: Floats, normals: NDArray[np.float32] | None
+    file: IO[bytes], parts: Sequence[MeshPart], starts: NDArray[np.int64], points: Floats, normals: NDArray[np.float32] | None
 ) -> None:
     faces = np.concatenate([np.zeros((0, 3), np.int64), *(part.faces + s for part, s in zip(parts, starts, strict=False))])
     all_colours = [part.colours for part in parts if part.colours is not None]
@@ -71,7 +71,7 @@ def _write_ply(
 
 
 def _write_obj(
-    file: IO[bytes], parts: Sequence[Part], starts: NDArray[np.int64], points: Floats, normals: NDArray[np.float32] | None
+    file: IO[bytes], parts: Sequence[MeshPart], starts: NDArray[np.int64], points: Floats, normals: NDArray[np.float32] | None
 ) -> None:
     """Write an OBJ file. Point numbers continue from object to object, as the format requires."""
     vertex = "v %.15g %.15g %.15g\n" if points.dtype == np.float64 else "v %.9g %.9g %.9g\n"
@@ -84,7 +84,7 @@ def _write_obj(
             ("vn %.6g %.6g %.6g\n", None if normals is None else normals[rows]),
             (f"f {corner} {corner} {corner}\n", np.repeat(part.faces + start + 1, 2 if normals is not None else 1, axis=1)),
         ):
-            for a in range(0, 0 if table is None else len(table), _BLOCK):
+            for a in range(0, 0 if table is None else len(table), _LINES_PER_BLOCK):
                 assert table is not None
-                block = table[a : a + _BLOCK]
+                block = table[a : a + _LINES_PER_BLOCK]
                 file.write((line * len(block) % tuple(block.ravel().tolist())).encode("ascii"))

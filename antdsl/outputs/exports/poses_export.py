@@ -27,16 +27,16 @@ from antdsl.bodies.body import rotation_matrices
 from antdsl.bodies.posed_body import PosedBody
 from antdsl.outputs.cache.npz import to_bytes
 from antdsl.outputs.gallery import Gallery
-from antdsl.outputs.numbered_files import NoExport
+from antdsl.outputs.numbered_files import ExportUnavailable
 from antdsl.outputs.pictures.model import Crowd, Picture
 from antdsl.whole import write_atomically
 
-_MOST = 2 * limits.GIB
-FEWER = "choose fewer with `--ids 0..20` or `--frames A..B`"
+_MAX_FILE_BYTES = 2 * limits.GIB
+FEWER_AGENTS_ADVICE = "choose fewer with `--ids 0..20` or `--frames A..B`"
 
 
 @dataclass(slots=True)
-class _Rows:
+class _PoseRows:
     """The data of one body so far; `counts` is by frame."""
 
     body: Definition
@@ -44,7 +44,7 @@ class _Rows:
     arrays: dict[str, list[NDArray[Any]]] = field(default_factory=dict)
 
 
-NONE = "no agent is there in these frames"
+NO_AGENTS_MESSAGE = "no agent is there in these frames"
 
 
 def export_poses(gallery: Gallery, frames: Iterable[int], path: Path) -> list[str]:
@@ -52,16 +52,18 @@ def export_poses(gallery: Gallery, frames: Iterable[int], path: Path) -> list[st
 
     Raises NoExport where the data exceeds the memory, CacheError for a damaged frame, OSError where nothing can be written."""
     frames = list(frames)
-    rows_by_species: dict[str, _Rows] = {}
+    rows_by_species: dict[str, _PoseRows] = {}
     size = 0
     for number, frame in enumerate(frames):
         for (species, _), crowd, worn in worn_crowds(gallery.picture(frame)):
-            rows = rows_by_species.setdefault(species, _Rows(worn.definition))
+            rows = rows_by_species.setdefault(species, _PoseRows(worn.definition))
             rows.counts += [0] * (number + 1 - len(rows.counts))
             rows.counts[number] += len(crowd.position)
             size += len(crowd.position) * (len(worn.definition.rig.names) * 128 + 200)
-            if size > _MOST:
-                raise NoExport(f"poses of so many agents and frames take more than {_MOST >> 30} GiB", FEWER)
+            if size > _MAX_FILE_BYTES:
+                raise ExportUnavailable(
+                    f"poses of so many agents and frames take more than {_MAX_FILE_BYTES >> 30} GiB", FEWER_AGENTS_ADVICE
+                )
             arrays = posed_rows(crowd)
             arrays["place"][:, :3, 3] += gallery.origin
             for name, array in arrays.items():
@@ -80,13 +82,13 @@ def export_poses(gallery: Gallery, frames: Iterable[int], path: Path) -> list[st
         }
     arrays["about"] = np.frombuffer(json.dumps(description).encode("ascii"), np.uint8)
     write_atomically(path, to_bytes(arrays))
-    return [] if rows_by_species else [NONE]
+    return [] if rows_by_species else [NO_AGENTS_MESSAGE]
 
 
-Worn = tuple[str, tuple[str, ...]]  # a species, and the layers that agents of it wear beside their body's own
+BodyKey = tuple[str, tuple[str, ...]]  # a species, and the layers that agents of it wear beside their body's own
 
 
-def worn_crowds(picture: Picture) -> list[tuple[Worn, Crowd, PosedBody]]:
+def worn_crowds(picture: Picture) -> list[tuple[BodyKey, Crowd, PosedBody]]:
     """Return the non-empty crowds of a picture, each with its species and layers."""
     return [((crowd.species, crowd.worn.layers), crowd, crowd.worn) for crowd in picture.crowds if len(crowd.position)]
 

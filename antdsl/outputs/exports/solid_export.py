@@ -12,13 +12,13 @@ from numpy.typing import NDArray
 from antdsl import limits
 from antdsl.outputs.cache.dug_solids import DugSolids
 from antdsl.outputs.cache.npz import to_bytes
-from antdsl.outputs.exports.mesh_files import Part, write_mesh
+from antdsl.outputs.exports.mesh_files import MeshPart, write_mesh
 from antdsl.outputs.gallery import Gallery
-from antdsl.outputs.numbered_files import NoExport, numbered_path
+from antdsl.outputs.numbered_files import ExportUnavailable, numbered_path
 from antdsl.scene.model import UNIT_MM
 from antdsl.whole import write_atomically
 
-_NONE = NoExport("the scene has no solid that agents can dig", "`kind: solid` of a mesh in `world` makes one")
+_NO_SOLIDS_ERROR = ExportUnavailable("the scene has no solid that agents can dig", "`kind: solid` of a mesh in `world` makes one")
 
 
 def export_solids(gallery: Gallery, frames: Iterable[int], path: Path) -> None:
@@ -30,8 +30,10 @@ def export_solids(gallery: Gallery, frames: Iterable[int], path: Path) -> None:
     for frame in frames:
         solids = dug.at(frame)
         if not solids:
-            raise _NONE
-        write_mesh(numbered_path(path, frame), [Part(each.name, each.vertices, each.faces) for each in solids], gallery.origin)
+            raise _NO_SOLIDS_ERROR
+        write_mesh(
+            numbered_path(path, frame), [MeshPart(each.name, each.vertices, each.faces) for each in solids], gallery.origin
+        )
 
 
 def export_volumes(gallery: Gallery, frames: Iterable[int], path: Path) -> list[str]:
@@ -46,14 +48,16 @@ def export_volumes(gallery: Gallery, frames: Iterable[int], path: Path) -> list[
     last = list(frames)[-1]
     dug = DugSolids(gallery.cache, gallery.static)
     if not dug.at(last):
-        raise _NONE
+        raise _NO_SOLIDS_ERROR
     arrays: dict[str, NDArray[Any]] = {"frame": np.array(last, np.int64)}
     scale = 1.0 / UNIT_MM[gallery.manifest.units]
     for name, volume, offset in dug.volumes():
         bricks = volume.bricks
         points = int(np.prod([8 * int(n) for n in bricks.shape], dtype=np.float64))
         if points * 4 > limits.GIB:
-            raise NoExport(f"the volume of `{name}` has {points:,} points, more than the limit", "write it as a mesh: `.ply`")
+            raise ExportUnavailable(
+                f"the volume of `{name}` has {points:,} points, more than the limit", "write it as a mesh: `.ply`"
+            )
         arrays |= {
             f"{name}.distance": volume.dense_distances() * np.float32(scale),
             f"{name}.origin": (np.asarray(bricks.origin, np.float64) + offset) * scale + gallery.origin,

@@ -12,27 +12,27 @@ from antdsl.bodies.shapes import placed
 from antdsl.casting.picture_rays import PictureRays
 from antdsl.numerics.records import take_rows
 from antdsl.outputs.pictures import looks
-from antdsl.outputs.pictures.camera import View
-from antdsl.outputs.pictures.light import Sun, decode_srgb
+from antdsl.outputs.pictures.camera import CameraView
+from antdsl.outputs.pictures.light import SunLight, decode_srgb
 from antdsl.outputs.pictures.model import Crowd, Item, Picture
-from antdsl.outputs.pictures.setting import Setting
+from antdsl.outputs.pictures.setting import StaticSetting
 from antdsl.outputs.pictures.shading_rows import Floats
 
 Array = NDArray[np.float64]
 
-CLOSE = 60.0  # pixels of body length from which the close-up body is worth its triangles
-DISTANT = 18.0  # pixels below which a few triangles are enough
-MOST_CLOSE = 1200  # bodies at most that are drawn so, the largest first
-MOST_MOMENTS = 12
-METAL, LIGHT = 1.5, -1.0  # in place of gloss
-MOST_TRIANGLES = 1_000_000  # of close-up bodies of a species' own
-_SHADOW_CELLS = 2048  # along each side of the map of shadows
-_FEW = 4.0  # pixels below which a body may lie between their middles
-_STEEP = 0.8  # of a pile's slope: what is steeper beside it is a stone or a wall
+CLOSE_BODY_PIXELS = 60.0  # pixels of body length from which the close-up body is worth its triangles
+DISTANT_BODY_PIXELS = 18.0  # pixels below which a few triangles are enough
+MAX_CLOSE_BODIES = 1200  # bodies at most that are drawn so, the largest first
+MAX_SHUTTER_TIMES = 12
+METAL_GLOSS, LIGHT_GLOSS = 1.5, -1.0  # in place of gloss
+MAX_CLOSE_TRIANGLES = 1_000_000  # of close-up bodies of a species' own
+_SHADOW_MAP_CELLS = 2048  # along each side of the map of shadows
+_TINY_BODY_PIXELS = 4.0  # pixels below which a body may lie between their middles
+_STEEP_SLOPE_SHARE = 0.8  # of a pile's slope: what is steeper beside it is a stone or a wall
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Mesh:
+class ActorMesh:
     """One kind of object many times: vertices and normals (n, 3), faces, linear colour (n, 3) and gloss (n,). Gloss: 0 dull to 1,
     METAL above, and LIGHT below for what emits light."""
 
@@ -44,7 +44,7 @@ class Mesh:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Part:
+class BodyMesh:
     """A number b of bodies of one shape: rotated vertices float32 (b, v, 3) and positions (b, 3), at the picture's frame and at
     the next (None for static bodies). Faces are shared; normal, colour and gloss are per vertex."""
 
@@ -65,7 +65,7 @@ class Part:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Actors:
+class SceneActors:
     """Everything that moves. `rays`: at one moment, or at several while the shutter is open; `mesh` is at the middle one.
     `boxes`: lowest and highest corners (b, 3) of the bodies while the shutter is open.
 
@@ -74,7 +74,7 @@ class Actors:
     shadow's edge is soft. `size`: how far around a body the ground is in its shade."""
 
     rays: tuple[PictureRays, ...]
-    mesh: Mesh
+    mesh: ActorMesh
     near: NDArray[np.bool_]
     tiny: NDArray[np.bool_]
     tall: float
@@ -82,7 +82,7 @@ class Actors:
     throw: float
     boxes: tuple[Array, Array]
 
-    def may_be_shaded(self, points: Floats, sun: Sun, reaches: Sequence[float]) -> list[NDArray[np.bool_]]:
+    def may_be_shaded(self, points: Floats, sun: SunLight, reaches: Sequence[float]) -> list[NDArray[np.bool_]]:
         """Return, for each of `reaches`, which points (n, 3) may be in the shadow of a box enlarged by that length on all sides.
         Points and boxes are projected along the sun's direction onto a map perpendicular to it."""
         low, high = self.boxes
@@ -93,33 +93,38 @@ class Actors:
         widest = half + max(reaches)
         least, most = (middle - widest).min(axis=0), (middle + widest).max(axis=0)
         # A column more at each end, for float32.
-        cell = np.maximum((most - least) / (_SHADOW_CELLS - 4), 1e-12)
+        cell = np.maximum((most - least) / (_SHADOW_MAP_CELLS - 4), 1e-12)
         coordinates = []
         for axis in range(2):
             turn = (across[:, axis] / cell[axis]).astype(np.float32)
             at = points @ turn
             at -= np.float32(least[axis] / cell[axis] - 2)
-            coordinates.append(np.clip(at, 0, _SHADOW_CELLS - 1).astype(np.int32))
-        cells = coordinates[1] * _SHADOW_CELLS + coordinates[0]
+            coordinates.append(np.clip(at, 0, _SHADOW_MAP_CELLS - 1).astype(np.int32))
+        cells = coordinates[1] * _SHADOW_MAP_CELLS + coordinates[0]
         masks = []
         for reach in reaches:
             first = np.floor((middle - half - reach - least) / cell).astype(np.int64) + 1
             last = np.floor((middle + half + reach - least) / cell).astype(np.int64) + 4
-            covered = _cells_in_rectangles(first, np.minimum(last, _SHADOW_CELLS), _SHADOW_CELLS, _SHADOW_CELLS)
+            covered = _cells_in_rectangles(first, np.minimum(last, _SHADOW_MAP_CELLS), _SHADOW_MAP_CELLS, _SHADOW_MAP_CELLS)
             covered[:, [0, -1]] = covered[[0, -1]] = False  # what lies outside of the map
             masks.append(covered.reshape(-1)[cells])
         return masks
 
 
 def make_actors(
-    picture: Picture, view: View, least: float = 0.0, ground: Setting | None = None, blur: float = 0.0, enlarged: float = 3.0
-) -> Actors:
+    picture: Picture,
+    view: CameraView,
+    least: float = 0.0,
+    ground: StaticSetting | None = None,
+    blur: float = 0.0,
+    enlarged: float = 3.0,
+) -> SceneActors:
     """Return the moving part of `picture`. Large agents in `view` use close-up bodies, agents of a few pixels use few triangles,
     and invisible ones are left out.
 
     Loose soil follows `ground`. The shutter is open for the fraction `blur` of a frame. Bodies shorter than `least` pixels are
     enlarged to that length, by a factor of at most `enlarged`."""
-    parts: list[Part] = []
+    parts: list[BodyMesh] = []
     longest = 0.0
     for crowd in picture.crowds:
         if len(crowd.position):
@@ -130,7 +135,7 @@ def make_actors(
             solid = item_mesh(item, picture.up, ground)
             place = np.asarray([item.position], np.float64)
             local = (solid.vertices - place).astype(np.float32)[None]
-            parts.append(Part(local, place, None, solid.faces, solid.normal, solid.colour, solid.gloss))
+            parts.append(BodyMesh(local, place, None, solid.faces, solid.normal, solid.colour, solid.gloss))
     widest = max((item.radius for item in picture.items), default=0.0)
     moments = _shutter_times(parts, view, blur)
     meshes = [_join_parts(parts, time_offset) for time_offset in moments]
@@ -139,10 +144,10 @@ def make_actors(
     mesh = meshes[len(meshes) // 2]
     tall, size = max(20 * longest, 8 * widest), max(longest, 0.3 * widest) if parts else 0.0
     throw = 20 * longest if longest > 0 else tall
-    return Actors(rays, mesh, *_covered_pixels(boxes, view), tall, size, throw, boxes)
+    return SceneActors(rays, mesh, *_covered_pixels(boxes, view), tall, size, throw, boxes)
 
 
-def _shutter_times(parts: list[Part], view: View, blur: float) -> list[float]:
+def _shutter_times(parts: list[BodyMesh], view: CameraView, blur: float) -> list[float]:
     """Return the sample times of the open shutter, in frames after the picture's own: about one per pixel of the longest
     motion."""
     if blur <= 0:
@@ -154,17 +159,17 @@ def _shutter_times(parts: list[Part], view: View, blur: float) -> list[float]:
             (a, first), (b, last) = (view.project(end) for end in ends)
             displacement = np.linalg.norm(b - a, axis=1)[(first > 0) & (last > 0)]
             longest = max(longest, float(np.quantile(displacement, 0.99)) if len(displacement) else 0.0)
-    count = int(np.clip(np.ceil(longest / 1.5), 1, MOST_MOMENTS))
+    count = int(np.clip(np.ceil(longest / 1.5), 1, MAX_SHUTTER_TIMES))
     return [blur * (k + 0.5) / count for k in range(count)]
 
 
-def _join_parts(parts: list[Part], time_offset: float) -> Mesh:
+def _join_parts(parts: list[BodyMesh], time_offset: float) -> ActorMesh:
     if not parts:
         none = np.zeros((0, 3), np.float32)
-        return Mesh(none.astype(np.float64), np.zeros((0, 3), np.int32), none, none, none[:, 0])
+        return ActorMesh(none.astype(np.float64), np.zeros((0, 3), np.int32), none, none, none[:, 0])
     points = [part.at(time_offset).reshape(-1, 3) for part in parts]
     starts = np.cumsum([0] + [len(each) for each in points])
-    return Mesh(
+    return ActorMesh(
         np.concatenate(points),
         np.concatenate([part.faces + np.int32(start) for part, start in zip(parts, starts[:-1], strict=True)]),
         np.concatenate([part.normal for part in parts]),
@@ -173,7 +178,7 @@ def _join_parts(parts: list[Part], time_offset: float) -> Mesh:
     )
 
 
-def _boxes(parts: list[Part], blur: float) -> tuple[Array, Array]:
+def _boxes(parts: list[BodyMesh], blur: float) -> tuple[Array, Array]:
     """Return the axis-aligned boxes of all bodies while the shutter is open: lowest and highest corners (b, 3)."""
     corners: list[tuple[Array, Array]] = [(np.zeros((0, 3)), np.zeros((0, 3)))]
     for part in parts:
@@ -186,7 +191,7 @@ def _boxes(parts: list[Part], blur: float) -> tuple[Array, Array]:
     return np.concatenate(lows), np.concatenate(highs)
 
 
-def _covered_pixels(boxes: tuple[Array, Array], view: View) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+def _covered_pixels(boxes: tuple[Array, Array], view: CameraView) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
     """Return the pixels (h · w,) where a box is visible, and those with a box of a few pixels, which rays through pixel centres
     may miss."""
     high, wide = view.height, view.width
@@ -198,7 +203,7 @@ def _covered_pixels(boxes: tuple[Array, Array], view: View) -> tuple[NDArray[np.
     around = (ahead <= 0).any(axis=1) & (ahead > 0).any(axis=1)
     low[around], high_[around] = -1, max(high, wide) + 1
     is_ahead = (ahead > 0).any(axis=1)
-    few = is_ahead & ((high_ - low).max(axis=1) < _FEW)
+    few = is_ahead & ((high_ - low).max(axis=1) < _TINY_BODY_PIXELS)
 
     def covered(which: NDArray[np.bool_], margin: float) -> NDArray[np.bool_]:
         first = np.clip(np.floor(low[which] - margin), 0, (wide, high)).astype(np.int64)
@@ -216,7 +221,7 @@ def _cells_in_rectangles(first: NDArray[np.int64], last: NDArray[np.int64], wide
     return np.asarray(count.cumsum(axis=0).cumsum(axis=1)[:-1, :-1] > 0)
 
 
-def _crowd(crowd: Crowd, view: View, least: float, enlarged: float) -> list[Part]:
+def _crowd(crowd: Crowd, view: CameraView, least: float, enlarged: float) -> list[BodyMesh]:
     scale = np.asarray(crowd.scale, np.float64)
     finite = np.isfinite(crowd.position).all(axis=1) & np.isfinite(crowd.orient).all(axis=1) & np.isfinite(scale) & (scale > 0)
     position = np.where(finite[:, None], crowd.position, 0.0)
@@ -226,20 +231,20 @@ def _crowd(crowd: Crowd, view: View, least: float, enlarged: float) -> list[Part
     is_visible = finite & (depth > -20 * scale) & _is_in_sight(position, depth, 20 * scale, view)
     near = np.maximum(view.distance(position), 1e-9)
     pixels = scale / view.pixel_size(near)
-    large = np.flatnonzero(is_visible & (pixels >= CLOSE))
-    most = min(MOST_CLOSE, MOST_TRIANGLES // max(1, len(crowd.worn.fine.faces))) if len(large) else 0
+    large = np.flatnonzero(is_visible & (pixels >= CLOSE_BODY_PIXELS))
+    most = min(MAX_CLOSE_BODIES, MAX_CLOSE_TRIANGLES // max(1, len(crowd.worn.fine.faces))) if len(large) else 0
     close = np.sort(large[np.argsort(-pixels[large], kind="stable")[:most]])
     sizes = np.minimum(np.maximum(scale, least * view.pixel_size(near)), enlarged * scale)
-    tiny = is_visible & (sizes < DISTANT * view.pixel_size(near))
+    tiny = is_visible & (sizes < DISTANT_BODY_PIXELS * view.pixel_size(near))
     far = np.setdiff1d(np.flatnonzero(is_visible & ~tiny), close)
     # Of a body a few pixels long the parts with colours of their own would hide the state's.
-    plain = np.where(pixels < CLOSE, np.clip(1 - pixels / CLOSE, 0.0, 1.0) ** 2, 0.0)
+    plain = np.where(pixels < CLOSE_BODY_PIXELS, np.clip(1 - pixels / CLOSE_BODY_PIXELS, 0.0, 1.0) ** 2, 0.0)
     levels = (("fine", close), ("coarse", far), ("distant", np.setdiff1d(np.flatnonzero(tiny), close)))
     bodies = [(getattr(crowd.worn, level), rows) for level, rows in levels if len(rows)]
     return [_pose_bodies(crowd, body, rows, sizes, plain) for body, rows in bodies if len(body.faces)]
 
 
-def _pose_bodies(crowd: Crowd, body: PosedBody, rows: NDArray[np.int64], size: Array, plain: Array) -> Part:
+def _pose_bodies(crowd: Crowd, body: PosedBody, rows: NDArray[np.int64], size: Array, plain: Array) -> BodyMesh:
     """Return the bodies of some agents, each posed by what it plays. For all agents of the crowd, `size` (n,) is their length.
     `plain` (n,) is how much coloured parts take the agent's colour too."""
     turn, long = _turn(crowd, rows), size[rows].astype(np.float32)[:, None, None]
@@ -269,14 +274,14 @@ def _part(
     normal: Floats,
     colour: Floats,
     gloss: float,
-) -> Part:
+) -> BodyMesh:
     bodies, own = local.shape[:2]
     every = (faces[None] + (np.arange(bodies, dtype=np.int32) * own)[:, None, None]).reshape(-1, 3)
     shine = np.full(bodies * own, gloss, np.float32)
-    return Part(local, place, then, every, normal.reshape(-1, 3), np.ascontiguousarray(colour).reshape(-1, 3), shine)
+    return BodyMesh(local, place, then, every, normal.reshape(-1, 3), np.ascontiguousarray(colour).reshape(-1, 3), shine)
 
 
-def _is_in_sight(points: Array, depth: Array, margin: Array, view: View) -> NDArray[np.bool_]:
+def _is_in_sight(points: Array, depth: Array, margin: Array, view: CameraView) -> NDArray[np.bool_]:
     """Return whether a ball of radius `margin` around each point intersects the view pyramid."""
     offset = points - view.eye
     inside = np.ones(len(points), np.bool_)
@@ -287,7 +292,7 @@ def _is_in_sight(points: Array, depth: Array, margin: Array, view: View) -> NDAr
     return inside
 
 
-def item_mesh(item: Item, up: tuple[float, float, float], ground: Setting | None = None) -> Mesh:
+def item_mesh(item: Item, up: tuple[float, float, float], ground: StaticSetting | None = None) -> ActorMesh:
     vertices, faces, colour = placed(item.shape)
     size = item.radius * min(max(item.left, 0.0), 1.0) ** (1 / 3)
     upward = np.array([up]) / np.linalg.norm(up)
@@ -296,7 +301,7 @@ def item_mesh(item: Item, up: tuple[float, float, float], ground: Setting | None
     if item.shape == "mound" and ground is not None:
         points += _slump(points, np.asarray(item.position, np.float64), upward[0], size, ground)[:, None] * upward
     shade, gloss = _item_material(item, decode_srgb(colour))
-    return Mesh(points, faces, vertex_normals(points, faces), shade, np.full(len(points), gloss, np.float32))
+    return ActorMesh(points, faces, vertex_normals(points, faces), shade, np.full(len(points), gloss, np.float32))
 
 
 def _item_material(item: Item, colour: Floats) -> tuple[Floats, float]:
@@ -304,21 +309,23 @@ def _item_material(item: Item, colour: Floats) -> tuple[Floats, float]:
     if item.look is None:
         return colour, 0.0 if item.shape == "mound" else 0.5
     plain, gloss = {
-        "metal": (looks.STEEL, METAL),
+        "metal": (looks.STEEL_COLOUR, METAL_GLOSS),
         "soil": (decode_srgb((0.55, 0.42, 0.30)), 0.0),
-        "leaf": (looks.GREEN, 0.4),
-        "light": (looks.LIT, LIGHT),
+        "leaf": (looks.LEAF_COLOUR, 0.4),
+        "light": (looks.LIGHT_COLOUR, LIGHT_GLOSS),
     }[item.look]
     return np.broadcast_to(plain, colour.shape), gloss
 
 
-def _slump(points: Array, foot: Array, up: Array, size: float, ground: Setting) -> Array:
+def _slump(points: Array, foot: Array, up: Array, size: float, ground: StaticSetting) -> Array:
     """Return the ground's height below each point (n,), relative to `foot`, where loose soil lies; 0 beyond the distance
     `size`."""
     away = points - foot
     level = points - (away @ up)[:, None] * up
     start = level + size * up
     hits = ground.rays.cast(start, np.broadcast_to((-up).astype(np.float32), start.shape))
-    down = np.where(np.isin(ground.kind[hits.face], looks.TRAILED), hits.t, np.inf)  # soil is heaped on no stone
+    down = np.where(np.isin(ground.kind[hits.face], looks.TRAIL_KINDS), hits.t, np.inf)  # soil is heaped on no stone
     flat = np.linalg.norm(level - foot, axis=1)
-    return np.clip(np.where(down <= 2 * size, size - np.minimum(down, 2 * size), 0.0), -_STEEP * flat, _STEEP * flat)
+    return np.clip(
+        np.where(down <= 2 * size, size - np.minimum(down, 2 * size), 0.0), -_STEEP_SLOPE_SHARE * flat, _STEEP_SLOPE_SHARE * flat
+    )

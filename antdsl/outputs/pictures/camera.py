@@ -15,7 +15,7 @@ Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class View:
+class CameraView:
     """A prepared camera: `eye` (3,) and the unit axes `right`, `above`, `ahead`. `half`: the tangents of half the width and
     height; with `parallel` rays, half the width and height in world units."""
 
@@ -63,7 +63,7 @@ class View:
         return (0.0 * depth + 1.0 if self.parallel else depth) * (2 * self.half[0] / self.width)
 
 
-def make_view(camera: Camera, width: int, height: int, up: tuple[float, float, float]) -> View:
+def make_view(camera: Camera, width: int, height: int, up: tuple[float, float, float]) -> CameraView:
     """Return `camera` prepared for a picture of `width` × `height` pixels. A camera aimed at its own position looks along x."""
     eye = np.asarray(camera.at, np.float64)
     ahead = unit_or(np.asarray(camera.look_at, np.float64) - eye, np.array([1.0, 0.0, 0.0]))
@@ -77,7 +77,7 @@ def make_view(camera: Camera, width: int, height: int, up: tuple[float, float, f
     else:
         across = tan(radians(min(max(camera.fov, 1.0), 170.0)) / 2) if camera.fov is not None else 18.0 / max(camera.focal, 1.0)
     half = (across, across * height / width)
-    return View(eye, right, np.cross(right, ahead), ahead, half, width, height, camera.wide is not None)
+    return CameraView(eye, right, np.cross(right, ahead), ahead, half, width, height, camera.wide is not None)
 
 
 def three(values: Array) -> tuple[float, float, float]:

@@ -9,11 +9,11 @@ from antdsl.outputs.pictures.actors import item_mesh
 from antdsl.outputs.pictures.camera import make_view, three
 from antdsl.outputs.pictures.light import sun_over
 from antdsl.outputs.pictures.model import Camera, Crowd, Picture
-from antdsl.outputs.pictures.setting import BELOW
+from antdsl.outputs.pictures.setting import TABLE_DEPTH_SHARE
 
 Array = NDArray[np.float64]
 
-_TRIED = 24  # agents looked at for an eye-level camera
+_MAX_TRIED_AGENTS = 24  # agents looked at for an eye-level camera
 
 
 def camera_over(picture: Picture, *, aspect: float = 16 / 9, focal: float = 35.0, slant: float = 38.0) -> Camera:
@@ -66,7 +66,7 @@ def _all_points(picture: Picture, up: Array) -> Array:
     points = np.concatenate(parts) if parts else np.zeros((0, 3))
     points = points[np.isfinite(points).all(axis=1)]
     if len(points) and picture.solids:
-        low = (points @ up).min() - BELOW * float(np.linalg.norm(points.max(axis=0) - points.min(axis=0)))
+        low = (points @ up).min() - TABLE_DEPTH_SHARE * float(np.linalg.norm(points.max(axis=0) - points.min(axis=0)))
         points = np.concatenate([points, points - up * (points @ up - low)[:, None]])
     return points if len(points) else np.array([[-1.0, -1.0, -1.0], [1.0, 1.0, 1.0]])
 
@@ -139,7 +139,7 @@ def _crowded_rows(crowd: Crowd) -> NDArray[np.int64]:
     sample_rows = np.unique(np.linspace(0, len(points) - 1, min(len(points), 600)).astype(np.int64))
     company = cKDTree(points).query_ball_point(points[sample_rows], reach, return_length=True)
     order = sample_rows[np.argsort(-np.minimum(company, 60), kind="stable")]
-    return order[: _TRIED * 4 : 4] if len(order) >= _TRIED * 4 else order[:_TRIED]
+    return order[: _MAX_TRIED_AGENTS * 4 : 4] if len(order) >= _MAX_TRIED_AGENTS * 4 else order[:_MAX_TRIED_AGENTS]
 
 
 def _candidate_cameras(crowd: Crowd, row: int, focal: float, upright: Array, close: bool) -> list[Camera]:

@@ -10,23 +10,23 @@ from PIL import Image as PillowImage
 from PIL import ImageDraw
 
 from antdsl.outputs.pictures.light import encode_srgb
-from antdsl.outputs.pictures.looks import SOIL
+from antdsl.outputs.pictures.looks import SOIL_COLOUR
 from antdsl.outputs.pictures.model import Picture, Trail
 from antdsl.outputs.pictures.overlay import font
 from antdsl.outputs.pictures.trails import cover_of_strengths, dye_ground, full_strength
 
-_SHEET, _WORDS = (28, 30, 34), (236, 236, 232)
+_SHEET_COLOUR, _LABEL_COLOUR = (28, 30, 34), (236, 236, 232)
 Image = NDArray[np.uint8]
 
-_PAPER, _INK, _SOFT = (28, 30, 34), (238, 238, 234), (164, 166, 168)
-_SHARE = 0.22  # of the picture's width
-_TICKS = (1.0, 0.1, 0.01, 0.001)  # of the strongest
+_PAPER_COLOUR, _INK_COLOUR, _SOFT_COLOUR = (28, 30, 34), (238, 238, 234), (164, 166, 168)
+_LEGEND_WIDTH_SHARE = 0.22  # of the picture's width
+_TICK_SHARES = (1.0, 0.1, 0.01, 0.001)  # of the strongest
 
 
 def strip_width(picture: Picture, width: int, show: tuple[str, ...]) -> int:
     """Return the width in pixels of the legend on a sheet `width` wide; 0 where there is nothing to show."""
     has_content = picture.legend or (picture.trails and "trail" in show)
-    return min(max(round(_SHARE * width), 120), width // 2) if has_content else 0
+    return min(max(round(_LEGEND_WIDTH_SHARE * width), 120), width // 2) if has_content else 0
 
 
 def with_strip(image: Image, picture: Picture, wide: int, show: tuple[str, ...]) -> Image:
@@ -34,7 +34,7 @@ def with_strip(image: Image, picture: Picture, wide: int, show: tuple[str, ...])
     if wide <= 0:
         return image
     high = image.shape[0]
-    strip_image = PillowImage.new("RGB", (wide, high), _PAPER)
+    strip_image = PillowImage.new("RGB", (wide, high), _PAPER_COLOUR)
     draw = ImageDraw.Draw(strip_image)
     trails = [trail for trail in picture.trails if "trail" in show]
     species = [(name, list(rows)) for name, rows in groupby(picture.legend, key=lambda row: row.species)]
@@ -44,7 +44,7 @@ def with_strip(image: Image, picture: Picture, wide: int, show: tuple[str, ...])
     small = _fitting_size(draw, picture, wide - 2 * edge - round(2.2 * size), size)
     top = edge
     if picture.frame is not None:
-        draw.text((edge, top), f"frame {picture.frame}", font=font(size), fill=_SOFT)
+        draw.text((edge, top), f"frame {picture.frame}", font=font(size), fill=_SOFT_COLOUR)
         top += round(1.6 * line)
     for name, rows in species:
         if name:
@@ -81,8 +81,8 @@ def _draw_line(draw: ImageDraw.ImageDraw, name: str, count: str, place: tuple[in
     available_width = right - left - number - size * 0.5
     while len(name) > 2 and draw.textlength(name, font=font(size)) > available_width:
         name = name[:-2].rstrip() + "…"
-    draw.text((left, top), name, font=font(size), fill=_INK)
-    draw.text((right - number, top), count, font=font(size), fill=_INK)
+    draw.text((left, top), name, font=font(size), fill=_INK_COLOUR)
+    draw.text((right - number, top), count, font=font(size), fill=_INK_COLOUR)
 
 
 def _draw_scale(
@@ -91,27 +91,27 @@ def _draw_scale(
     """Draw a bar in the colours of the field on level soil, labelled with the corresponding strengths."""
     left, top = place
     full = full_strength(trail)
-    draw.text((left, top), trail.name, font=font(size), fill=_INK)
+    draw.text((left, top), trail.name, font=font(size), fill=_INK_COLOUR)
     top += round(1.5 * size)
     wide, high = right - left, round(size * 0.8)
     share = np.linspace(0, 1, wide).astype(np.float32)
-    row = encode_srgb(dye_ground(np.tile(SOIL, (wide, 1)).astype(np.float32), share, trail))
+    row = encode_srgb(dye_ground(np.tile(SOIL_COLOUR, (wide, 1)).astype(np.float32), share, trail))
     strip_image.paste(PillowImage.fromarray(np.tile(row[None], (high, 1, 1))), (left, top))
     top += high
     small = max(7, round(size * 0.8))
     taken = float(right + size)
-    for tick in _TICKS:
+    for tick in _TICK_SHARES:
         x = left + float(cover_of_strengths(np.array([tick]), 1.0)[0]) * (wide - 1)
         text = f"{full * tick:.3g}"
         long = draw.textlength(text, font=font(small))
         begin = min(max(x - long / 2, left), right - long)
         if begin + long + size * 0.4 > taken or full <= 0:
             continue
-        draw.line((x, top, x, top + size * 0.25), fill=_SOFT)
-        draw.text((begin, top + size * 0.3), text, font=font(small), fill=_SOFT)
+        draw.line((x, top, x, top + size * 0.25), fill=_SOFT_COLOUR)
+        draw.text((begin, top + size * 0.3), text, font=font(small), fill=_SOFT_COLOUR)
         taken = begin
     if taken - left > size * 1.2:
-        draw.text((left, top + size * 0.3), "0", font=font(small), fill=_SOFT)
+        draw.text((left, top + size * 0.3), "0", font=font(small), fill=_SOFT_COLOUR)
 
 
 def contact_sheet(images: Sequence[Image], labels: Sequence[str], *, columns: int | None = None, width: int = 1920) -> Image:
@@ -126,12 +126,12 @@ def contact_sheet(images: Sequence[Image], labels: Sequence[str], *, columns: in
     high = max(max(1, round(tile * image.shape[0] / image.shape[1])) for image in images)
     text = max(10, min(26, tile // 22))
     line = int(text * 1.7)
-    sheet = PillowImage.new("RGB", (width, gap + down * (high + line + gap)), _SHEET)
+    sheet = PillowImage.new("RGB", (width, gap + down * (high + line + gap)), _SHEET_COLOUR)
     draw = ImageDraw.Draw(sheet)
     for k, (image, label) in enumerate(zip(images, labels, strict=True)):
         left, top = gap + (k % across) * (tile + gap), gap + (k // across) * (high + line + gap)
         own = max(1, round(tile * image.shape[0] / image.shape[1]))
         small = PillowImage.fromarray(np.ascontiguousarray(image)).resize((tile, own), PillowImage.Resampling.LANCZOS)
         sheet.paste(small, (left, top + (high - own) // 2))
-        draw.text((left + 2, top + high + text * 0.25), label, font=font(text), fill=_WORDS)
+        draw.text((left + 2, top + high + text * 0.25), label, font=font(text), fill=_LABEL_COLOUR)
     return np.asarray(sheet)

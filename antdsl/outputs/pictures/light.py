@@ -8,18 +8,18 @@ from numpy.typing import NDArray
 
 from antdsl.outputs.pictures.shading_rows import Floats
 
-SUN = np.array([2.65, 2.36, 1.95], np.float32)
-SKY = np.array([0.50, 0.62, 0.84], np.float32)
-BOUNCE = np.array([0.34, 0.28, 0.21], np.float32)
-ZENITH = np.array([0.30, 0.58, 1.05], np.float32)
-HORIZON = np.array([1.12, 1.20, 1.24], np.float32)
-_STEPS = 1 << 14  # of linear values that have bytes of their own: less than half a byte in the darks
-LAMP = np.array([0.95, 0.84, 0.68], np.float32)  # beside the camera
-SUN_WIDTH = 0.03  # tangent of the half angle: wider than the real one, for soft edges
+SUN_LIGHT = np.array([2.65, 2.36, 1.95], np.float32)
+SKY_LIGHT = np.array([0.50, 0.62, 0.84], np.float32)
+BOUNCE_LIGHT = np.array([0.34, 0.28, 0.21], np.float32)
+ZENITH_COLOUR = np.array([0.30, 0.58, 1.05], np.float32)
+HORIZON_COLOUR = np.array([1.12, 1.20, 1.24], np.float32)
+_SRGB_TABLE_STEPS = 1 << 14  # of linear values that have bytes of their own: less than half a byte in the darks
+LAMP_LIGHT = np.array([0.95, 0.84, 0.68], np.float32)  # beside the camera
+SUN_HALF_ANGLE_TANGENT = 0.03  # tangent of the half angle: wider than the real one, for soft edges
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Sun:
+class SunLight:
     """`towards`: unit direction to the sun; `a`, `b`: unit axes across it; `up`: the world's."""
 
     towards: Floats
@@ -31,12 +31,12 @@ class Sun:
         """Return directions (count, 3) to points that cover the sun's disc evenly; consecutive ones are far from each other."""
         k = np.arange(count)
         angle = k * (np.pi * (3 - np.sqrt(5)))
-        radius = np.sqrt((k + 0.5) / count) * SUN_WIDTH
+        radius = np.sqrt((k + 0.5) / count) * SUN_HALF_ANGLE_TANGENT
         directions = self.towards + (radius * np.cos(angle))[:, None] * self.a + (radius * np.sin(angle))[:, None] * self.b
         return np.asarray(directions, np.float32)
 
 
-def sun_over(up: NDArray[np.float64], elevation: float = 40.0, azimuth: float = 280.0) -> Sun:
+def sun_over(up: NDArray[np.float64], elevation: float = 40.0, azimuth: float = 280.0) -> SunLight:
     """Return a sun at `elevation` and `azimuth` degrees above the plane perpendicular to `up`."""
     upward = up / np.linalg.norm(up)
     first = np.roll(upward, 1) - upward * float(np.dot(np.roll(upward, 1), upward))
@@ -46,38 +46,38 @@ def sun_over(up: NDArray[np.float64], elevation: float = 40.0, azimuth: float = 
     towards = np.cos(high) * (np.cos(turn) * first + np.sin(turn) * second) + np.sin(high) * upward
     a = np.cross(towards, upward)
     a /= np.linalg.norm(a)
-    return Sun(*(v.astype(np.float32) for v in (towards, a, np.cross(a, towards), upward)))
+    return SunLight(*(v.astype(np.float32) for v in (towards, a, np.cross(a, towards), upward)))
 
 
 def ambient(upness: Floats) -> Floats:
     """Return ambient light (n, 3) from sky and ground for normals with the vertical component `upness` (−1..1)."""
     share = (0.5 + 0.5 * upness)[:, None]
-    return SKY * share + BOUNCE * (1 - share)
+    return SKY_LIGHT * share + BOUNCE_LIGHT * (1 - share)
 
 
-def sky(direction: Floats, sun: Sun) -> Floats:
+def sky(direction: Floats, sun: SunLight) -> Floats:
     """What a ray (n, 3) that meets nothing sees."""
     high = direction @ sun.up
     share = np.sqrt(np.clip(high, 0.0, 1.0))[:, None]
     glow = np.clip(direction @ sun.towards, 0.0, 1.0)[:, None]
-    light: Floats = HORIZON * (1 - share) + ZENITH * share + np.array([0.22, 0.17, 0.10], np.float32) * glow**8
+    light: Floats = HORIZON_COLOUR * (1 - share) + ZENITH_COLOUR * share + np.array([0.22, 0.17, 0.10], np.float32) * glow**8
     return light
 
 
-def environment_light(direction: Floats, sun: Sun) -> Floats:
+def environment_light(direction: Floats, sun: SunLight) -> Floats:
     """What a mirror sees in directions (n, 3): the sky, and ground below the horizon."""
     high = (direction @ sun.up)[:, None]
     share = np.sqrt(np.clip(high, 0.0, 1.0))
-    above = HORIZON * (1 - share) + ZENITH * share
-    return np.asarray(BOUNCE + (above - BOUNCE) * np.clip(0.5 + 4 * high, 0.0, 1.0), np.float32)
+    above = HORIZON_COLOUR * (1 - share) + ZENITH_COLOUR * share
+    return np.asarray(BOUNCE_LIGHT + (above - BOUNCE_LIGHT) * np.clip(0.5 + 4 * high, 0.0, 1.0), np.float32)
 
 
-def apply_haze(colour: Floats, far: Floats, direction: Floats, sun: Sun, reach: float) -> Floats:
+def apply_haze(colour: Floats, far: Floats, direction: Floats, sun: SunLight, reach: float) -> Floats:
     """Return `colour` seen through `far` of air that hides half at about 0.7 `reach`; there is little haze in downward
     directions."""
     level = 1 - np.clip(-(direction @ sun.up), 0.0, 1.0)
     amount = (1 - np.exp(-far / np.float32(reach))) * level * level * level
-    through: Floats = colour + (HORIZON - colour) * amount[:, None]
+    through: Floats = colour + (HORIZON_COLOUR - colour) * amount[:, None]
     return through
 
 
@@ -91,12 +91,12 @@ def tone_map(light: Floats) -> Floats:
 
 def encode_srgb(linear: Floats) -> NDArray[np.uint8]:
     """Display-linear values as sRGB bytes."""
-    return _srgb_table().take((np.clip(linear, 0, 1) * np.float32(_STEPS) + np.float32(0.5)).astype(np.int32))
+    return _srgb_table().take((np.clip(linear, 0, 1) * np.float32(_SRGB_TABLE_STEPS) + np.float32(0.5)).astype(np.int32))
 
 
 @cache
 def _srgb_table() -> NDArray[np.uint8]:
-    linear = np.arange(_STEPS + 1) / _STEPS
+    linear = np.arange(_SRGB_TABLE_STEPS + 1) / _SRGB_TABLE_STEPS
     display = np.where(linear <= 0.0031308, linear * 12.92, 1.055 * linear ** (1 / 2.4) - 0.055)
     return np.asarray(display * 255 + 0.5, np.uint8)
 

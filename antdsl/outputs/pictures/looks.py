@@ -7,37 +7,53 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl.outputs.pictures.light import Sun, decode_srgb, environment_light
+from antdsl.outputs.pictures.light import SunLight, decode_srgb, environment_light
 from antdsl.outputs.pictures.shading_rows import Floats, dots, units
 
 # Turned, so that no plane across an axis of the world runs along the lattice.
-_TURN = np.array([[0.36, 0.48, -0.80], [-0.80, 0.60, 0.0], [0.48, 0.64, 0.60]], np.float32)
-_EDGE = 32  # the pattern repeats after this many wavelengths
-KINDS = ("ground", "stone", "boulder", "hill", "table", "edge", "grain", "figure", "metal", "leaf", "light")
-GROUND, STONE, BOULDER, HILL, TABLE, EDGE, GRAIN, FIGURE, METAL, LEAF, LIGHT = range(len(KINDS))
-TRAILED = (GROUND, BOULDER, HILL, FIGURE, METAL, LEAF)  # where a field's colour may lie
+_PATTERN_ROTATION = np.array([[0.36, 0.48, -0.80], [-0.80, 0.60, 0.0], [0.48, 0.64, 0.60]], np.float32)
+_PATTERN_PERIOD = 32  # the pattern repeats after this many wavelengths
+SURFACE_KINDS = ("ground", "stone", "boulder", "hill", "table", "edge", "grain", "figure", "metal", "leaf", "light")
+(
+    GROUND_KIND,
+    STONE_KIND,
+    BOULDER_KIND,
+    HILL_KIND,
+    TABLE_KIND,
+    EDGE_KIND,
+    GRAIN_KIND,
+    FIGURE_KIND,
+    METAL_KIND,
+    LEAF_KIND,
+    LIGHT_KIND,
+) = range(len(SURFACE_KINDS))
+TRAIL_KINDS = (GROUND_KIND, BOULDER_KIND, HILL_KIND, FIGURE_KIND, METAL_KIND, LEAF_KIND)  # where a field's colour may lie
 
-SOIL = decode_srgb((0.68, 0.60, 0.48))
-_DRY = decode_srgb((0.755, 0.70, 0.59))
-_MOSS = decode_srgb((0.56, 0.585, 0.42))
-_ROCK = decode_srgb((0.50, 0.465, 0.42))
-_STONES = decode_srgb(np.array([(0.57, 0.565, 0.56), (0.50, 0.515, 0.54), (0.64, 0.60, 0.55)]))
-_BOULDER = decode_srgb((0.60, 0.575, 0.545))
-_LICHEN = decode_srgb((0.70, 0.70, 0.58))
-_HILL = decode_srgb((0.55, 0.42, 0.30))
-_EARTH = decode_srgb((0.42, 0.33, 0.25))
-_CLAY = decode_srgb((0.78, 0.70, 0.61))
-_PALE = decode_srgb((0.84, 0.775, 0.69))
-_TABLE = decode_srgb((0.80, 0.80, 0.79))
-STEEL, GREEN, LIT = decode_srgb((0.70, 0.71, 0.73)), decode_srgb((0.33, 0.50, 0.17)), decode_srgb((1.0, 0.93, 0.78))
-_VEIN = decode_srgb((0.52, 0.64, 0.30))
-_QUARTZ, _BASALT = decode_srgb((0.86, 0.82, 0.74)), decode_srgb((0.40, 0.36, 0.32))
-_LOOSE = (GROUND, HILL, EDGE)  # what is of grains
-BRIGHT = 2.6  # of a light: several times what the sun makes of white
+SOIL_COLOUR = decode_srgb((0.68, 0.60, 0.48))
+_DRY_SOIL_COLOUR = decode_srgb((0.755, 0.70, 0.59))
+_MOSS_COLOUR = decode_srgb((0.56, 0.585, 0.42))
+_ROCK_COLOUR = decode_srgb((0.50, 0.465, 0.42))
+_STONE_COLOURS = decode_srgb(np.array([(0.57, 0.565, 0.56), (0.50, 0.515, 0.54), (0.64, 0.60, 0.55)]))
+_BOULDER_COLOUR = decode_srgb((0.60, 0.575, 0.545))
+_LICHEN_COLOUR = decode_srgb((0.70, 0.70, 0.58))
+_HILL_COLOUR = decode_srgb((0.55, 0.42, 0.30))
+_EARTH_COLOUR = decode_srgb((0.42, 0.33, 0.25))
+_CLAY_COLOUR = decode_srgb((0.78, 0.70, 0.61))
+_PALE_CLAY_COLOUR = decode_srgb((0.84, 0.775, 0.69))
+_TABLE_COLOUR = decode_srgb((0.80, 0.80, 0.79))
+STEEL_COLOUR, LEAF_COLOUR, LIGHT_COLOUR = (
+    decode_srgb((0.70, 0.71, 0.73)),
+    decode_srgb((0.33, 0.50, 0.17)),
+    decode_srgb((1.0, 0.93, 0.78)),
+)
+_LEAF_VEIN_COLOUR = decode_srgb((0.52, 0.64, 0.30))
+_QUARTZ_COLOUR, _BASALT_COLOUR = decode_srgb((0.86, 0.82, 0.74)), decode_srgb((0.40, 0.36, 0.32))
+_GRAINY_KINDS = (GROUND_KIND, HILL_KIND, EDGE_KIND)  # what is of grains
+LIGHT_BRIGHTNESS = 2.6  # of a light: several times what the sun makes of white
 
 
 @dataclass(frozen=True, slots=True)
-class Scales:
+class PictureScales:
     """Reference lengths of the looks, in world units: the `extent` of the complete set, the `grain` of about one body length."""
 
     extent: float
@@ -45,7 +61,7 @@ class Scales:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Surface:
+class SurfaceMaterial:
     """Samples of static things: linear `albedo` (n, 3) and the `normal` (n, 3) including grain."""
 
     albedo: Floats
@@ -53,8 +69,8 @@ class Surface:
 
 
 def surface_look(
-    kind: NDArray[np.uint8], points: Floats, normal: Floats, up: Floats, pixel: Floats, scales: Scales, painted: Floats
-) -> Surface:
+    kind: NDArray[np.uint8], points: Floats, normal: Floats, up: Floats, pixel: Floats, scales: PictureScales, painted: Floats
+) -> SurfaceMaterial:
     """Look of samples: `kind` (n,) of KINDS, `points`, smooth `normal` (n, 3), `pixel` (n,) the width of a pixel there.
 
     `painted` (n, 4): a colour of the mesh's own and whether it holds (0 or 1)."""
@@ -64,18 +80,20 @@ def surface_look(
     albedo = np.empty_like(points)
     for code in np.unique(kind):
         rows = np.flatnonzero(kind == code)
-        albedo[rows] = _COLOURS[int(code)](points[rows], upness[rows], large[rows], patch[rows], up, scales)
+        albedo[rows] = _COLOUR_FUNCTIONS[int(code)](points[rows], upness[rows], large[rows], patch[rows], up, scales)
     own = np.flatnonzero(painted[:, 3] > 0)
     albedo[own] += (painted[own, :3] - albedo[own]) * painted[own, 3:]
     return _add_grain(albedo, normal, kind, points, pixel, scales)
 
 
-def soil_look(albedo: Floats, normal: Floats, points: Floats, pixel: Floats, scales: Scales) -> Surface:
+def soil_look(albedo: Floats, normal: Floats, points: Floats, pixel: Floats, scales: PictureScales) -> SurfaceMaterial:
     """Return the look of loose soil with a given colour (n, 3), with its grain."""
-    return _add_grain(albedo, normal, np.full(len(points), HILL, np.uint8), points, pixel, scales)
+    return _add_grain(albedo, normal, np.full(len(points), HILL_KIND, np.uint8), points, pixel, scales)
 
 
-def _add_grain(albedo: Floats, normal: Floats, kind: NDArray[np.uint8], points: Floats, pixel: Floats, scales: Scales) -> Surface:
+def _add_grain(
+    albedo: Floats, normal: Floats, kind: NDArray[np.uint8], points: Floats, pixel: Floats, scales: PictureScales
+) -> SurfaceMaterial:
     """Bumps and specks, each size only where a pixel is small enough to show it."""
     rough = np.array([1.0, 0.8, 0.9, 1.2, 0.0, 0.9, 0.8, 0.45, 0.05, 0.25, 0.0], np.float32)[kind]
     for wavelength, height, speck, seed in (
@@ -96,12 +114,14 @@ def _add_grain(albedo: Floats, normal: Floats, kind: NDArray[np.uint8], points: 
         normal[rows] = own - slope * (visibility[rows] * np.float32(height * length * 0.5))[:, None]
         albedo[rows] *= (1 + visibility[rows] * value * np.float32(speck))[:, None]
     _add_sand(albedo, normal, kind, points, pixel, scales)
-    return Surface(albedo, units(normal))
+    return SurfaceMaterial(albedo, units(normal))
 
 
-def _add_sand(albedo: Floats, normal: Floats, kind: NDArray[np.uint8], points: Floats, pixel: Floats, scales: Scales) -> None:
+def _add_sand(
+    albedo: Floats, normal: Floats, kind: NDArray[np.uint8], points: Floats, pixel: Floats, scales: PictureScales
+) -> None:
     """Add grains of sand to soil, coarse ones in patches, each size only where pixels resolve single grains."""
-    loose = np.flatnonzero(np.isin(kind, _LOOSE))
+    loose = np.flatnonzero(np.isin(kind, _GRAINY_KINDS))
     for size, share, seed in ((0.11, 0.16, 21), (0.042, 0.42, 22), (0.016, 0.85, 23), (0.006, 1.0, 24)):
         length = size * scales.grain
         visibility = np.clip(length / pixel[loose] * 0.5 - 0.8, 0.0, 1.0)
@@ -122,8 +142,8 @@ def _add_sand(albedo: Floats, normal: Floats, kind: NDArray[np.uint8], points: F
         albedo[rows] *= (1 + visibility * (light - 1))[:, None]
         # Some grains are quartz, some dark rock.
         pale, dark = np.clip((tone - 0.84) * 7, 0, 1) * visibility, np.clip((-tone - 0.86) * 7, 0, 1) * visibility
-        albedo[rows] += (_QUARTZ - albedo[rows]) * (0.5 * pale)[:, None]
-        albedo[rows] += (_BASALT - albedo[rows]) * (0.5 * dark)[:, None]
+        albedo[rows] += (_QUARTZ_COLOUR - albedo[rows]) * (0.5 * pale)[:, None]
+        albedo[rows] += (_BASALT_COLOUR - albedo[rows]) * (0.5 * dark)[:, None]
 
 
 def _mix(first: Floats, second: Floats, share: Floats) -> Floats:
@@ -131,77 +151,79 @@ def _mix(first: Floats, second: Floats, share: Floats) -> Floats:
     return mixed
 
 
-def _ground(points: Floats, upness: Floats, large: Floats, patch: Floats, up: Floats, scales: Scales) -> Floats:
-    colour = _mix(SOIL, _DRY, 0.5 + 0.9 * large)
-    colour = _mix(colour, _MOSS, (0.55 * patch - 0.75 * large - 0.12) * 1.6 * np.clip(upness * 4 - 2.6, 0, 1))
-    return _mix(colour, _ROCK, (0.86 - upness + 0.10 * patch) * 4.0)
+def _ground(points: Floats, upness: Floats, large: Floats, patch: Floats, up: Floats, scales: PictureScales) -> Floats:
+    colour = _mix(SOIL_COLOUR, _DRY_SOIL_COLOUR, 0.5 + 0.9 * large)
+    colour = _mix(colour, _MOSS_COLOUR, (0.55 * patch - 0.75 * large - 0.12) * 1.6 * np.clip(upness * 4 - 2.6, 0, 1))
+    return _mix(colour, _ROCK_COLOUR, (0.86 - upness + 0.10 * patch) * 4.0)
 
 
-def _stone(points: Floats, upness: Floats, large: Floats, patch: Floats, up: Floats, scales: Scales) -> Floats:
+def _stone(points: Floats, upness: Floats, large: Floats, patch: Floats, up: Floats, scales: PictureScales) -> Floats:
     tone = np.clip(1.0 + 1.2 * large, 0.0, 2.0)
-    first = _mix(_STONES[0], _STONES[1], 1 - tone)
-    return _mix(first, _STONES[2], tone - 1) * (1 + 0.12 * patch)[:, None]
+    first = _mix(_STONE_COLOURS[0], _STONE_COLOURS[1], 1 - tone)
+    return _mix(first, _STONE_COLOURS[2], tone - 1) * (1 + 0.12 * patch)[:, None]
 
 
-def _boulder(points: Floats, upness: Floats, large: Floats, patch: Floats, up: Floats, scales: Scales) -> Floats:
+def _boulder(points: Floats, upness: Floats, large: Floats, patch: Floats, up: Floats, scales: PictureScales) -> Floats:
     bands = np.sin((points @ up) * np.float32(2 * np.pi / (scales.extent / 60)) + 3 * patch)
-    colour = _BOULDER * (1 + 0.07 * bands + 0.08 * patch)[:, None]
-    return _mix(colour, _LICHEN, (patch + 0.5 * large - 0.35) * 1.8 * np.clip(upness, 0, 1))
+    colour = _BOULDER_COLOUR * (1 + 0.07 * bands + 0.08 * patch)[:, None]
+    return _mix(colour, _LICHEN_COLOUR, (patch + 0.5 * large - 0.35) * 1.8 * np.clip(upness, 0, 1))
 
 
-def _hill(points: Floats, upness: Floats, large: Floats, patch: Floats, up: Floats, scales: Scales) -> Floats:
-    return _HILL * (1 + 0.14 * patch + 0.10 * large)[:, None]
+def _hill(points: Floats, upness: Floats, large: Floats, patch: Floats, up: Floats, scales: PictureScales) -> Floats:
+    return _HILL_COLOUR * (1 + 0.14 * patch + 0.10 * large)[:, None]
 
 
-def _table(points: Floats, upness: Floats, large: Floats, patch: Floats, up: Floats, scales: Scales) -> Floats:
-    return np.broadcast_to(_TABLE, points.shape)
+def _table(points: Floats, upness: Floats, large: Floats, patch: Floats, up: Floats, scales: PictureScales) -> Floats:
+    return np.broadcast_to(_TABLE_COLOUR, points.shape)
 
 
-def _edge(points: Floats, upness: Floats, large: Floats, patch: Floats, up: Floats, scales: Scales) -> Floats:
+def _edge(points: Floats, upness: Floats, large: Floats, patch: Floats, up: Floats, scales: PictureScales) -> Floats:
     layers = np.sin((points @ up) * np.float32(2 * np.pi / (scales.extent / 70)) + 2.2 * patch + 3 * large)
-    colour: Floats = _EARTH * (1 + 0.16 * layers + 0.10 * patch)[:, None]
+    colour: Floats = _EARTH_COLOUR * (1 + 0.16 * layers + 0.10 * patch)[:, None]
     return colour
 
 
-def _grain(points: Floats, upness: Floats, large: Floats, patch: Floats, up: Floats, scales: Scales) -> Floats:
+def _grain(points: Floats, upness: Floats, large: Floats, patch: Floats, up: Floats, scales: PictureScales) -> Floats:
     tone, _ = value_noise(points, scales.grain * 0.9, 9)
-    return _mix(_mix(SOIL, _ROCK, 0.45 - 1.4 * tone), _DRY * 1.1, 1.6 * tone)
+    return _mix(_mix(SOIL_COLOUR, _ROCK_COLOUR, 0.45 - 1.4 * tone), _DRY_SOIL_COLOUR * 1.1, 1.6 * tone)
 
 
-def _figure(points: Floats, upness: Floats, large: Floats, patch: Floats, up: Floats, scales: Scales) -> Floats:
-    return _mix(_CLAY, _PALE, 0.5 + 0.5 * large + 0.25 * patch)
+def _figure(points: Floats, upness: Floats, large: Floats, patch: Floats, up: Floats, scales: PictureScales) -> Floats:
+    return _mix(_CLAY_COLOUR, _PALE_CLAY_COLOUR, 0.5 + 0.5 * large + 0.25 * patch)
 
 
-def _metal(points: Floats, upness: Floats, large: Floats, patch: Floats, up: Floats, scales: Scales) -> Floats:
-    return 0.30 * STEEL * (1 + 0.08 * patch)[:, None]
+def _metal(points: Floats, upness: Floats, large: Floats, patch: Floats, up: Floats, scales: PictureScales) -> Floats:
+    return 0.30 * STEEL_COLOUR * (1 + 0.08 * patch)[:, None]
 
 
-def _leaf(points: Floats, upness: Floats, large: Floats, patch: Floats, up: Floats, scales: Scales) -> Floats:
+def _leaf(points: Floats, upness: Floats, large: Floats, patch: Floats, up: Floats, scales: PictureScales) -> Floats:
     fine, _ = value_noise(points, scales.extent / 90, 12)
-    return _mix(GREEN * (1 + 0.22 * patch + 0.15 * large)[:, None], _VEIN, np.clip(1 - 7 * np.abs(fine), 0, 1) * 0.6)
+    return _mix(
+        LEAF_COLOUR * (1 + 0.22 * patch + 0.15 * large)[:, None], _LEAF_VEIN_COLOUR, np.clip(1 - 7 * np.abs(fine), 0, 1) * 0.6
+    )
 
 
-def _light(points: Floats, upness: Floats, large: Floats, patch: Floats, up: Floats, scales: Scales) -> Floats:
-    return np.broadcast_to(LIT, points.shape)
+def _light(points: Floats, upness: Floats, large: Floats, patch: Floats, up: Floats, scales: PictureScales) -> Floats:
+    return np.broadcast_to(LIGHT_COLOUR, points.shape)
 
 
-_COLOURS = (_ground, _stone, _boulder, _hill, _table, _edge, _grain, _figure, _metal, _leaf, _light)
+_COLOUR_FUNCTIONS = (_ground, _stone, _boulder, _hill, _table, _edge, _grain, _figure, _metal, _leaf, _light)
 
 
-def glow(kind: NDArray[np.uint8], look: Surface, direction: Floats, sun: Sun) -> Floats:
+def glow(kind: NDArray[np.uint8], look: SurfaceMaterial, direction: Floats, sun: SunLight) -> Floats:
     """Return the light (n, 3) of samples seen along `direction` in addition to scattered light: reflections of metal and leaves,
     and emission."""
     light = np.zeros((len(kind), 3), np.float32)
-    for code, colour, least in ((METAL, STEEL, 0.75), (LEAF, np.ones(3, np.float32), 0.04)):
+    for code, colour, least in ((METAL_KIND, STEEL_COLOUR, 0.75), (LEAF_KIND, np.ones(3, np.float32), 0.04)):
         rows = np.flatnonzero(kind == code)
         if len(rows):
             normal, ray = look.normal[rows], direction[rows]
             light[rows] = reflected_light(normal, ray, sun) * schlick(normal, ray, least)[:, None] * colour
-    light[kind == LIGHT] = LIT * BRIGHT
+    light[kind == LIGHT_KIND] = LIGHT_COLOUR * LIGHT_BRIGHTNESS
     return light
 
 
-def reflected_light(normal: Floats, direction: Floats, sun: Sun) -> Floats:
+def reflected_light(normal: Floats, direction: Floats, sun: SunLight) -> Floats:
     """Return the reflections (n, 3) of sky and ground for rays with directions `direction` (n, 3)."""
     back = np.clip(-dots(normal, direction), 0, 1)
     return environment_light(direction + normal * (2 * back)[:, None], sun)
@@ -223,7 +245,7 @@ def _rotate_rows(rows: Floats, matrix: Floats) -> Floats:
 
 @lru_cache(maxsize=4)
 def _noise_table(seed: int) -> Floats:
-    values = np.random.Generator(np.random.Philox(seed)).uniform(-1.0, 1.0, _EDGE**3).astype(np.float32)
+    values = np.random.Generator(np.random.Philox(seed)).uniform(-1.0, 1.0, _PATTERN_PERIOD**3).astype(np.float32)
     values.setflags(write=False)
     return values
 
@@ -231,16 +253,16 @@ def _noise_table(seed: int) -> Floats:
 def value_noise(points: Floats, wavelength: float, seed: int) -> tuple[Floats, Floats]:
     """Value (n,) within −1..1 and gradient (n, 3), per world unit, at `points` (n, 3); smooth, about one bump a `wavelength`."""
     table = _noise_table(seed)
-    scaled = _rotate_rows(points, _TURN * np.float32(1.0 / wavelength))
+    scaled = _rotate_rows(points, _PATTERN_ROTATION * np.float32(1.0 / wavelength))
     lattice = np.floor(scaled)
     part = scaled - lattice
-    cell = lattice.astype(np.int32) & (_EDGE - 1)
-    following = (cell + 1) & (_EDGE - 1)
+    cell = lattice.astype(np.int32) & (_PATTERN_PERIOD - 1)
+    following = (cell + 1) & (_PATTERN_PERIOD - 1)
     ease = part * part * (3 - 2 * part)
     slope = 6 * part * (1 - part) * np.float32(1.0 / wavelength)
     (x, y, z), (a, b, c) = ease.T, slope.T
-    x0, y0, z0 = cell[:, 0] * (_EDGE * _EDGE), cell[:, 1] * _EDGE, cell[:, 2]
-    x1, y1, z1 = following[:, 0] * (_EDGE * _EDGE), following[:, 1] * _EDGE, following[:, 2]
+    x0, y0, z0 = cell[:, 0] * (_PATTERN_PERIOD * _PATTERN_PERIOD), cell[:, 1] * _PATTERN_PERIOD, cell[:, 2]
+    x1, y1, z1 = following[:, 0] * (_PATTERN_PERIOD * _PATTERN_PERIOD), following[:, 1] * _PATTERN_PERIOD, following[:, 2]
     rows = []
     for row in (x0 + y0, x0 + y1, x1 + y0, x1 + y1):
         low, high = table.take(row + z0), table.take(row + z1)
@@ -250,13 +272,13 @@ def value_noise(points: Floats, wavelength: float, seed: int) -> tuple[Floats, F
     by_y = (v01 - v00) + ((v11 - v10) - (v01 - v00)) * x
     near, far = d00 + (d01 - d00) * y, d10 + (d11 - d10) * y
     gradient = np.stack([(high - low) * a, by_y * b, (near + (far - near) * x) * c], axis=1)
-    return low + (high - low) * x, _rotate_rows(gradient, _TURN.T)
+    return low + (high - low) * x, _rotate_rows(gradient, _PATTERN_ROTATION.T)
 
 
 @lru_cache(maxsize=4)
 def _grains(seed: int) -> Floats:
     """Return, for each lattice cell, the position of a grain in it, and its tone."""
-    draw = np.random.Generator(np.random.Philox(seed)).uniform(-1.0, 1.0, (_EDGE**3, 4)).astype(np.float32)
+    draw = np.random.Generator(np.random.Philox(seed)).uniform(-1.0, 1.0, (_PATTERN_PERIOD**3, 4)).astype(np.float32)
     draw.setflags(write=False)
     return draw
 
@@ -267,7 +289,7 @@ def grain_noise(points: Floats, size: float, seed: int) -> tuple[Floats, Floats,
     The results are the distance from the grain's centre (n,), 0..1; the vector from there (n, 3), of length about 1 at the rim;
     and the grain's tone (n,) within −1..1."""
     table = _grains(seed)
-    scaled = _rotate_rows(points, _TURN * np.float32(1.0 / size))
+    scaled = _rotate_rows(points, _PATTERN_ROTATION * np.float32(1.0 / size))
     low = np.floor(scaled - np.float32(0.5))
     cell = low.astype(np.int32)
     inside = scaled - low
@@ -276,10 +298,16 @@ def grain_noise(points: Floats, size: float, seed: int) -> tuple[Floats, Floats,
     for x in (0, 1):
         for y in (0, 1):
             for z in (0, 1):
-                own = ((cell[:, 0] + x) & (_EDGE - 1)) * (_EDGE * _EDGE) + ((cell[:, 1] + y) & (_EDGE - 1)) * _EDGE
-                grain = table.take(own + ((cell[:, 2] + z) & (_EDGE - 1)), axis=0)
+                own = ((cell[:, 0] + x) & (_PATTERN_PERIOD - 1)) * (_PATTERN_PERIOD * _PATTERN_PERIOD) + (
+                    (cell[:, 1] + y) & (_PATTERN_PERIOD - 1)
+                ) * _PATTERN_PERIOD
+                grain = table.take(own + ((cell[:, 2] + z) & (_PATTERN_PERIOD - 1)), axis=0)
                 offset = inside - np.array([x + 0.5, y + 0.5, z + 0.5], np.float32) - grain[:, :3] * np.float32(0.42)
                 square = np.einsum("nc,nc->n", offset, offset)
                 nearer = np.flatnonzero(square < nearest)
                 nearest[nearer], nearest_offset[nearer], tone[nearer] = square[nearer], offset[nearer], grain[nearer, 3]
-    return np.minimum(np.sqrt(nearest) * np.float32(1.5), 1), _rotate_rows(nearest_offset, _TURN.T * np.float32(1.5)), tone
+    return (
+        np.minimum(np.sqrt(nearest) * np.float32(1.5), 1),
+        _rotate_rows(nearest_offset, _PATTERN_ROTATION.T * np.float32(1.5)),
+        tone,
+    )

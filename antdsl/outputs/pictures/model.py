@@ -8,18 +8,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl.bodies.agents.driving import DrivenPose
-from antdsl.bodies.agents.leg_ik import FeetOfBodies, PlacedFeet
+from antdsl.bodies.agents.leg_ik import BodySpaceFeet, PlacedFeet
 from antdsl.bodies.agents.machine_clips import MachineClips
 from antdsl.bodies.agents.poses import Poses
 from antdsl.bodies.library import library_body
-from antdsl.bodies.posed_body import NOTHING, PosedBody
+from antdsl.bodies.posed_body import NO_DRIVEN_POSE, PosedBody
 from antdsl.numerics.records import take_rows
 
 Array = NDArray[np.float64]
 # A ground that is no floor is drawn as a figure of clay; a hill is bare soil.
-Kind = Literal["ground", "stone", "boulder", "hill", "metal", "leaf", "light"]
-Look = Literal["metal", "soil", "leaf", "light"]
-Shape = Literal["apple", "ring", "crumb", "cube", "mound", "sphere", "none"]
+SurfaceKind = Literal["ground", "stone", "boulder", "hill", "metal", "leaf", "light"]
+MaterialName = Literal["metal", "soil", "leaf", "light"]
+ItemShapeName = Literal["apple", "ring", "crumb", "cube", "mound", "sphere", "none"]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -32,12 +32,12 @@ class Solid:
     name: str
     vertices: Array
     faces: NDArray[np.int32]
-    kind: Kind = "ground"
+    kind: SurfaceKind = "ground"
     colour: Array | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Paths:
+class AgentPathLines:
     """Positions of agents over consecutive frames: `positions` (n, frames, 3), NaN where an agent is missing. `now` is the index
     of the picture's own frame."""
 
@@ -68,11 +68,11 @@ class Crowd:
     ids: NDArray[np.int64] | None = None
     velocity: Array | None = None
     feelers: Array | None = None
-    paths: Paths | None = None
+    paths: AgentPathLines | None = None
     worn: PosedBody = field(default_factory=_default_body)
     plays: tuple[MachineClips, ...] = ()
     feet: PlacedFeet | None = None
-    driven: DrivenPose = NOTHING
+    driven: DrivenPose = NO_DRIVEN_POSE
     next_crowd: "Crowd | None" = None
 
     def poses(self, local: bool = False) -> Poses:
@@ -85,7 +85,7 @@ class Crowd:
         body or its `fine` or `coarse` form."""
         return body.posed(take_rows(self.plays, rows), len(rows), self.feet_beside(rows), driven=take_rows(self.driven, rows))
 
-    def feet_beside(self, rows: NDArray[np.intp] | NDArray[np.bool_]) -> FeetOfBodies | None:
+    def feet_beside(self, rows: NDArray[np.intp] | NDArray[np.bool_]) -> BodySpaceFeet | None:
         """Return the feet of some agents as `PosedBody.posed` expects them; None where none are known."""
         if self.feet is None:
             return None
@@ -107,8 +107,8 @@ class Item:
     position: tuple[float, float, float]
     radius: float
     left: float = 1.0
-    shape: Shape = "sphere"
-    look: Look | None = None
+    shape: ItemShapeName = "sphere"
+    look: MaterialName | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -127,7 +127,7 @@ class Trail:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Arrows:
+class FlowArrows:
     """A flow on the ground: arrows from `position` (n, 3) to `position + way`; `colour` is one colour in display values
     0..255."""
 
@@ -170,7 +170,7 @@ class Picture:
     crowds: tuple[Crowd, ...] = ()
     items: tuple[Item, ...] = ()
     trails: tuple[Trail, ...] = ()
-    flows: tuple[Arrows, ...] = ()
+    flows: tuple[FlowArrows, ...] = ()
     up: tuple[float, float, float] = (0.0, 1.0, 0.0)
     legend: tuple[LegendRow, ...] = field(default=())
     frame: int | None = None

@@ -8,18 +8,18 @@ from PIL import Image as PillowImage
 from PIL import ImageDraw, ImageFont
 
 from antdsl.bodies.body import turned
-from antdsl.outputs.pictures.camera import View
-from antdsl.outputs.pictures.model import Arrows, Crowd, Paths, Picture
+from antdsl.outputs.pictures.camera import CameraView
+from antdsl.outputs.pictures.model import AgentPathLines, Crowd, FlowArrows, Picture
 
 Array = NDArray[np.float64]
 Image = NDArray[np.uint8]
 
-_VELOCITY, _FEELER = (255, 250, 235), (255, 96, 64)
-_HEAD, _SPREAD = 0.34, 0.45  # of an arrow: how long its head is, and how wide (radians)
-_AHEAD = 0.25  # seconds of way that a velocity line shows
-_MOST_IDS = 2000
-_WAS, _WILL_BE = (20, 24, 30), (255, 236, 120)  # of paths
-_PATH_ALPHA, _PATH_SHADES = (40, 235), 8  # at the far ends and at the agent; steps between them
+_VELOCITY_COLOUR, _FEELER_COLOUR = (255, 250, 235), (255, 96, 64)
+_ARROW_HEAD_LENGTH, _ARROW_HEAD_ANGLE = 0.34, 0.45  # of an arrow: how long its head is, and how wide (radians)
+_VELOCITY_LINE_SECONDS = 0.25  # seconds of way that a velocity line shows
+_MAX_DRAWN_IDS = 2000
+_PAST_PATH_COLOUR, _FUTURE_PATH_COLOUR = (20, 24, 30), (255, 236, 120)  # of paths
+_PATH_ALPHA_RANGE, _PATH_ALPHA_STEPS = (40, 235), 8  # at the far ends and at the agent; steps between them
 
 
 @cache
@@ -29,7 +29,7 @@ def font(size: int) -> ImageFont.FreeTypeFont | ImageFont.ImageFont:
 
 
 def draw_overlay(
-    image: Image, picture: Picture, view: View, far: NDArray[np.float32], show: tuple[str, ...], marks: float
+    image: Image, picture: Picture, view: CameraView, far: NDArray[np.float32], show: tuple[str, ...], marks: float
 ) -> Image:
     """Return `image` with the lines and ids in `show`, and discs of `marks` pixels for agents. Parts behind the ground are left
     out.
@@ -51,12 +51,17 @@ def draw_overlay(
         is_visible = _visible_agents(crowd, view, far)
         if "velocity" in show and crowd.velocity is not None:
             lift = _lifted_positions(crowd)[is_visible]
-            _draw_lines(draw, view, np.stack([lift, lift + _AHEAD * np.asarray(crowd.velocity)[is_visible]], axis=1), _VELOCITY)
+            _draw_lines(
+                draw,
+                view,
+                np.stack([lift, lift + _VELOCITY_LINE_SECONDS * np.asarray(crowd.velocity)[is_visible]], axis=1),
+                _VELOCITY_COLOUR,
+            )
         if "feelers" in show and crowd.feelers is not None and len(crowd.feelers):
             ends = np.asarray(crowd.feelers, np.float64)
-            _draw_lines(draw, view, ends[_is_unhidden(ends[:, 0], view, far)], _FEELER)
+            _draw_lines(draw, view, ends[_is_unhidden(ends[:, 0], view, far)], _FEELER_COLOUR)
         if "ids" in show and crowd.ids is not None:
-            _draw_ids(draw, view, crowd, np.flatnonzero(is_visible)[:_MOST_IDS])
+            _draw_ids(draw, view, crowd, np.flatnonzero(is_visible)[:_MAX_DRAWN_IDS])
     return np.asarray(canvas)
 
 
@@ -66,11 +71,11 @@ def _lifted_positions(crowd: Crowd) -> Array:
     return np.asarray(crowd.position, np.float64) + up * 0.25 * np.asarray(crowd.scale, np.float64)[:, None]
 
 
-def _visible_agents(crowd: Crowd, view: View, depth: NDArray[np.float32]) -> NDArray[np.bool_]:
+def _visible_agents(crowd: Crowd, view: CameraView, depth: NDArray[np.float32]) -> NDArray[np.bool_]:
     return _is_unhidden(_lifted_positions(crowd), view, depth) if len(crowd.position) else np.zeros(0, np.bool_)
 
 
-def _is_unhidden(points: Array, view: View, depth: NDArray[np.float32]) -> NDArray[np.bool_]:
+def _is_unhidden(points: Array, view: CameraView, depth: NDArray[np.float32]) -> NDArray[np.bool_]:
     """Return whether each point is in the picture and not hidden by a static thing."""
     pixels, ahead = view.project(points)
     inside = (ahead > 0) & (pixels >= 0).all(axis=1) & (pixels[:, 0] < view.width) & (pixels[:, 1] < view.height)
@@ -80,7 +85,7 @@ def _is_unhidden(points: Array, view: View, depth: NDArray[np.float32]) -> NDArr
     return np.asarray(inside & near)
 
 
-def _draw_lines(draw: ImageDraw.ImageDraw, view: View, ends: Array, colour: tuple[int, int, int]) -> None:
+def _draw_lines(draw: ImageDraw.ImageDraw, view: CameraView, ends: Array, colour: tuple[int, int, int]) -> None:
     """Draw lines between end points (n, 2, 3) that are both in front of the camera."""
     if not len(ends):
         return
@@ -92,7 +97,7 @@ def _draw_lines(draw: ImageDraw.ImageDraw, view: View, ends: Array, colour: tupl
         draw.line((a, b, c, d), fill=(*colour, 215), width=width)
 
 
-def _draw_paths(draw: ImageDraw.ImageDraw, view: View, paths: Paths, depth: NDArray[np.float32]) -> None:
+def _draw_paths(draw: ImageDraw.ImageDraw, view: CameraView, paths: AgentPathLines, depth: NDArray[np.float32]) -> None:
     """Draw past paths dark and future paths bright, position by position, fainter towards their ends.
 
     Segments with a hidden or missing end are left out. The segments nearest to the current frame are on top."""
@@ -109,14 +114,14 @@ def _draw_paths(draw: ImageDraw.ImageDraw, view: View, paths: Paths, depth: NDAr
     for k in order:
         ahead = k >= paths.now
         share = (k + 1 - paths.now) / max(frames - 1 - paths.now, 1) if ahead else (paths.now - k) / max(paths.now, 1)
-        shade = np.ceil((1.0 - share) * _PATH_SHADES) / _PATH_SHADES
-        alpha = round(_PATH_ALPHA[0] + (_PATH_ALPHA[1] - _PATH_ALPHA[0]) * float(shade))
+        shade = np.ceil((1.0 - share) * _PATH_ALPHA_STEPS) / _PATH_ALPHA_STEPS
+        alpha = round(_PATH_ALPHA_RANGE[0] + (_PATH_ALPHA_RANGE[1] - _PATH_ALPHA_RANGE[0]) * float(shade))
         both = visible_steps[:, k] & visible_steps[:, k + 1]
         for line in flat[both, k : k + 2].reshape(-1, 4).tolist():
-            draw.line(line, fill=(*(_WILL_BE if ahead else _WAS), alpha), width=width)
+            draw.line(line, fill=(*(_FUTURE_PATH_COLOUR if ahead else _PAST_PATH_COLOUR), alpha), width=width)
 
 
-def _draw_arrows(draw: ImageDraw.ImageDraw, view: View, flow: Arrows, is_visible: NDArray[np.bool_]) -> None:
+def _draw_arrows(draw: ImageDraw.ImageDraw, view: CameraView, flow: FlowArrows, is_visible: NDArray[np.bool_]) -> None:
     """Draw the arrows of a flow that start at a visible point."""
     start, displacement = flow.position[is_visible], flow.displacement[is_visible]
     if not len(start):
@@ -124,8 +129,8 @@ def _draw_arrows(draw: ImageDraw.ImageDraw, view: View, flow: Arrows, is_visible
     (a, near), (b, far) = view.project(start), view.project(start + displacement)
     is_drawn = (near > 0) & (far > 0) & (np.abs(a) < 1e5).all(axis=1) & (np.abs(b) < 1e5).all(axis=1)
     a, b = a[is_drawn], b[is_drawn]
-    back = (a - b) * _HEAD
-    c, s = np.cos(_SPREAD), np.sin(_SPREAD)
+    back = (a - b) * _ARROW_HEAD_LENGTH
+    c, s = np.cos(_ARROW_HEAD_ANGLE), np.sin(_ARROW_HEAD_ANGLE)
     for sign in (-1, 1):
         turned = np.stack([back[:, 0] * c - sign * back[:, 1] * s, sign * back[:, 0] * s + back[:, 1] * c], axis=1)
         for line in np.concatenate([b, b + turned], axis=1).tolist():
@@ -134,7 +139,7 @@ def _draw_arrows(draw: ImageDraw.ImageDraw, view: View, flow: Arrows, is_visible
         draw.line(line, fill=(*flow.colour, 225), width=1)
 
 
-def _draw_ids(draw: ImageDraw.ImageDraw, view: View, crowd: Crowd, rows: NDArray[np.int64]) -> None:
+def _draw_ids(draw: ImageDraw.ImageDraw, view: CameraView, crowd: Crowd, rows: NDArray[np.int64]) -> None:
     if crowd.ids is None:
         return
     size = max(9, view.height // 54)
@@ -150,7 +155,7 @@ def _draw_ids(draw: ImageDraw.ImageDraw, view: View, crowd: Crowd, rows: NDArray
         )
 
 
-def _draw_marks(canvas: PillowImage.Image, picture: Picture, view: View, far: NDArray[np.float32], wide: float) -> None:
+def _draw_marks(canvas: PillowImage.Image, picture: Picture, view: CameraView, far: NDArray[np.float32], wide: float) -> None:
     """Draw a disc `wide` pixels across for each visible agent, in its colour, near ones over far ones. Discs are drawn enlarged
     and scaled down, for soft edges."""
     times = 4 if view.width * view.height <= 1 << 20 else 2

@@ -6,18 +6,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl.casting.picture_rays import PictureHits
-from antdsl.outputs.pictures.light import SUN_WIDTH, tone_map
-from antdsl.outputs.pictures.shading import Lighting, moving_light, still_light, sun_visibility
+from antdsl.outputs.pictures.light import SUN_HALF_ANGLE_TANGENT, tone_map
+from antdsl.outputs.pictures.shading import PictureLighting, moving_light, still_light, sun_visibility
 from antdsl.outputs.pictures.shading_rows import Floats, each, pieces
 from antdsl.outputs.pictures.softness import open_share, sun_share
-from antdsl.outputs.pictures.stage import Samples, Stage, pixel_offset
-from antdsl.outputs.pictures.trails import Dyes
+from antdsl.outputs.pictures.stage import StaticStage, SurfaceSamples, pixel_offset
+from antdsl.outputs.pictures.trails import FieldDyes
 
 Rows = NDArray[np.int64]
 
-_CONTACT_RAYS = 4  # of every fourth pixel
+_CONTACT_RAYS_PER_PIXEL = 4  # of every fourth pixel
 _VISIBLE_DIFFERENCE = 0.03  # difference of two pixels' display values that an eye sees
-_FEWEST, _BUDGET = 4, 1.1  # samples of a refined pixel at least, and of all of them for each pixel of the picture
+_MIN_REFINED_SAMPLES, _MEAN_SAMPLES_PER_PIXEL = (
+    4,
+    1.1,
+)  # samples of a refined pixel at least, and of all of them for each pixel of the picture
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -35,17 +38,17 @@ class FirstPass:
     swept: NDArray[np.bool_]
 
 
-def sample_middles(still: Stage, lighting: Lighting, dyes: Dyes) -> FirstPass:
+def sample_middles(still: StaticStage, lighting: PictureLighting, dyes: FieldDyes) -> FirstPass:
     """The light of all pixels by their middles."""
     samples, cast, threads = still.middle, lighting.cast, lighting.threads
     visible, opened = np.ones(len(samples), np.float32), still.shade
     if cast.size > 0:
         reach = 1.1 * cast.size
-        shadowed, around = cast.may_be_shaded(samples.point, lighting.sun, (SUN_WIDTH * cast.throw, reach))
+        shadowed, around = cast.may_be_shaded(samples.point, lighting.sun, (SUN_HALF_ANGLE_TANGENT * cast.throw, reach))
         visible = sun_share(
             still.grid, samples.sun, lighting.sun, cast.rays[:: 1 + (len(cast.rays) > 4)], cast.tall, threads, shadowed
         )
-        contact = open_share(still.grid, cast.rays[len(cast.rays) // 2], reach, _CONTACT_RAYS, threads, around)
+        contact = open_share(still.grid, cast.rays[len(cast.rays) // 2], reach, _CONTACT_RAYS_PER_PIXEL, threads, around)
         opened = opened * contact
     albedo = dyes.colour_samples(samples)
     behind = np.empty_like(samples.direction)
@@ -76,7 +79,7 @@ def sample_middles(still: Stage, lighting: Lighting, dyes: Dyes) -> FirstPass:
 
 
 def find_moving(
-    still: Stage, lighting: Lighting, pixels: Rows, far: Floats, place: tuple[float, float], time_index: int
+    still: StaticStage, lighting: PictureLighting, pixels: Rows, far: Floats, place: tuple[float, float], time_index: int
 ) -> tuple[Rows, PictureHits]:
     """Return which rays through one position in some pixels hit a moving thing nearer than `far` at a moment, and the hits."""
     start, direction = still.view.rays(pixels, *place)
@@ -89,14 +92,14 @@ def _select_hits(hits: PictureHits, rows: Rows | slice) -> PictureHits:
     return PictureHits(*(getattr(hits, each.name)[rows] for each in fields(PictureHits)))
 
 
-def refine(still: Stage, lighting: Lighting, dyes: Dyes, first: FirstPass, most: int) -> Floats:
+def refine(still: StaticStage, lighting: PictureLighting, dyes: FieldDyes, first: FirstPass, most: int) -> Floats:
     """Display-linear light (h · w, 3): where one sample is not enough the mean of several, `most` at most."""
     light = first.light.copy()
     pixels = _unsettled_pixels(still, first)
     if most == 1 or not len(pixels):
         return light
     moments = len(lighting.cast.rays)
-    count = int(np.clip(_BUDGET * len(light) / len(pixels), _FEWEST if moments == 1 else 8, most))
+    count = int(np.clip(_MEAN_SAMPLES_PER_PIXEL * len(light) / len(pixels), _MIN_REFINED_SAMPLES if moments == 1 else 8, most))
     count = max(count, min(moments, most))
     spots = lighting.sun.spots(count)
     at_edge = still.grid.edge[pixels]
@@ -105,7 +108,7 @@ def refine(still: Stage, lighting: Lighting, dyes: Dyes, first: FirstPass, most:
     # The order of moments is not that of places in the pixel.
     order = np.argsort(np.arange(count) * 0.6180339887498949 % 1.0, kind="stable") * moments // count
     for number, time_index in enumerate(order.tolist()):
-        one = _Sample(still, lighting, pixel_offset(number, count), time_index, spots[number])
+        one = _EdgeSample(still, lighting, pixel_offset(number, count), time_index, spots[number])
         total[edges] += one.light_samples(dyes, first, still.edge_samples(number, count, lighting.threads))
         # Where the surface goes on, what stands still is as it is in the pixel's middle.
         total[others] += one.add_moving(pixels[others], still.middle.far[pixels[others]], first.behind[pixels[others]])
@@ -114,16 +117,16 @@ def refine(still: Stage, lighting: Lighting, dyes: Dyes, first: FirstPass, most:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Sample:
+class _EdgeSample:
     """One sample of pixels: its position in the pixel, its moment, and its point on the sun's disc."""
 
-    still: Stage
-    lighting: Lighting
+    still: StaticStage
+    lighting: PictureLighting
     place: tuple[float, float]
     time_index: int
     sunspot: Floats
 
-    def light_samples(self, dyes: Dyes, first: FirstPass, samples: Samples) -> Floats:
+    def light_samples(self, dyes: FieldDyes, first: FirstPass, samples: SurfaceSamples) -> Floats:
         """Return display-linear light (n, 3) of samples of static things, and of moving things in front of them."""
         visible = sun_visibility(self.lighting, samples, self.time_index, self.sunspot)
         light = still_light(
@@ -143,7 +146,7 @@ class _Sample:
         return light
 
 
-def _unsettled_pixels(still: Stage, first: FirstPass) -> Rows:
+def _unsettled_pixels(still: StaticStage, first: FirstPass) -> Rows:
     """Return pixels where surfaces meet, something moves, or a moving thing differs from its neighbour pixels."""
     high, wide = still.view.height, still.view.width
     unsettled = first.swept.copy().reshape(high, wide)

@@ -10,17 +10,17 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl.outputs.pictures.actors import Actors, make_actors
-from antdsl.outputs.pictures.camera import View, make_view
-from antdsl.outputs.pictures.light import Sun, encode_srgb, sun_over
-from antdsl.outputs.pictures.looks import Scales
+from antdsl.outputs.pictures.actors import SceneActors, make_actors
+from antdsl.outputs.pictures.camera import CameraView, make_view
+from antdsl.outputs.pictures.light import SunLight, encode_srgb, sun_over
+from antdsl.outputs.pictures.looks import PictureScales
 from antdsl.outputs.pictures.model import Camera, Picture
 from antdsl.outputs.pictures.overlay import draw_overlay
 from antdsl.outputs.pictures.refining import refine, sample_middles
-from antdsl.outputs.pictures.setting import Setting, make_setting
-from antdsl.outputs.pictures.shading import Lighting
-from antdsl.outputs.pictures.stage import Stage, stage
-from antdsl.outputs.pictures.trails import Dyes
+from antdsl.outputs.pictures.setting import StaticSetting, make_setting
+from antdsl.outputs.pictures.shading import PictureLighting
+from antdsl.outputs.pictures.stage import StaticStage, stage
+from antdsl.outputs.pictures.trails import FieldDyes
 
 Array = NDArray[np.float64]
 Image = NDArray[np.uint8]
@@ -32,8 +32,8 @@ DISPLAY_OPTIONS = ("trail", "flow", "feelers", "velocity", "paths", "ids")
 class _CameraCache:
     """Samples of static things for one camera, and the colours of fields on them."""
 
-    stage: Stage
-    dyes: Dyes
+    stage: StaticStage
+    dyes: FieldDyes
 
 
 class Renderer:
@@ -63,7 +63,7 @@ class Renderer:
             raise ValueError("the shutter is open for 0 to 1 of a frame")
         self.width, self.height, self.samples = width, height, samples
         self.threads, self.least, self.enlarged, self.marks, self.blur = max(1, threads), least, enlarged, marks, blur
-        self._settings: list[tuple[tuple[int, ...], Setting, tuple[object, ...]]] = []
+        self._settings: list[tuple[tuple[int, ...], StaticSetting, tuple[object, ...]]] = []
         self._kept: dict[tuple[object, ...], _CameraCache] = {}
 
     def draw(self, picture: Picture, camera: Camera, *, show: Iterable[str] = ("trail",)) -> Image:
@@ -76,17 +76,17 @@ class Renderer:
         sun = sun_over(up)
         camera_view = make_view(camera, self.width, self.height, picture.up)
         still = self._setting(picture, up)
-        scales = Scales(still.extent, _grain(picture, still.extent))
+        scales = PictureScales(still.extent, _grain(picture, still.extent))
         camera_cache = self._stage(picture, camera, still, camera_view, sun, scales)
         bodied = picture if self.marks <= 0 else replace(picture, crowds=())
         cast = make_actors(bodied, camera_view, self.least, still, self.blur, self.enlarged)
         camera_cache.dyes.set_trails(picture.trails if "trail" in options else ())
-        image = self._light(camera_cache, cast, Lighting(cast, still.rays, sun, scales, camera_view, self.threads))
+        image = self._light(camera_cache, cast, PictureLighting(cast, still.rays, sun, scales, camera_view, self.threads))
         return draw_overlay(
             image, picture, camera_view, camera_cache.stage.middle.far.reshape(self.height, self.width), options, self.marks
         )
 
-    def _setting(self, picture: Picture, up: Array) -> Setting:
+    def _setting(self, picture: Picture, up: Array) -> StaticSetting:
         """Return the ray scene of the solids. It is cached with the solids themselves, so that no other solid gets their ids."""
         key = tuple(id(solid.vertices) for solid in picture.solids) + tuple(hash(float(v)) for v in up)
         for known, still_setting, _ in self._settings:
@@ -97,19 +97,25 @@ class Renderer:
         return still_setting
 
     def _stage(
-        self, picture: Picture, camera: Camera, still: Setting, camera_view: View, sun: Sun, scales: Scales
+        self,
+        picture: Picture,
+        camera: Camera,
+        still: StaticSetting,
+        camera_view: CameraView,
+        sun: SunLight,
+        scales: PictureScales,
     ) -> _CameraCache:
         key = (id(still), camera, picture.up, scales)
         if key not in self._kept:
             new_stage = stage(still, camera_view, sun, scales, self.threads)
             # Two cameras in turn (from above, at eye level) keep what they saw.
             self._kept = dict([*self._kept.items()][-1:])
-            self._kept[key] = _CameraCache(new_stage, Dyes(new_stage.middle))
+            self._kept[key] = _CameraCache(new_stage, FieldDyes(new_stage.middle))
         else:
             self._kept[key].stage.stays = True
         return self._kept[key]
 
-    def _light(self, camera_cache: _CameraCache, cast: Actors, lighting: Lighting) -> Image:
+    def _light(self, camera_cache: _CameraCache, cast: SceneActors, lighting: PictureLighting) -> Image:
         still = camera_cache.stage
         first = sample_middles(still, lighting, camera_cache.dyes)
         most = 2 * self.samples**2 * (2 if len(cast.rays) > 1 else 1) if self.samples > 1 else 1

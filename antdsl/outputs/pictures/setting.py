@@ -13,27 +13,29 @@ from antdsl.bodies.body import vertex_normals
 from antdsl.bodies.shapes import join_meshes, stone
 from antdsl.casting.picture_rays import PictureRays
 from antdsl.outputs.pictures import looks
-from antdsl.outputs.pictures.camera import View
+from antdsl.outputs.pictures.camera import CameraView
 from antdsl.outputs.pictures.light import decode_srgb
-from antdsl.outputs.pictures.looks import Scales
+from antdsl.outputs.pictures.looks import PictureScales
 from antdsl.outputs.pictures.model import Solid
 from antdsl.outputs.pictures.shading_rows import Floats
 
-_SHAPES = 8
-_MOST = 12_000
-_A_FACE = 48  # pebbles on one triangle at most
-_REACH = 36  # body lengths round the camera
-_SMALLEST, _LARGEST = 0.022, 0.24  # radius in body lengths
-_FINE = 0.06  # from this radius on a pebble is worth a round shape
+_PEBBLE_SHAPES = 8
+_MAX_PEBBLES = 12_000
+_MAX_PEBBLES_PER_FACE = 48  # pebbles on one triangle at most
+_PEBBLE_RANGE_PER_BODY = 36  # body lengths round the camera
+_MIN_PEBBLE_RADIUS, _MAX_PEBBLE_RADIUS = 0.022, 0.24  # radius in body lengths
+_FINE_PEBBLE_RADIUS = 0.06  # from this radius on a pebble is worth a round shape
 Array = NDArray[np.float64]
 
 
-BELOW = 0.03  # how far the table lies below the lowest point, as a share of the extent: room for the cut edge of a floor
-_STANDS = 0.001  # the same where there is no floor: things stand on the table
+TABLE_DEPTH_SHARE = (
+    0.03  # how far the table lies below the lowest point, as a share of the extent: room for the cut edge of a floor
+)
+_TABLE_DEPTH_SHARE_WITHOUT_FLOOR = 0.001  # the same where there is no floor: things stand on the table
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Part:
+class SettingPart:
     """A mesh of one `kind` (its index in KINDS), `painted` (n, 4) if it has its own colours."""
 
     vertices: Array
@@ -43,7 +45,7 @@ class Part:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Setting:
+class StaticSetting:
     """`rays` over `faces` (m, 3); per vertex a smooth `normal` (n, 3) and `painted` (n, 4: linear colour, whether it holds);
     per face its `kind`. `middle` and `extent` (diagonal) of the solids, `base` the height of the table along `up`."""
 
@@ -56,17 +58,17 @@ class Setting:
     extent: float
     base: float
     up: Floats
-    parts: tuple[Part, ...]
+    parts: tuple[SettingPart, ...]
 
 
-def make_setting(solids: tuple[Solid, ...], up: Array) -> Setting:
+def make_setting(solids: tuple[Solid, ...], up: Array) -> StaticSetting:
     """Return the ray scene of the solids; without solids, only the table."""
-    parts: list[Part] = []
+    parts: list[SettingPart] = []
     everything = np.concatenate([solid.vertices for solid in solids if len(solid.vertices)] or [np.zeros((1, 3))])
     low, high = everything.min(axis=0), everything.max(axis=0)
     extent = float(np.linalg.norm(high - low)) or 1.0
     floors = [solid.kind == "ground" and is_floor(solid.vertices, solid.faces, up) for solid in solids]
-    base = float((everything @ up).min()) - (BELOW if any(floors) else _STANDS) * extent
+    base = float((everything @ up).min()) - (TABLE_DEPTH_SHARE if any(floors) else _TABLE_DEPTH_SHARE_WITHOUT_FLOOR) * extent
     for solid, floor in zip(solids, floors, strict=True):
         if not len(solid.faces):
             continue
@@ -77,7 +79,7 @@ def make_setting(solids: tuple[Solid, ...], up: Array) -> Setting:
             painted[~np.isfinite(painted).all(axis=1)] = 0
         vertices = np.asarray(solid.vertices, np.float64)
         kind = "figure" if solid.kind == "ground" and not floor else solid.kind
-        parts.append(Part(vertices, solid.faces, looks.KINDS.index(kind), painted))
+        parts.append(SettingPart(vertices, solid.faces, looks.SURFACE_KINDS.index(kind), painted))
         if floor:
             parts += _edge_walls(vertices, solid.faces, up, base)
     middle = (low + high) / 2
@@ -85,15 +87,17 @@ def make_setting(solids: tuple[Solid, ...], up: Array) -> Setting:
     return _assemble(tuple(parts), middle, extent, base, up)
 
 
-def with_pebbles(still: Setting, view: View, scales: Scales) -> Setting:
+def with_pebbles(still: StaticSetting, view: CameraView, scales: PictureScales) -> StaticSetting:
     """Return the setting with pebbles on its grounds where `view` is near enough to show them, else unchanged."""
     up = still.up.astype(np.float64)
-    pebbles = [scatter_pebbles(part.vertices, part.faces, up, view, scales) for part in still.parts if part.kind == looks.GROUND]
-    grains = [Part(points, faces, looks.GRAIN) for points, faces in filter(None, pebbles)]
+    pebbles = [
+        scatter_pebbles(part.vertices, part.faces, up, view, scales) for part in still.parts if part.kind == looks.GROUND_KIND
+    ]
+    grains = [SettingPart(points, faces, looks.GRAIN_KIND) for points, faces in filter(None, pebbles)]
     return _assemble(still.parts + tuple(grains), still.middle, still.extent, still.base, up) if grains else still
 
 
-def _assemble(parts: tuple[Part, ...], middle: Array, extent: float, base: float, up: Array) -> Setting:
+def _assemble(parts: tuple[SettingPart, ...], middle: Array, extent: float, base: float, up: Array) -> StaticSetting:
     counts = np.cumsum([0] + [len(part.vertices) for part in parts])
     vertices = np.concatenate([part.vertices for part in parts])
     faces = np.concatenate([part.faces + start for part, start in zip(parts, counts[:-1], strict=True)]).astype(np.int32)
@@ -102,7 +106,9 @@ def _assemble(parts: tuple[Part, ...], middle: Array, extent: float, base: float
     painted = np.concatenate(
         [np.zeros((len(part.vertices), 4), np.float32) if part.painted is None else part.painted for part in parts]
     )
-    return Setting(PictureRays(vertices, faces), faces, normal, painted, kind, middle, extent, base, up.astype(np.float32), parts)
+    return StaticSetting(
+        PictureRays(vertices, faces), faces, normal, painted, kind, middle, extent, base, up.astype(np.float32), parts
+    )
 
 
 def is_floor(vertices: Array, faces: NDArray[np.int32], up: Array) -> bool:
@@ -112,7 +118,7 @@ def is_floor(vertices: Array, faces: NDArray[np.int32], up: Array) -> bool:
     return float((across @ up).sum()) >= 0.5 * float(np.linalg.norm(across, axis=1).sum())
 
 
-def _edge_walls(vertices: Array, faces: NDArray[np.int32], up: Array, base: float) -> list[Part]:
+def _edge_walls(vertices: Array, faces: NDArray[np.int32], up: Array, base: float) -> list[SettingPart]:
     """Walls from the open border of a floor down to the table."""
     pairs = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]).astype(np.int64)
     key = np.minimum(pairs[:, 0], pairs[:, 1]) * len(vertices) + np.maximum(pairs[:, 0], pairs[:, 1])
@@ -126,27 +132,27 @@ def _edge_walls(vertices: Array, faces: NDArray[np.int32], up: Array, base: floa
     a = np.arange(0, len(top), 2)
     b, c, d = a + 1, a + len(top), a + len(top) + 1
     walls = np.concatenate([np.stack([b, a, c], axis=1), np.stack([b, c, d], axis=1)]).astype(np.int32)
-    return [Part(points, walls, looks.EDGE)]
+    return [SettingPart(points, walls, looks.EDGE_KIND)]
 
 
-def _table(middle: Array, up: Array, base: float, reach: float) -> Part:
+def _table(middle: Array, up: Array, base: float, reach: float) -> SettingPart:
     centre = middle - up * (float(middle @ up) - base)
     first = np.roll(up, 1) - up * float(np.roll(up, 1) @ up)
     first = first / np.linalg.norm(first)
     second = np.cross(up, first)
     points = np.stack([centre + reach * (a * first + b * second) for a, b in ((-1, -1), (1, -1), (1, 1), (-1, 1))])
-    return Part(points, np.array([[0, 1, 2], [0, 2, 3]], np.int32), looks.TABLE)
+    return SettingPart(points, np.array([[0, 1, 2], [0, 2, 3]], np.int32), looks.TABLE_KIND)
 
 
 @cache
 def _shapes(detail: int) -> tuple[Array, NDArray[np.int32]]:
     """Unit pebbles (k, n, 3) that share their faces."""
-    stones = [stone(70 + k, (1.0, 0.62, 0.8), detail=detail, roughness=0.2) for k in range(_SHAPES)]
+    stones = [stone(70 + k, (1.0, 0.62, 0.8), detail=detail, roughness=0.2) for k in range(_PEBBLE_SHAPES)]
     return np.stack([vertices for vertices, _ in stones]), stones[0][1]
 
 
 def scatter_pebbles(
-    vertices: Array, faces: NDArray[np.int32], up: Array, view: View, scales: Scales
+    vertices: Array, faces: NDArray[np.int32], up: Array, view: CameraView, scales: PictureScales
 ) -> tuple[Array, NDArray[np.int32]] | None:
     """Return pebbles on the ground near the camera, as one mesh; None where none would be larger than a speck.
 
@@ -154,7 +160,7 @@ def scatter_pebbles(
     corners = vertices[faces]
     middle = corners.mean(axis=1)
     away = np.linalg.norm(middle - view.eye, axis=1)
-    if not len(faces) or view.pixel_size(np.maximum(away.min(), 1e-9)) * 4 > _LARGEST * scales.grain:
+    if not len(faces) or view.pixel_size(np.maximum(away.min(), 1e-9)) * 4 > _MAX_PEBBLE_RADIUS * scales.grain:
         return None
     across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     area = np.linalg.norm(across, axis=1) / 2
@@ -162,10 +168,10 @@ def scatter_pebbles(
     draw = np.random.Generator(np.random.Philox(77)).random((len(faces), 2))
     patch = 0.35 + 1.3 * draw[:, 0] ** 2
     many = np.where(level > 0.55, area / scales.grain**2 * 11.0 * patch, 0.0)
-    count = np.minimum((many + draw[:, 1]).astype(np.int64), _A_FACE)
-    near = np.flatnonzero((away < _REACH * scales.grain) & (count > 0))
+    count = np.minimum((many + draw[:, 1]).astype(np.int64), _MAX_PEBBLES_PER_FACE)
+    near = np.flatnonzero((away < _PEBBLE_RANGE_PER_BODY * scales.grain) & (count > 0))
     near = near[np.argsort(away[near], kind="stable")]
-    near = near[: int(np.searchsorted(np.cumsum(count[near]), _MOST))]
+    near = near[: int(np.searchsorted(np.cumsum(count[near]), _MAX_PEBBLES))]
     face = np.repeat(near, count[near])
     if not len(face):
         return None
@@ -175,9 +181,9 @@ def scatter_pebbles(
     over = u + v > 1
     u, v = np.where(over, 1 - u, u), np.where(over, 1 - v, v)
     place = corners[face, 0] * (1 - u - v)[:, None] + corners[face, 1] * u[:, None] + corners[face, 2] * v[:, None]
-    size = scales.grain * _SMALLEST * (_LARGEST / _SMALLEST) ** (chance[:, 2] ** 5)
+    size = scales.grain * _MIN_PEBBLE_RADIUS * (_MAX_PEBBLE_RADIUS / _MIN_PEBBLE_RADIUS) ** (chance[:, 2] ** 5)
     normal = across[face] / (2 * area[face])[:, None]
-    small = size < _FINE * scales.grain
+    small = size < _FINE_PEBBLE_RADIUS * scales.grain
     return join_meshes(
         [
             _place_pebbles(place[rows], normal[rows], size[rows], chance[rows], detail)
@@ -188,7 +194,7 @@ def scatter_pebbles(
 
 def _random_numbers(face: NDArray[np.int64], rank: NDArray[np.int64]) -> Array:
     """Return five numbers within 0..1 for each pebble, which depend on its triangle and its rank there only."""
-    own = (face * _A_FACE + rank).astype(np.uint64)[:, None]
+    own = (face * _MAX_PEBBLES_PER_FACE + rank).astype(np.uint64)[:, None]
     key: NDArray[np.uint64] = np.add(own * np.uint64(5), np.arange(5, dtype=np.uint64), dtype=np.uint64)
     # The finaliser of SplitMix64 (Steele et al., Fast Splittable Pseudorandom Number Generators, OOPSLA 2014).
     key = (key ^ np.right_shift(key, np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
@@ -204,7 +210,7 @@ def _place_pebbles(place: Array, normal: Array, size: Array, chance: Array, deta
     other = np.cross(side, normal)
     turn = chance[:, 3:4] * 2 * np.pi
     first, second = np.cos(turn) * side + np.sin(turn) * other, np.cos(turn) * other - np.sin(turn) * side
-    local = shapes[(chance[:, 4] * _SHAPES).astype(np.int64)] * size[:, None, None]
+    local = shapes[(chance[:, 4] * _PEBBLE_SHAPES).astype(np.int64)] * size[:, None, None]
     points = (
         local[:, :, :1] * first[:, None]
         + (local[:, :, 1:2] + 0.22 * size[:, None, None]) * normal[:, None]

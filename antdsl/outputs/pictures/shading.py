@@ -7,46 +7,48 @@ from numpy.typing import NDArray
 
 from antdsl.casting.picture_rays import PictureHits, PictureRays
 from antdsl.outputs.pictures import looks
-from antdsl.outputs.pictures.actors import Actors
-from antdsl.outputs.pictures.camera import View
-from antdsl.outputs.pictures.light import LAMP, SUN, Sun, ambient, apply_haze, sky
-from antdsl.outputs.pictures.looks import Scales
+from antdsl.outputs.pictures.actors import SceneActors
+from antdsl.outputs.pictures.camera import CameraView
+from antdsl.outputs.pictures.light import LAMP_LIGHT, SUN_LIGHT, SunLight, ambient, apply_haze, sky
+from antdsl.outputs.pictures.looks import PictureScales
 from antdsl.outputs.pictures.shading_rows import Floats, dots, interpolate_vertices, units
-from antdsl.outputs.pictures.stage import Samples
+from antdsl.outputs.pictures.stage import SurfaceSamples
 
 Rows = NDArray[np.int64]
 
-_AIR = 2.2  # extents of the set after which haze hides most
-_FLOOR = 3.2  # extents after which the table is one with the sky
-_LIFT = 2e-5  # extents that rays begin off a surface
+_HAZE_EXTENTS = 2.2  # extents of the set after which haze hides most
+_TABLE_FADE_EXTENTS = 3.2  # extents after which the table is one with the sky
+_RAY_OFFSET_EXTENTS = 2e-5  # extents that rays begin off a surface
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Lighting:
+class PictureLighting:
     """The lighting inputs of a frame: `cast` has the moving things, `ground` the static ones."""
 
-    cast: Actors
+    cast: SceneActors
     ground: PictureRays
-    sun: Sun
-    scales: Scales
-    view: View
+    sun: SunLight
+    scales: PictureScales
+    view: CameraView
     threads: int
 
 
-def still_light(lighting: Lighting, samples: Samples, own: slice, albedo: Floats, visible: Floats, opened: Floats) -> Floats:
+def still_light(
+    lighting: PictureLighting, samples: SurfaceSamples, own: slice, albedo: Floats, visible: Floats, opened: Floats
+) -> Floats:
     """Return light (n, 3) of some samples of static things. The sun reaches them by the share `visible` (n,), the sky by `opened`
     (n,)."""
     sun, extent = lighting.sun, lighting.scales.extent
     far, direction = samples.far[own], samples.direction[own]
     direct = samples.sun[own] * visible
-    light = ambient(samples.upness[own]) * opened[:, None] + direct[:, None] * SUN
+    light = ambient(samples.upness[own]) * opened[:, None] + direct[:, None] * SUN_LIGHT
     light += lamp_light(samples.facing[own], direct, opened)
     light *= albedo
     light += samples.glow[own] * (0.25 + 0.75 * opened)[:, None]
-    light = apply_haze(light, far, direction, sun, _AIR * extent)
-    table = np.flatnonzero(samples.kind[own] == looks.TABLE)
+    light = apply_haze(light, far, direction, sun, _HAZE_EXTENTS * extent)
+    table = np.flatnonzero(samples.kind[own] == looks.TABLE_KIND)
     if len(table):  # lost in haze sooner, so that its end is never seen
-        fade = 1 - np.exp(-np.square(far[table] / np.float32(_FLOOR * extent)))
+        fade = 1 - np.exp(-np.square(far[table] / np.float32(_TABLE_FADE_EXTENTS * extent)))
         level = direction[table] - (direction[table] @ sun.up)[:, None] * sun.up
         light[table] += (sky(level, sun) - light[table]) * fade[:, None]
     empty = np.flatnonzero(~np.isfinite(far))
@@ -58,15 +60,15 @@ def lamp_light(facing: Floats, direct: Floats, opened: Floats) -> Floats:
     """Return light (n, 3) of a lamp beside the camera, where neither sun nor sky reach, so that tunnels and chambers are
     visible."""
     dark = np.clip(1.15 - 1.5 * opened, 0, 1) * np.clip(1 - 3 * direct, 0, 1)
-    return np.asarray(LAMP * (dark * (0.25 + 0.75 * np.clip(facing, 0, 1)))[:, None])
+    return np.asarray(LAMP_LIGHT * (dark * (0.25 + 0.75 * np.clip(facing, 0, 1)))[:, None])
 
 
-def sun_visibility(lighting: Lighting, samples: Samples, time_index: int, spot: Floats) -> Floats:
+def sun_visibility(lighting: PictureLighting, samples: SurfaceSamples, time_index: int, spot: Floats) -> Floats:
     """Return 1 (n,) where no moving thing is between a sample and a point on the sun's disc at a moment, else 0."""
     visible = np.ones(len(samples), np.float32)
     if lighting.cast.size > 0:
         lit = np.flatnonzero(samples.sun > 0)
-        start = samples.point[lit] + samples.normal[lit] * np.float32(_LIFT * lighting.scales.extent)
+        start = samples.point[lit] + samples.normal[lit] * np.float32(_RAY_OFFSET_EXTENTS * lighting.scales.extent)
         aim = np.broadcast_to(spot, start.shape)
         cast = lighting.cast.rays[time_index]
         visible[lit[cast.occluded(start, aim, lighting.cast.tall, lighting.threads)]] = 0
@@ -74,7 +76,7 @@ def sun_visibility(lighting: Lighting, samples: Samples, time_index: int, spot: 
 
 
 def moving_light(
-    lighting: Lighting, hits: PictureHits, start: Floats, direction: Floats, time_index: int, spot: Floats
+    lighting: PictureLighting, hits: PictureHits, start: Floats, direction: Floats, time_index: int, spot: Floats
 ) -> Floats:
     """Return light (n, 3) along rays from `start` in direction `direction` (n, 3) that hit a moving thing.
 
@@ -86,7 +88,7 @@ def moving_light(
     colour = interpolate_vertices(mesh.colour, corners, hits.u, hits.v)
     gloss = mesh.gloss[corners[:, 0]]
     where: Floats = start + hits.t[:, None] * direction
-    where += hits.normal * np.float32(_LIFT * lighting.scales.extent)
+    where += hits.normal * np.float32(_RAY_OFFSET_EXTENTS * lighting.scales.extent)
     soil = np.flatnonzero(gloss == 0)
     if len(soil):
         wide = np.asarray(lighting.view.pixel_size(hits.t[soil]), np.float32) * np.float32(0.6)
@@ -103,18 +105,18 @@ def moving_light(
     # Undersides see mostly the near ground, which the body keeps dark.
     near = 0.42 + 0.58 * np.clip(0.55 + 0.75 * upness, 0, 1)
     metal = gloss > 1
-    light: Floats = colour * (facing[:, None] * SUN + ambient(upness) * near[:, None])
+    light: Floats = colour * (facing[:, None] * SUN_LIGHT + ambient(upness) * near[:, None])
     coat = looks.schlick(normal, direction, 0.04) * gloss
     coat[metal] = looks.schlick(normal[metal], direction[metal], 0.8)
-    tint = np.where(metal[:, None], looks.STEEL, np.float32(1))
+    tint = np.where(metal[:, None], looks.STEEL_COLOUR, np.float32(1))
     light *= np.where(metal, np.float32(0.3), np.float32(1))[:, None]
     light += looks.reflected_light(normal, direction, sun) * (coat * near)[:, None] * tint
-    light += shine[:, None] * SUN
-    light[gloss < 0] = looks.LIT * looks.BRIGHT
-    return apply_haze(light, hits.t, direction, sun, _AIR * lighting.scales.extent)
+    light += shine[:, None] * SUN_LIGHT
+    light[gloss < 0] = looks.LIGHT_COLOUR * looks.LIGHT_BRIGHTNESS
+    return apply_haze(light, hits.t, direction, sun, _HAZE_EXTENTS * lighting.scales.extent)
 
 
-def _apply_shadow(lighting: Lighting, facing: Floats, where: Floats, time_index: int, spot: Floats) -> None:
+def _apply_shadow(lighting: PictureLighting, facing: Floats, where: Floats, time_index: int, spot: Floats) -> None:
     """Remove the sun from points (n, 3) where something hides it."""
     cast, threads = lighting.cast, lighting.threads
     lit = np.flatnonzero(facing > 0)

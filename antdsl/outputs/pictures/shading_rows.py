@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-PIECE = 1 << 16  # samples worked on at once
+SAMPLES_PER_CHUNK = 1 << 16  # samples worked on at once
 # float32 throughout; NumPy's own types lose that wherever a Python number is mixed in.
 Floats = NDArray[Any]
 
@@ -36,7 +36,7 @@ def interpolate_vertices(table: Floats, corners: NDArray[np.int32], u: Floats, v
 
 def pieces(count: int) -> list[slice]:
     """`count` rows cut into pieces."""
-    return [slice(start, min(start + PIECE, count)) for start in range(0, count, PIECE)]
+    return [slice(start, min(start + SAMPLES_PER_CHUNK, count)) for start in range(0, count, SAMPLES_PER_CHUNK)]
 
 
 def each(work: Callable[[Any], None], parts: Iterable[Any], threads: int) -> None:

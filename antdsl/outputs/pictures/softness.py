@@ -11,35 +11,37 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl.casting.picture_rays import PictureRays
-from antdsl.outputs.pictures.camera import View
-from antdsl.outputs.pictures.light import Sun
+from antdsl.outputs.pictures.camera import CameraView
+from antdsl.outputs.pictures.light import SunLight
 from antdsl.outputs.pictures.shading_rows import Floats, dots, each, pieces
 
-_FINE = 4  # rays to the sun of a pixel that lies at the edge of a shadow
-_ORDER = np.array([0, 8, 2, 10, 12, 4, 14, 6, 3, 11, 1, 9, 15, 7, 13, 5])  # of 4 × 4 pixels: those beside each other differ most
-_NEAR = 2  # pixels within which a shadow's edge is looked for: all sixteen directions are among these
-_ALIKE = 0.8  # cosine between normals of one surface
+_SUN_RAYS_PER_EDGE_PIXEL = 4  # rays to the sun of a pixel that lies at the edge of a shadow
+_PIXEL_ORDER = np.array(
+    [0, 8, 2, 10, 12, 4, 14, 6, 3, 11, 1, 9, 15, 7, 13, 5]
+)  # of 4 × 4 pixels: those beside each other differ most
+_SHADOW_EDGE_PIXELS = 2  # pixels within which a shadow's edge is looked for: all sixteen directions are among these
+_SAME_SURFACE_COSINE = 0.8  # cosine between normals of one surface
 _WIDE_TAPS, _NARROW_TAPS = np.array([1, 2, 2, 2, 1], np.float32) / 8, np.array([1, 2, 1], np.float32) / 4
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Grid:
+class PixelGrid:
     """Static samples at pixel centres: `point`, `normal` float32 (h · w, 3). `solid` bool (h · w,): whether there is something;
     `edge`: whether the surface ends at a neighbour pixel. `hair`: offset (world units) of ray origins from the surface."""
 
-    view: View
+    view: CameraView
     point: Floats
     normal: Floats
     solid: NDArray[np.bool_]
     edge: NDArray[np.bool_]
     hair: float
 
-    def halve(self) -> "Grid":
+    def halve(self) -> "PixelGrid":
         """Every second pixel of every second row."""
         high, wide = self.view.height, self.view.width
         taken = (np.arange(0, high, 2)[:, None] * wide + np.arange(0, wide, 2)).reshape(-1)
         edge = self._near_edge_mask(1)[::2, ::2].reshape(-1)
-        return Grid(_half_view(self.view), self.point[taken], self.normal[taken], self.solid[taken], edge, self.hair)
+        return PixelGrid(_half_view(self.view), self.point[taken], self.normal[taken], self.solid[taken], edge, self.hair)
 
     def _near_edge_mask(self, reach: int) -> NDArray[np.bool_]:
         """Pixels (h, w) with an edge, or the sky, within `reach` pixels."""
@@ -53,15 +55,15 @@ class Grid:
         return np.asarray(self._near_edge_mask(reach).reshape(-1)[pixels])
 
 
-def _half_view(view: View) -> View:
+def _half_view(view: CameraView) -> CameraView:
     high, wide = (view.height + 1) // 2, (view.width + 1) // 2
-    return View(view.eye, view.right, view.above, view.ahead, view.half, wide, high, view.parallel)
+    return CameraView(view.eye, view.right, view.above, view.ahead, view.half, wide, high, view.parallel)
 
 
 def sun_share(
-    grid: Grid,
+    grid: PixelGrid,
     facing: Floats,
-    sun: Sun,
+    sun: SunLight,
     casts: Sequence[PictureRays],
     far: float,
     threads: int,
@@ -78,11 +80,11 @@ def sun_share(
     if not len(pixels):
         return share
     row, column = np.divmod(pixels, wide)
-    spots = sun.spots(16)[_ORDER]
+    spots = sun.spots(16)[_PIXEL_ORDER]
     hidden = np.zeros(high * wide, np.bool_)
     number = (row % 4) * 4 + column % 4
     for turn, cast in enumerate(casts):
-        own = slice(None) if len(casts) == 1 else np.flatnonzero(_ORDER[number] % len(casts) == turn)
+        own = slice(None) if len(casts) == 1 else np.flatnonzero(_PIXEL_ORDER[number] % len(casts) == turn)
         hidden[pixels[own]] = _find_occluded(grid, pixels[own], spots[number[own]], cast, far, threads)
     share[hidden] = 0
     mixed = pixels[_partly_hidden(hidden.reshape(high, wide)).reshape(-1)[pixels]]
@@ -90,17 +92,17 @@ def sun_share(
         return share
     row, column = np.divmod(mixed, wide)
     block = (row % 2) * 2 + column % 2
-    spots = sun.spots(4 * _FINE)
+    spots = sun.spots(4 * _SUN_RAYS_PER_EDGE_PIXEL)
     occlusion = np.zeros(len(mixed), np.float32)
-    for k in range(_FINE):
+    for k in range(_SUN_RAYS_PER_EDGE_PIXEL):
         occlusion += _find_occluded(grid, mixed, spots[4 * k + (block + k) % 4], casts[k % len(casts)], far, threads)
-    share[mixed] = 1 - occlusion / _FINE
+    share[mixed] = 1 - occlusion / _SUN_RAYS_PER_EDGE_PIXEL
     share[mixed] = _filter(share.reshape(high, wide), mixed, grid, _NARROW_TAPS, facing > 0)
     return share
 
 
 def _find_occluded(
-    grid: Grid, pixels: NDArray[np.int64], directions: Floats, cast: PictureRays, far: float, threads: int
+    grid: PixelGrid, pixels: NDArray[np.int64], directions: Floats, cast: PictureRays, far: float, threads: int
 ) -> NDArray[np.bool_]:
     occluded = np.zeros(len(pixels), np.bool_)
 
@@ -118,12 +120,12 @@ def _partly_hidden(hidden: NDArray[np.bool_]) -> NDArray[np.bool_]:
     from scipy.ndimage import maximum_filter, minimum_filter
 
     values = hidden.astype(np.uint8)
-    size = 2 * _NEAR + 1
+    size = 2 * _SHADOW_EDGE_PIXELS + 1
     return np.asarray(maximum_filter(values, size) != minimum_filter(values, size))
 
 
 def _filter(
-    values: Floats, pixels: NDArray[np.int64], grid: Grid, taps: Floats, counted: NDArray[np.bool_] | None = None
+    values: Floats, pixels: NDArray[np.int64], grid: PixelGrid, taps: Floats, counted: NDArray[np.bool_] | None = None
 ) -> Floats:
     """Return weighted means (n,) around pixels (n,) of `values` (h, w), over pixels where the surface continues and that are
     `counted`."""
@@ -137,7 +139,7 @@ def _filter(
 
 
 def _filter_at_edges(
-    values: Floats, pixels: NDArray[np.int64], grid: Grid, taps: Floats, counted: NDArray[np.bool_] | None
+    values: Floats, pixels: NDArray[np.int64], grid: PixelGrid, taps: Floats, counted: NDArray[np.bool_] | None
 ) -> Floats:
     """The same where the surface may end."""
     high, wide = values.shape
@@ -161,22 +163,22 @@ def _filter_at_edges(
     return total / weight
 
 
-def _plane_tolerance(grid: Grid, point: Floats) -> Floats:
+def _plane_tolerance(grid: PixelGrid, point: Floats) -> Floats:
     """How far off the plane through a point its neighbours may lie: some pixels' widths there."""
     depth = np.maximum((point - grid.view.eye.astype(np.float32)) @ grid.view.ahead.astype(np.float32), 0)
     return np.asarray(6 * grid.view.pixel_size(depth), np.float32)
 
 
 def _is_same_surface(
-    grid: Grid, neighbour: NDArray[np.int64], point: Floats, normal: Floats, allowed: Floats
+    grid: PixelGrid, neighbour: NDArray[np.int64], point: Floats, normal: Floats, allowed: Floats
 ) -> NDArray[np.bool_]:
-    alike = dots(normal, grid.normal[neighbour]) > _ALIKE
+    alike = dots(normal, grid.normal[neighbour]) > _SAME_SURFACE_COSINE
     alike &= np.abs(dots(grid.point[neighbour] - point, normal)) < allowed
     return np.asarray(alike)
 
 
 def open_share(
-    grid: Grid, rays: PictureRays, reach: float, count: int, threads: int, within: NDArray[np.bool_] | None = None
+    grid: PixelGrid, rays: PictureRays, reach: float, count: int, threads: int, within: NDArray[np.bool_] | None = None
 ) -> Floats:
     """Return the share (h · w,) of directions above each pixel's surface without an obstacle within `reach` (world units).
 
@@ -190,13 +192,13 @@ def open_share(
     if not len(pixels):
         return np.ones(high * wide, np.float32)
     row, column = np.divmod(pixels, small.view.width)
-    shade[pixels] = _sampled_open_share(small, pixels, _ORDER[(row % 4) * 4 + column % 4], rays, reach, count, threads)
+    shade[pixels] = _sampled_open_share(small, pixels, _PIXEL_ORDER[(row % 4) * 4 + column % 4], rays, reach, count, threads)
     shade[pixels] = _filter(shade.reshape(small.view.height, small.view.width), pixels, small, _WIDE_TAPS)
     return _fill_shade(grid, small, shade, rays, reach, threads, within)
 
 
 def _sampled_open_share(
-    grid: Grid, pixels: NDArray[np.int64], pick: NDArray[np.int64], rays: PictureRays, reach: float, count: int, threads: int
+    grid: PixelGrid, pixels: NDArray[np.int64], pick: NDArray[np.int64], rays: PictureRays, reach: float, count: int, threads: int
 ) -> Floats:
     directions = _hemisphere_directions(count)
     opened = np.empty(len(pixels), np.float32)
@@ -219,7 +221,13 @@ def _sampled_open_share(
 
 
 def _fill_shade(
-    grid: Grid, small: Grid, shade: Floats, rays: PictureRays, reach: float, threads: int, within: NDArray[np.bool_] | None = None
+    grid: PixelGrid,
+    small: PixelGrid,
+    shade: Floats,
+    rays: PictureRays,
+    reach: float,
+    threads: int,
+    within: NDArray[np.bool_] | None = None,
 ) -> Floats:
     """Return the shade of all pixels from every second one; by separate rays where no neighbour is on the same surface."""
     high, wide = grid.view.height, grid.view.width

@@ -8,21 +8,21 @@ from numpy.typing import NDArray
 
 from antdsl.casting.picture_rays import PictureHits
 from antdsl.outputs.pictures import looks
-from antdsl.outputs.pictures.camera import View
-from antdsl.outputs.pictures.light import Sun
-from antdsl.outputs.pictures.looks import Scales, surface_look
-from antdsl.outputs.pictures.setting import Setting, with_pebbles
+from antdsl.outputs.pictures.camera import CameraView
+from antdsl.outputs.pictures.light import SunLight
+from antdsl.outputs.pictures.looks import PictureScales, surface_look
+from antdsl.outputs.pictures.setting import StaticSetting, with_pebbles
 from antdsl.outputs.pictures.shading_rows import Floats, dots, each, interpolate_vertices, pieces, units
-from antdsl.outputs.pictures.softness import Grid, open_share, sun_share
+from antdsl.outputs.pictures.softness import PixelGrid, open_share, sun_share
 
-SHADE_RAYS = 6  # of every fourth pixel, each of 16 of which asks in other directions
-_SHADE_REACH = 11  # body lengths within which things shade each other
-_TURNED = 0.86  # cosine between normals from which on they are of two sides of an edge
-_STEP = 4.0  # pixels' widths off its plane from which on a neighbour lies behind
+SHADE_RAYS_PER_PIXEL = 6  # of every fourth pixel, each of 16 of which asks in other directions
+_SHADE_REACH_PER_BODY = 11  # body lengths within which things shade each other
+_EDGE_NORMAL_COSINE = 0.86  # cosine between normals from which on they are of two sides of an edge
+_EDGE_STEP_PIXELS = 4.0  # pixels' widths off its plane from which on a neighbour lies behind
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Samples:
+class SurfaceSamples:
     """n samples of static objects. `pixel` int64; unit `direction` (n, 3) and distance `far` of each ray (inf: sky); `point`,
     smooth `normal` and `albedo` (n, 3). `sun`: the cosine of its height over the surface, 0 in shadow. `upness` and `facing`:
     cosines of the normal with up and with the direction back. `kind`; emitted light `glow` (n, 3), where any."""
@@ -45,29 +45,29 @@ class Samples:
     @property
     def trail_rows(self) -> NDArray[np.int64]:
         """Samples on which a field's colour may lie."""
-        return np.flatnonzero(np.isfinite(self.far) & np.isin(self.kind, looks.TRAILED))
+        return np.flatnonzero(np.isfinite(self.far) & np.isin(self.kind, looks.TRAIL_KINDS))
 
 
 @dataclass(slots=True, eq=False)
-class Stage:
+class StaticStage:
     """Static samples for one camera. `middle`: one sample per pixel. `edges` (e,): pixels with several surfaces; `fine`: by
     sample number, the samples of all edges.
 
     `shade` (h · w,): the unoccluded share of each pixel's surroundings. With `stays`, the stage is used for further frames and
     caches its samples."""
 
-    setting: Setting
-    view: View
-    middle: Samples
-    grid: Grid
+    setting: StaticSetting
+    view: CameraView
+    middle: SurfaceSamples
+    grid: PixelGrid
     shade: Floats
     edges: NDArray[np.int64]
-    sun: Sun
-    scales: Scales
-    fine: dict[tuple[int, int], Samples] = field(default_factory=dict)
+    sun: SunLight
+    scales: PictureScales
+    fine: dict[tuple[int, int], SurfaceSamples] = field(default_factory=dict)
     stays: bool = False
 
-    def edge_samples(self, number: int, count: int, threads: int) -> Samples:
+    def edge_samples(self, number: int, count: int, threads: int) -> SurfaceSamples:
         """Sample `number` of `count` of all pixels at edges."""
         key = (number, count)
         sample_set = self.fine.get(key) or self.sample_pixels(self.edges, number, count, threads)
@@ -75,7 +75,7 @@ class Stage:
             self.fine = {known: samples for known, samples in self.fine.items() if known[1] == count} | {key: sample_set}
         return sample_set
 
-    def sample_pixels(self, pixels: NDArray[np.int64], number: int, count: int, threads: int) -> Samples:
+    def sample_pixels(self, pixels: NDArray[np.int64], number: int, count: int, threads: int) -> SurfaceSamples:
         """Return sample `number` of `count` of some pixels, with a separate ray to the sun."""
         across, down = pixel_offset(number, count)
         samples = _sample_at(self.setting, self.view, pixels, (across, down), self.sun, self.scales, threads)
@@ -92,21 +92,27 @@ def pixel_offset(number: int, count: int) -> tuple[float, float]:
     return (0.5 + (number + 1) * 0.7548776662466927) % 1.0, (0.5 + (number + 1) * 0.5698402909980532) % 1.0
 
 
-def stage(setting: Setting, view: View, sun: Sun, scales: Scales, threads: int) -> Stage:
+def stage(setting: StaticSetting, view: CameraView, sun: SunLight, scales: PictureScales, threads: int) -> StaticStage:
     """Cast and colour everything static."""
     setting = with_pebbles(setting, view, scales)
     middle = _sample_at(setting, view, np.arange(view.width * view.height), (0.5, 0.5), sun, scales, threads)
     solid = np.isfinite(middle.far)
     edge = _edges(view, middle, solid)
-    grid = Grid(view, middle.point, middle.normal, solid, edge, 3e-5 * scales.extent)
+    grid = PixelGrid(view, middle.point, middle.normal, solid, edge, 3e-5 * scales.extent)
     middle.sun[:] *= sun_share(grid, middle.sun, sun, [setting.rays], np.inf, threads)
-    shade = open_share(grid, setting.rays, _SHADE_REACH * scales.grain, SHADE_RAYS, threads)
-    return Stage(setting, view, middle, grid, shade, np.flatnonzero(edge), sun, scales)
+    shade = open_share(grid, setting.rays, _SHADE_REACH_PER_BODY * scales.grain, SHADE_RAYS_PER_PIXEL, threads)
+    return StaticStage(setting, view, middle, grid, shade, np.flatnonzero(edge), sun, scales)
 
 
 def _sample_at(
-    setting: Setting, view: View, pixels: NDArray[np.int64], place: tuple[float, float], sun: Sun, scales: Scales, threads: int
-) -> Samples:
+    setting: StaticSetting,
+    view: CameraView,
+    pixels: NDArray[np.int64],
+    place: tuple[float, float],
+    sun: SunLight,
+    scales: PictureScales,
+    threads: int,
+) -> SurfaceSamples:
     """Return samples of `pixels` at one position in each, before shadows."""
     n = len(pixels)
     three = [np.zeros((n, 3), np.float32) for _ in range(5)]
@@ -132,12 +138,18 @@ def _sample_at(
         light[first] = np.clip(look.normal @ sun.towards, 0, 1) * grazing
 
     each(fill, pieces(n), threads)
-    return Samples(pixels, direction, far, point, normal, albedo, light, upness, facing, kind, glow)
+    return SurfaceSamples(pixels, direction, far, point, normal, albedo, light, upness, facing, kind, glow)
 
 
 def _surfaces(
-    setting: Setting, view: View, hits: PictureHits, direction: Floats, where: Floats, hit_rows: NDArray[np.int64], scales: Scales
-) -> tuple[looks.Surface, Floats]:
+    setting: StaticSetting,
+    view: CameraView,
+    hits: PictureHits,
+    direction: Floats,
+    where: Floats,
+    hit_rows: NDArray[np.int64],
+    scales: PictureScales,
+) -> tuple[looks.SurfaceMaterial, Floats]:
     """The look of the samples that meet something, and the smooth normal without grain."""
     face = hits.face[hit_rows]
     corners = setting.faces[face]
@@ -152,15 +164,15 @@ def _surfaces(
     return look, np.where((dots(smooth, flat) > 0.1)[:, None], smooth, flat)
 
 
-def _edges(view: View, middle: Samples, solid: NDArray[np.bool_]) -> NDArray[np.bool_]:
+def _edges(view: CameraView, middle: SurfaceSamples, solid: NDArray[np.bool_]) -> NDArray[np.bool_]:
     """Return whether another surface begins next to a pixel (h · w,), on either side."""
     high, wide = view.height, view.width
     edges = np.zeros((high, wide), np.bool_)
     normal, point = middle.normal.reshape(high, wide, 3), middle.point.reshape(high, wide, 3)
     kind = np.where(solid, middle.kind, 255).reshape(high, wide)
-    width = np.asarray(view.pixel_size(np.where(solid, middle.far, 0)), np.float32).reshape(high, wide) * _STEP
+    width = np.asarray(view.pixel_size(np.where(solid, middle.far, 0)), np.float32).reshape(high, wide) * _EDGE_STEP_PIXELS
     for one_side, other_side in ((np.s_[:, :-1], np.s_[:, 1:]), (np.s_[:-1], np.s_[1:])):
-        is_edge = np.einsum("abc,abc->ab", normal[one_side], normal[other_side]) < _TURNED
+        is_edge = np.einsum("abc,abc->ab", normal[one_side], normal[other_side]) < _EDGE_NORMAL_COSINE
         gap = point[other_side] - point[one_side]
         off = [np.abs(np.einsum("abc,abc->ab", gap, normal[side])) for side in (one_side, other_side)]
         is_edge |= np.minimum(*off) > np.minimum(width[one_side], width[other_side])

@@ -4,17 +4,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl.outputs.pictures.light import decode_srgb
-from antdsl.outputs.pictures.looks import SOIL
+from antdsl.outputs.pictures.looks import SOIL_COLOUR
 from antdsl.outputs.pictures.model import Trail
 from antdsl.outputs.pictures.shading_rows import Floats, pieces
-from antdsl.outputs.pictures.stage import Samples
+from antdsl.outputs.pictures.stage import SurfaceSamples
 
 Array = NDArray[np.float64]
 
-_MOST_VOXELS = 40_000_000
-_MOST_COVERED = 0.66  # of the ground's own colour
-_LUMINANCE = np.array([0.2126, 0.7152, 0.0722], np.float32)  # of linear sRGB
-_GRAINS = (0.5, 1.6)  # times the light of soil
+_MAX_VOXELS = 40_000_000
+_MAX_GROUND_COVER = 0.66  # of the ground's own colour
+_LUMINANCE_WEIGHTS = np.array([0.2126, 0.7152, 0.0722], np.float32)  # of linear sRGB
+_GRAIN_BRIGHTNESS_RANGE = (0.5, 1.6)  # times the light of soil
 
 
 class TrailVoxels:
@@ -23,7 +23,7 @@ class TrailVoxels:
 
     def __init__(self, low: Array, high: Array, cell: float) -> None:
         self.cell = cell
-        while np.prod(np.ceil((high - low) / self.cell) + 4) > _MOST_VOXELS:
+        while np.prod(np.ceil((high - low) / self.cell) + 4) > _MAX_VOXELS:
             self.cell *= 1.26
         self.low = low - 1.5 * self.cell
         self.shape = tuple(int(v) for v in np.ceil((high - low) / self.cell) + 4)
@@ -34,7 +34,7 @@ class TrailVoxels:
         it."""
         if self._cells is not trail.position:
             self._cells = trail.position
-            self._spread = _Spread(trail.position, self.low, self.cell, self.shape)
+            self._spread = _TrilinearSpread(trail.position, self.low, self.cell, self.shape)
             self._weight = self._spread.spread(np.ones(len(trail.position), np.float32))
         self._scent = self._spread.spread(ground_cover(trail))
 
@@ -60,10 +60,10 @@ class TrailVoxels:
         return between
 
 
-class Dyes:
+class FieldDyes:
     """The colours of fields on everything that one camera sees. All points lie approximately where its `middle` samples are."""
 
-    def __init__(self, middle: Samples) -> None:
+    def __init__(self, middle: SurfaceSamples) -> None:
         self._own, self._kept = middle, middle.trail_rows
         points = middle.point[self._kept]
         if len(points):
@@ -78,7 +78,7 @@ class Dyes:
             cloth = self._cloths.setdefault((trail.name, trail.cell), TrailVoxels(self._low, self._high, trail.cell))
             cloth.spread_trail(trail)
 
-    def colour_samples(self, samples: Samples) -> Floats:
+    def colour_samples(self, samples: SurfaceSamples) -> Floats:
         """Colours (n, 3) of samples with the trails on them."""
         if not self._trails:
             return samples.albedo
@@ -93,7 +93,7 @@ class Dyes:
         return albedo
 
 
-class _Spread:
+class _TrilinearSpread:
     """The positions of cells at `position` (n, 3) in the voxel grid, and the weights of the eight voxels around each."""
 
     def __init__(self, position: Array, low: Array, cell: float, shape: tuple[int, ...]) -> None:
@@ -145,7 +145,7 @@ def cover_of_strengths(strength: Array, full: float) -> Floats:
 def dye_ground(albedo: Floats, share: Floats, trail: Trail) -> Floats:
     """Return linear ground colours (n, 3) with the trail on them. Its strongest part covers two thirds of the ground's colour,
     and follows the brightness of the grains below it."""
-    light = np.clip((albedo @ _LUMINANCE) / np.float32(SOIL @ _LUMINANCE), *_GRAINS)
+    light = np.clip((albedo @ _LUMINANCE_WEIGHTS) / np.float32(SOIL_COLOUR @ _LUMINANCE_WEIGHTS), *_GRAIN_BRIGHTNESS_RANGE)
     return np.asarray(
-        albedo + (decode_srgb(trail.colour) * light[:, None] - albedo) * (_MOST_COVERED * share)[:, None], np.float32
+        albedo + (decode_srgb(trail.colour) * light[:, None] - albedo) * (_MAX_GROUND_COVER * share)[:, None], np.float32
     )

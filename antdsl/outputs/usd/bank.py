@@ -19,19 +19,19 @@ from antdsl.bodies.posed_body import PosedBody
 from antdsl.outputs.cache.manifest import SpeciesEntry
 from antdsl.outputs.pictures.light import decode_srgb
 from antdsl.outputs.pictures.model import Crowd
-from antdsl.outputs.usd.materials import DrawnBody, Looks, single_clip
-from antdsl.outputs.usd.moments import Agents
-from antdsl.outputs.usd.values import BODIES, LOOKS, ROOT, Array, StageOutput, identifier, mesh, vectors
+from antdsl.outputs.usd.materials import DrawnBody, MaterialBinder, single_clip
+from antdsl.outputs.usd.moments import SpeciesSample
+from antdsl.outputs.usd.values import BODIES_PATH, MATERIALS_PATH, ROOT_PATH, Array, StageOutput, identifier, mesh, vectors
 from antdsl.scene.geometry.usd import pxr
 
-SAMPLES = 16  # of a clip on the whole body
-_SAMPLES_OF_PARTS = 4  # of a clip on a transform group
-_MOST = 2048  # prototypes of a species, beyond which clips on groups are left out
-_STANDS = 0.02  # body lengths a second below which an agent stands
-_FINE = 1500  # triangles above which the coarse body is taken
+POSES_PER_CLIP = 16  # of a clip on the whole body
+_POSES_PER_GROUP_CLIP = 4  # of a clip on a transform group
+_MAX_PROTOTYPES = 2048  # prototypes of a species, beyond which clips on groups are left out
+_STANDING_SPEED = 0.02  # body lengths a second below which an agent stands
+_MAX_FINE_TRIANGLES = 1500  # triangles above which the coarse body is taken
 
 
-class Bank:
+class PrototypeBank:
     """The poses of one species, as classes, and its prototypes, below the path of its instancer."""
 
     def __init__(self, out: StageOutput, species: SpeciesEntry, close: bool = False) -> None:
@@ -45,14 +45,14 @@ class Bank:
         self._colours = decode_srgb(np.array([state.colour for state in states] or [(0.35, 0.35, 0.35)]))
         self._states = [identifier(state.name) for state in states]
 
-    def prototype_numbers(self, agents: Agents) -> NDArray[np.int32]:
+    def prototype_numbers(self, agents: SpeciesSample) -> NDArray[np.int32]:
         """Return the prototype of each agent, int32[n]: an index of `paths`."""
         found = np.zeros(len(agents.ids), np.int32)
         for rows, keys, which in self._keys(agents):
             found[rows] = np.array([self._prototype(*key) for key in keys], np.int32)[which]
         return found
 
-    def poses_of(self, agents: Agents) -> list[str]:
+    def poses_of(self, agents: SpeciesSample) -> list[str]:
         """The paths of the poses that agents are in."""
         pose_paths = [""] * len(agents.ids)
         for rows, keys, which in self._keys(agents):
@@ -61,7 +61,7 @@ class Bank:
                 pose_paths[row] = paths[kind]
         return pose_paths
 
-    def _keys(self, agents: Agents) -> Iterator[tuple[NDArray[np.intp], list[tuple[int, ...]], NDArray[np.intp]]]:
+    def _keys(self, agents: SpeciesSample) -> Iterator[tuple[NDArray[np.intp], list[tuple[int, ...]], NDArray[np.intp]]]:
         """Yield for each worn body the rows of its agents, the distinct keys (body, state, clip of each machine), and each
         agent's key index."""
         state = np.full(len(agents.ids), -1) if agents.state is None else agents.state
@@ -70,7 +70,7 @@ class Bank:
                 continue
             speed = np.linalg.norm(agents.own_velocity[rows], axis=1) / np.maximum(agents.scale[rows], 1e-12)
             body_codes, *on_parts = played_codes(crowd.worn, crowd, speed)
-            columns = [state[rows], body_codes, *(on_parts if len(self.paths) < _MOST else ())]
+            columns = [state[rows], body_codes, *(on_parts if len(self.paths) < _MAX_PROTOTYPES else ())]
             kinds, which = _unique_rows(np.stack(columns, axis=1).astype(np.int64))
             body = self._body(crowd.worn)
             yield rows, [(body, *kind) for kind in kinds.tolist()], which
@@ -97,7 +97,7 @@ class Bank:
         if key not in self._numbers:
             self._numbers[key] = len(self.paths)
             named = self._states[state] if 0 <= state < len(self._states) else "none"
-            path = f"{ROOT}/{self._name}/prototypes/p{len(self.paths):04d}_{named}"
+            path = f"{ROOT_PATH}/{self._name}/prototypes/p{len(self.paths):04d}_{named}"
             colour = self._colours[state if 0 <= state < len(self._colours) else 0]
             add_coloured_mesh(self._stage, path, self._pose(body, *played)).Set(vectors(colour[None]))
             self.paths.append(path)
@@ -115,15 +115,18 @@ class _PoseBody:
     """A body that poses are written of."""
 
     def __init__(self, stage: Any, name: str, worn: PosedBody, close: bool) -> None:
-        self._stage, self._path = stage, f"{BODIES}/{name}"
-        body = worn.fine if close else worn.coarse if len(worn.faces) > _FINE else worn
+        self._stage, self._path = stage, f"{BODIES_PATH}/{name}"
+        body = worn.fine if close else worn.coarse if len(worn.faces) > _MAX_FINE_TRIANGLES else worn
         self._drawn = DrawnBody(body.with_clips(bank_clips(worn)))
         stage.CreateClassPrim(self._path)
-        self._looks = Looks(stage, f"{LOOKS}/{name}", worn.definition.materials)
+        self._looks = MaterialBinder(stage, f"{MATERIALS_PATH}/{name}", worn.definition.materials)
 
     def write(self, number: int, played: list[int]) -> tuple[str, float]:
         """Write the mesh of a pose. Return its path and its reach in body lengths."""
-        machines = [single_clip(np.array([p // (SAMPLES + 1) - 1]), np.array([p % (SAMPLES + 1) / SAMPLES])) for p in played]
+        machines = [
+            single_clip(np.array([p // (POSES_PER_CLIP + 1) - 1]), np.array([p % (POSES_PER_CLIP + 1) / POSES_PER_CLIP]))
+            for p in played
+        ]
         poses: Poses = self._drawn.body.poses(machines, 1)
         points, normals = (each[0] for each in self._drawn.body.shape_points(poses))
         path = f"{self._path}/pose_{number:04d}"
@@ -150,7 +153,7 @@ def played_codes(worn: PosedBody, crowd: Crowd, speed: NDArray[np.float64] | Non
     loops = np.array([clip is not None and clip.loop for clip in clips] + [False])
     groups = np.array([bool(each.on) for each in bank_clips(worn)] + [False])
     added = np.array([each.add for each in bank_clips(worn)] + [False])  # over all others: left out
-    steps = np.where(groups, _SAMPLES_OF_PARTS, SAMPLES)
+    steps = np.where(groups, _POSES_PER_GROUP_CLIP, POSES_PER_CLIP)
     count = len(crowd.position)
     body_codes, on_parts = np.full(count, 0, np.int64), []
     for machine in crowd.plays:
@@ -174,8 +177,8 @@ def _code(clip: NDArray[np.int64], turns: NDArray[np.float64], loops: Array, ste
     """Return one number for a clip and the nearest of its moments."""
     part = np.where(loops[clip], turns - np.floor(turns), np.clip(turns, 0.0, 1.0))
     step = np.rint(part * steps[clip]).astype(np.int64)
-    step = np.where(loops[clip], step % steps[clip], step) * (SAMPLES // steps[clip])
-    codes: NDArray[np.int64] = (clip + 1) * (SAMPLES + 1) + step
+    step = np.where(loops[clip], step % steps[clip], step) * (POSES_PER_CLIP // steps[clip])
+    codes: NDArray[np.int64] = (clip + 1) * (POSES_PER_CLIP + 1) + step
     return codes
 
 
@@ -189,12 +192,12 @@ def _with_walking_clips(
     """Return the clips of bodies, with a walking clip for bodies that move and play none."""
     first = len(worn.clips) + 1
     speeds = np.array([clip.stride / clip.duration / worn.definition.length for clip in clips[first:] if clip is not None])
-    clip = body_codes // (SAMPLES + 1) - 1
+    clip = body_codes // (POSES_PER_CLIP + 1) - 1
     free = np.array([each is None or (each.stride == 0 and each.feet) for each in clips] + [True])
-    goes = free[clip] & (speed > _STANDS) & np.isfinite(phase)
+    goes = free[clip] & (speed > _STANDING_SPEED) & np.isfinite(phase)
     nearest = np.abs(speeds - speed[:, None]).argmin(axis=1) + first
-    step = np.rint((np.nan_to_num(phase) % 1.0) * SAMPLES).astype(np.int64) % SAMPLES
-    moving_codes: NDArray[np.int64] = np.where(goes, (nearest + 1) * (SAMPLES + 1) + step, body_codes)
+    step = np.rint((np.nan_to_num(phase) % 1.0) * POSES_PER_CLIP).astype(np.int64) % POSES_PER_CLIP
+    moving_codes: NDArray[np.int64] = np.where(goes, (nearest + 1) * (POSES_PER_CLIP + 1) + step, body_codes)
     return moving_codes
 
 

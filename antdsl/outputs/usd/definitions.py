@@ -14,11 +14,11 @@ import numpy as np
 from antdsl.bodies.agents.blend_shapes import attribute_difference, knots_of, match_points, values_of
 from antdsl.bodies.agents.definition import Binding, Definition, Shape
 from antdsl.bodies.posed_body import PosedBody
-from antdsl.outputs.usd.materials import DrawnBody, Looks
+from antdsl.outputs.usd.materials import DrawnBody, MaterialBinder
 from antdsl.outputs.usd.values import Array, identifier, integers, make_unique, matrices, matrix, mesh, vectors
 from antdsl.scene.geometry.usd import pxr
 
-_SAME = 1e-5  # body lengths by which bind poses may differ and be one
+_SAME_POSE_TOLERANCE = 1e-5  # body lengths by which bind poses may differ and be one
 
 
 @dataclass(slots=True)
@@ -37,7 +37,7 @@ class SkelDefinition:
     number: int = 1
 
 
-def write_definition(stage: Any, path: str, body: PosedBody, looks: Looks, close: bool = False) -> SkelDefinition:
+def write_definition(stage: Any, path: str, body: PosedBody, looks: MaterialBinder, close: bool = False) -> SkelDefinition:
     """Write a body as a SkelRoot at a path, in agents' own space: length 1 along +x, up +y; `looks` are its
     materials. One with a layer for close-ups has the variants `crowd` and `close` of its set `detail`; `close` chooses."""
     skel, definition = pxr("UsdSkel"), body.shaded
@@ -55,7 +55,7 @@ def write_definition(stage: Any, path: str, body: PosedBody, looks: Looks, close
     skel_definition = SkelDefinition(path, joints, tuple(channels))
     rig = pxr("UsdGeom").Xform.Define(stage, f"{path}/rig")
     rig.AddTransformOp().Set(matrix(definition.base_matrix()))
-    skeletons = _Skeletons(stage, f"{path}/rig", definition, joints)
+    skeletons = _SkeletonTable(stage, f"{path}/rig", definition, joints)
     for name, each in details.items():
         pxr("UsdGeom").Xform.Define(stage, f"{path}/rig/{name}")
         names: set[str] = set()
@@ -102,7 +102,7 @@ def rest_world(definition: Definition) -> Array:
     return world
 
 
-class _Skeletons:
+class _SkeletonTable:
     """The skeletons of a definition, one for each bind pose that its shapes were captured in."""
 
     def __init__(self, stage: Any, path: str, definition: Definition, joints: tuple[str, ...]) -> None:
@@ -116,7 +116,7 @@ class _Skeletons:
         target = np.linalg.inv(capture.inverse) if capture else np.zeros((0, 4, 4))
         for path, bind, known, attribute in self._made:
             deviation = np.abs(bind[numbers] - target)[known[numbers]]
-            if deviation.max(initial=0.0) <= _SAME * self._definition.length:
+            if deviation.max(initial=0.0) <= _SAME_POSE_TOLERANCE * self._definition.length:
                 bind[numbers], known[numbers] = target, True
                 attribute.Set(matrices(bind))
                 return path
@@ -144,8 +144,8 @@ def _write_shape(
     path: str,
     definition: Definition,
     binding: Binding,
-    skeletons: _Skeletons,
-    looks: Looks,
+    skeletons: _SkeletonTable,
+    looks: MaterialBinder,
     skel_definition: SkelDefinition,
 ) -> None:
     shape = definition.shapes[binding.shape]

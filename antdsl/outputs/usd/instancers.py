@@ -14,9 +14,9 @@ from numpy.typing import NDArray
 from antdsl.numerics.records import match_ids
 from antdsl.outputs.cache.manifest import SpeciesEntry
 from antdsl.outputs.pictures.light import decode_srgb
-from antdsl.outputs.usd.bank import Bank
-from antdsl.outputs.usd.moments import Agents, TimeSample
-from antdsl.outputs.usd.values import ROOT, Samples, StageOutput, identifier, integers, name_states, vectors
+from antdsl.outputs.usd.bank import PrototypeBank
+from antdsl.outputs.usd.moments import SpeciesSample, TimeSample
+from antdsl.outputs.usd.values import ROOT_PATH, StageOutput, ValueSamples, identifier, integers, name_states, vectors
 from antdsl.scene.geometry.usd import pxr
 
 
@@ -27,13 +27,13 @@ class InstancerWriter:
 
     def __init__(self, out: StageOutput, species: SpeciesEntry, number: int, close: bool = False) -> None:
         self._out, self._number, stage = out, number, out.stage
-        path = f"{ROOT}/{out.name('species', species.name)}"
+        path = f"{ROOT_PATH}/{out.name('species', species.name)}"
         self.made = pxr("UsdGeom").PointInstancer.Define(stage, path)
         pxr("UsdGeom").Scope.Define(stage, f"{path}/prototypes")
         name_states(self.made.GetPrim(), species)
-        self._bank = Bank(out, species, close)
+        self._bank = PrototypeBank(out, species, close)
         self._targets = 0
-        self._samples: dict[str, Samples] = {}
+        self._samples: dict[str, ValueSamples] = {}
         self._signs = (np.zeros(0, np.int64), np.zeros((0, 4)))
         self._api = pxr("UsdGeom").PrimvarsAPI(self.made)
         self._names = [state.name for state in species.machines[0].states] if species.machines else []
@@ -71,7 +71,7 @@ class InstancerWriter:
             self.made.CreatePrototypesRel().SetTargets(self._bank.paths)
             self._targets = len(self._bank.paths)
 
-    def _prototypes(self, agents: Agents, shutter_agents: Agents) -> NDArray[np.int32]:
+    def _prototypes(self, agents: SpeciesSample, shutter_agents: SpeciesSample) -> NDArray[np.int32]:
         """Return the prototype of each agent, constant while the shutter of a frame is open, since motion blur needs the same
         mesh."""
         prototypes = self._bank.prototype_numbers(agents)
@@ -80,7 +80,7 @@ class InstancerWriter:
             prototypes[is_matched] = self._bank.prototype_numbers(shutter_agents)[at[is_matched]]
         return prototypes
 
-    def _align_signs(self, agents: Agents) -> NDArray[np.float64]:
+    def _align_signs(self, agents: SpeciesSample) -> NDArray[np.float64]:
         """Return orientations with the signs of the previous sample."""
         turn = agents.orient.copy()
         at, is_matched = match_ids(agents.ids, self._signs[0])
@@ -90,7 +90,7 @@ class InstancerWriter:
         self._signs = (agents.ids, turn)
         return turn
 
-    def _extent(self, agents: Agents) -> NDArray[np.float64]:
+    def _extent(self, agents: SpeciesSample) -> NDArray[np.float64]:
         place, size = agents.position[agents.is_visible], agents.scale[agents.is_visible]
         if not len(place):
             return np.zeros((2, 3))

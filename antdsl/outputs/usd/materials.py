@@ -9,20 +9,20 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl.bodies.agents.definition import STATE
+from antdsl.bodies.agents.definition import STATE_MATERIAL
 from antdsl.bodies.agents.machine_clips import MachineClips
 from antdsl.bodies.posed_body import PosedBody
 from antdsl.outputs.usd.values import Array, identifier, integers
 from antdsl.scene.geometry.usd import pxr
 
 Floats = NDArray[np.float32]
-_SAMPLES = 8  # of each clip, which an extent is measured by
+_EXTENT_SAMPLES = 8  # of each clip, which an extent is measured by
 _EXTENT_MARGIN = 1.25  # of an extent, for what lies between samples and for blends
-_ROUGHNESS = 0.55
-_GREY = (0.35, 0.35, 0.35)  # where nothing says a colour
+_MATERIAL_ROUGHNESS = 0.55
+_DEFAULT_COLOUR = (0.35, 0.35, 0.35)  # where nothing says a colour
 
 
-class Looks:
+class MaterialBinder:
     """Materials below one prim, each created at its first use."""
 
     def __init__(self, stage: Any, path: str, colours: Mapping[str, tuple[float, float, float]]) -> None:
@@ -34,8 +34,8 @@ class Looks:
     def bind(self, prim: Any, name: str) -> bool:
         """Bind a material by its name. One without a colour, such as `state`, takes the primvar displayColor; returns True
         then."""
-        own = name in self._colours and name != STATE
-        known = name if own else STATE
+        own = name in self._colours and name != STATE_MATERIAL
+        known = name if own else STATE_MATERIAL
         if known not in self._made:
             colour = self._colours[name] if own else None
             self._made[known] = _surface(self._stage, f"{self._path}/{identifier(known)}", colour)
@@ -51,7 +51,7 @@ class Looks:
         shade, tinted = pxr("UsdShade").MaterialBindingAPI.Apply(mesh.GetPrim()), False
         for each in used:
             faces = integers(np.flatnonzero(material == each))
-            subset = shade.CreateMaterialBindSubset(identifier(names[each] or STATE), faces, "face")
+            subset = shade.CreateMaterialBindSubset(identifier(names[each] or STATE_MATERIAL), faces, "face")
             tinted = self.bind(subset.GetPrim(), names[each]) or tinted
         shade.SetMaterialBindSubsetsFamilyType("partition")
         return tinted
@@ -63,7 +63,7 @@ def _surface(stage: Any, path: str, colour: tuple[float, float, float] | None) -
     material = shade.Material.Define(stage, path)
     surface = shade.Shader.Define(stage, f"{path}/surface")
     surface.CreateIdAttr("UsdPreviewSurface")
-    surface.CreateInput("roughness", types.Float).Set(_ROUGHNESS)
+    surface.CreateInput("roughness", types.Float).Set(_MATERIAL_ROUGHNESS)
     diffuse = surface.CreateInput("diffuseColor", types.Color3f)
     if colour is not None:
         diffuse.Set(gf.Vec3f(*colour))
@@ -71,7 +71,7 @@ def _surface(stage: Any, path: str, colour: tuple[float, float, float] | None) -
         reader = shade.Shader.Define(stage, f"{path}/colour")
         reader.CreateIdAttr("UsdPrimvarReader_float3")
         reader.CreateInput("varname", types.String).Set("displayColor")
-        reader.CreateInput("fallback", types.Float3).Set(gf.Vec3f(*_GREY))
+        reader.CreateInput("fallback", types.Float3).Set(gf.Vec3f(*_DEFAULT_COLOUR))
         diffuse.ConnectToSource(reader.CreateOutput("result", types.Float3))
     material.CreateSurfaceOutput().ConnectToSource(surface.CreateOutput("surface", types.Token))
     return material
@@ -111,7 +111,7 @@ class DrawnBody:
     def _playing(self) -> Iterator[tuple[MachineClips, ...]]:
         yield ()
         for number in range(len(self.body.clips)):
-            yield (single_clip(np.full(_SAMPLES, number), np.arange(_SAMPLES) / _SAMPLES),)
+            yield (single_clip(np.full(_EXTENT_SAMPLES, number), np.arange(_EXTENT_SAMPLES) / _EXTENT_SAMPLES),)
 
 
 def single_clip(clip: NDArray[np.integer], turns: NDArray[np.floating]) -> MachineClips:

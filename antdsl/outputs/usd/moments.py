@@ -23,7 +23,7 @@ _CACHED_FRAMES = 3  # frames in memory: the one before, this and the next
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Agents:
+class SpeciesSample:
     """Agents of a species, by ascending id: `ids` int64[n], `position` [n, 3], `orient` [n, 4] (x y z w, unit), `scale` [n],
     `colour` float64[n, 3] (display).
 
@@ -55,12 +55,12 @@ class TimeSample:
     share: float
     dt: float
     picture: Picture
-    species: tuple[Agents, ...]
-    next_agents: tuple[Agents, ...] | None
-    previous_agents: tuple[Agents, ...] | None
-    shutter_agents: tuple[Agents, ...]
+    species: tuple[SpeciesSample, ...]
+    next_agents: tuple[SpeciesSample, ...] | None
+    previous_agents: tuple[SpeciesSample, ...] | None
+    shutter_agents: tuple[SpeciesSample, ...]
 
-    def agents(self, number: int) -> Agents:
+    def agents(self, number: int) -> SpeciesSample:
         """Return the agents of a species at this time."""
         agents = self.species[number]
         if not self.share:
@@ -74,8 +74,8 @@ class TimeSamples:
 
     gallery: Gallery
     _known: set[int] = field(default_factory=set)
-    _frames: dict[int, tuple[Picture, tuple[Agents, ...]]] = field(default_factory=dict)
-    _leading: dict[int, tuple[Agents, ...]] = field(default_factory=dict)
+    _frames: dict[int, tuple[Picture, tuple[SpeciesSample, ...]]] = field(default_factory=dict)
+    _leading: dict[int, tuple[SpeciesSample, ...]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         self._known = set(self.gallery.cache.frames())
@@ -89,12 +89,12 @@ class TimeSamples:
         picture, agents = self._frame(first)[0], self._with_velocities(first)
         return TimeSample(time, share, self.gallery.dt, picture, agents, *self._beside(first), self._frame(frame)[1])
 
-    def _beside(self, frame: int) -> tuple[tuple[Agents, ...] | None, tuple[Agents, ...] | None]:
+    def _beside(self, frame: int) -> tuple[tuple[SpeciesSample, ...] | None, tuple[SpeciesSample, ...] | None]:
         """Return the agents of the next frame, else those of the previous one; None for each that does not exist."""
         next_agents = self._frame(frame + 1)[1] if frame + 1 in self._known else None
         return next_agents, self._frame(frame - 1)[1] if next_agents is None and frame - 1 in self._known else None
 
-    def _with_velocities(self, frame: int) -> tuple[Agents, ...]:
+    def _with_velocities(self, frame: int) -> tuple[SpeciesSample, ...]:
         """The agents of a frame, with velocities that lead to the next."""
         if frame not in self._leading:
             agents, beside = self._frame(frame)[1], self._beside(frame)
@@ -105,7 +105,7 @@ class TimeSamples:
             )
         return self._leading[frame]
 
-    def _frame(self, frame: int) -> tuple[Picture, tuple[Agents, ...]]:
+    def _frame(self, frame: int) -> tuple[Picture, tuple[SpeciesSample, ...]]:
         if frame not in self._frames:
             self._frames = dict(list(self._frames.items())[1 - _CACHED_FRAMES :])
             arrays = self.gallery.cache.frame(frame)
@@ -115,7 +115,7 @@ class TimeSamples:
         return self._frames[frame]
 
 
-def _agents(gallery: Gallery, picture: Picture, arrays: Arrays, number: int) -> Agents:
+def _agents(gallery: Gallery, picture: Picture, arrays: Arrays, number: int) -> SpeciesSample:
     """The agents of a species in a frame, with the velocities that the cache has."""
     name = gallery.manifest.species[number].name
     rows = species_rows(arrays, number)
@@ -142,7 +142,7 @@ def _agents(gallery: Gallery, picture: Picture, arrays: Arrays, number: int) -> 
         for crowd, part_rows in parts:
             phase[part_rows] = 0.0 if crowd.feet is None else crowd.feet.phase
         numbers["phase"] = phase
-    return Agents(
+    return SpeciesSample(
         ids, np.where(is_visible[:, None], place, 0.0), turn, np.where(is_visible, scale, 0.0), colour, own + ground,
         np.zeros((len(rows), 3)), state, own, numbers, parts, is_visible,
     )  # fmt: skip
@@ -155,7 +155,9 @@ def _part(crowd: Crowd, ids: NDArray[np.int64]) -> tuple[Crowd, NDArray[np.intp]
     return crowd, np.searchsorted(ids, crowd.ids)
 
 
-def _leading_velocities(agents: Agents, dt: float, next_agents: Agents | None, previous_agents: Agents | None) -> Agents:
+def _leading_velocities(
+    agents: SpeciesSample, dt: float, next_agents: SpeciesSample | None, previous_agents: SpeciesSample | None
+) -> SpeciesSample:
     """Return agents with velocities that lead to the next frame; for the last frame, those that led to it."""
     other = next_agents or previous_agents
     if other is None or not len(agents.ids):
@@ -197,7 +199,7 @@ def rotate_by(orient: Floats, turn: Floats) -> Floats:
     return unit_quaternions
 
 
-def _interpolate(agents: Agents, next_agents: Agents | None, share: float, dt: float) -> Agents:
+def _interpolate(agents: SpeciesSample, next_agents: SpeciesSample | None, share: float, dt: float) -> SpeciesSample:
     """Return agents at a fraction `share` of the time to the next frame."""
     scale = agents.scale
     if next_agents is not None:

@@ -14,12 +14,21 @@ from antdsl.numerics.records import match_ids
 from antdsl.outputs.cache.manifest import SpeciesEntry
 from antdsl.outputs.pictures.light import decode_srgb
 from antdsl.outputs.usd.definitions import SkelDefinition, write_definition
-from antdsl.outputs.usd.materials import Looks
-from antdsl.outputs.usd.moments import Agents, TimeSample
-from antdsl.outputs.usd.values import BODIES, LOOKS, ROOT, Samples, StageOutput, Visibility, identifier, name_states
+from antdsl.outputs.usd.materials import MaterialBinder
+from antdsl.outputs.usd.moments import SpeciesSample, TimeSample
+from antdsl.outputs.usd.values import (
+    BODIES_PATH,
+    MATERIALS_PATH,
+    ROOT_PATH,
+    StageOutput,
+    ValueSamples,
+    Visibility,
+    identifier,
+    name_states,
+)
 from antdsl.scene.geometry.usd import pxr
 
-_SHEARED = 1e-4  # of a joint, above which what UsdSkel omits is reported
+_MAX_IGNORED_SHEAR = 1e-4  # of a joint, above which what UsdSkel omits is reported
 
 
 class SkeletonWriter:
@@ -30,11 +39,11 @@ class SkeletonWriter:
 
     def __init__(self, out: StageOutput, species: SpeciesEntry, number: int, copies: bool = False, close: bool = False) -> None:
         self._out, self._species, self._number, stage = out, species, number, out.stage
-        self._path = f"{ROOT}/{out.name('species', species.name)}"
+        self._path = f"{ROOT_PATH}/{out.name('species', species.name)}"
         name_states(pxr("UsdGeom").Scope.Define(stage, self._path).GetPrim(), species)
         pxr("UsdGeom").Scope.Define(stage, f"{self._path}/motion")
         self._bodies: dict[int, tuple[PosedBody, SkelDefinition]] = {}
-        self._agents = dict[tuple[int, int], _Agent]()  # by id and body
+        self._agents = dict[tuple[int, int], _AgentPrim]()  # by id and body
         self._there: set[tuple[int, int]] = set()
         self._named, self._file = set[int](), out.number
         self._first: float | None = None
@@ -74,13 +83,13 @@ class SkeletonWriter:
             self._agents[hidden_key].hide(time_sample.time)
         self._there = visible_keys
 
-    def _agent(self, name: int, body: SkelDefinition, time: float) -> _Agent:
+    def _agent(self, name: int, body: SkelDefinition, time: float) -> _AgentPrim:
         """Return the instance of a body for an agent. An agent that changes its layers later gets another instance."""
         if (name, body.number) not in self._agents:
             assert self._first is not None
             path = f"agent_{name}" if name not in self._named else f"agent_{name}_{body.number}"
             self._named.add(name)
-            agent = _Agent(self._out, self._path, path, name, body, self._species, self._first, time, self._copies)
+            agent = _AgentPrim(self._out, self._path, path, name, body, self._species, self._first, time, self._copies)
             self._agents[name, body.number] = agent
         return self._agents[name, body.number]
 
@@ -88,14 +97,14 @@ class SkeletonWriter:
         if id(worn) not in self._bodies:
             number = len(self._bodies) + 1
             name = self._out.name("species", self._species.name) + (f"_{number}" if self._bodies else "")
-            looks = Looks(self._out.stage, f"{LOOKS}/{name}", worn.definition.materials)
-            definition = write_definition(self._out.stage, f"{BODIES}/{name}", worn, looks, self._close)
+            looks = MaterialBinder(self._out.stage, f"{MATERIALS_PATH}/{name}", worn.definition.materials)
+            definition = write_definition(self._out.stage, f"{BODIES_PATH}/{name}", worn, looks, self._close)
             definition.number = number
             self._bodies[id(worn)] = worn, definition
         return self._bodies[id(worn)]
 
 
-class _Joints:
+class _JointSamples:
     """Local transforms of joints of n agents: `values` are translations, rotations (x y z w) and scales float32[n, J, 3 or 4];
     `channels` float32[n, C]."""
 
@@ -105,12 +114,12 @@ class _Joints:
         square = np.zeros((n * count, 4, 4))
         square[:, :3] = poses.local.reshape(n * count, 3, 4)
         place, turn, scale, shear = decompose_matrices(square)
-        self.sheared = bool((np.abs(shear) > _SHEARED).any())
+        self.sheared = bool((np.abs(shear) > _MAX_IGNORED_SHEAR).any())
         parts = (np.moveaxis(each, 0, -1).reshape(n, count, len(each)) for each in (place, turn, scale))
         self.values = tuple(np.ascontiguousarray(each, np.float32) for each in parts)
         self.channels = np.asarray(poses.channels, np.float32)
 
-    def mix(self, rows: NDArray[np.bool_], other: _Joints, at: NDArray[np.intp], share: float) -> None:
+    def mix(self, rows: NDArray[np.bool_], other: _JointSamples, at: NDArray[np.intp], share: float) -> None:
         """Interpolate the joints at some rows towards others by `share`, or extrapolate: linearly, rotations by the shorter
         direction."""
         for k, (mine, theirs) in enumerate(zip(self.values, other.values, strict=True)):
@@ -123,11 +132,11 @@ class _Joints:
         self.values = (self.values[0], np.ascontiguousarray(np.moveaxis(normalise(turn), 0, -1)), self.values[2])
 
 
-def _joints(time_sample: TimeSample, number: int, part: int, body: PosedBody) -> _Joints:
+def _joints(time_sample: TimeSample, number: int, part: int, body: PosedBody) -> _JointSamples:
     """Return the joints of the agents with a body, at a time. Beyond the last frame, the last motion continues."""
     agents = time_sample.species[number]
     crowd, rows = agents.parts[part]
-    joints = _Joints(crowd.poses(local=True))
+    joints = _JointSamples(crowd.poses(local=True))
     others, share = time_sample.next_agents, time_sample.share
     if not others:
         others, share = time_sample.previous_agents, -share
@@ -136,11 +145,11 @@ def _joints(time_sample: TimeSample, number: int, part: int, body: PosedBody) ->
     for other, other_rows in others[number].parts:
         if other.worn is body:
             at, same = match_ids(agents.ids[rows], others[number].ids[other_rows])
-            joints.mix(same, _Joints(other.poses(local=True)), at, share)
+            joints.mix(same, _JointSamples(other.poses(local=True)), at, share)
     return joints
 
 
-class _Agent:
+class _AgentPrim:
     """An agent: a placed instance, and its animation."""
 
     def __init__(
@@ -185,11 +194,11 @@ class _Agent:
         tints = [geom.PrimvarsAPI(each).CreatePrimvar("displayColor", types.Color3fArray, "constant") for each in tinted]
         self._colour = [out.samples(each, lambda v: vt.Vec3fArray.FromNumpy(v[None]), np.float32) for each in (colour, *tints)]
         self._names = [state.name for state in species.machines[0].states] if species.machines else []
-        self._numbers: dict[str, Samples] = {}
+        self._numbers: dict[str, ValueSamples] = {}
         self._before = (np.zeros(4), None)
         self._seen = Visibility(out, root, first, time)
 
-    def place(self, time: float, agents: Agents, row: int, colour: NDArray[np.floating]) -> None:
+    def place(self, time: float, agents: SpeciesSample, row: int, colour: NDArray[np.floating]) -> None:
         self._place.set(time, agents.position[row])
         turn = agents.orient[row] * (-1.0 if agents.orient[row] @ self._before[0] < 0 else 1.0)
         self._before = (turn, self._before[1])

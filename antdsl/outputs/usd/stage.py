@@ -23,17 +23,17 @@ from antdsl.outputs.gallery import Gallery
 from antdsl.outputs.usd.instancers import InstancerWriter
 from antdsl.outputs.usd.moments import TimeSamples
 from antdsl.outputs.usd.skeletons import SkeletonWriter
-from antdsl.outputs.usd.values import BODIES, ROOT, StageOutput, disk_failures, root
+from antdsl.outputs.usd.values import BODIES_PATH, ROOT_PATH, StageOutput, disk_failures, root
 from antdsl.outputs.usd.world import WorldWriter
 from antdsl.outputs.usd.xforms import XformWriter
 from antdsl.scene.geometry.usd import pxr
 from antdsl.scene.model import UNIT_MM
 from antdsl.whole import atomic_path
 
-_SET = "default"  # the name of a prim's first set of clips
-SKELETONS = 200  # agents of a species up to which each has a skeleton
-_SAVE_EVERY = 24  # frames that wait in memory for their place in the file
-_SAME = 1e-6  # frames
+_DEFAULT_CLIP_SET = "default"  # the name of a prim's first set of clips
+MAX_SKELETON_AGENTS = 200  # agents of a species up to which each has a skeleton
+_FRAMES_PER_SAVE = 24  # frames that wait in memory for their place in the file
+_SAME_TIME_FRAMES = 1e-6  # frames
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -54,15 +54,15 @@ class UsdOptions(XformOptions):
     """`skeletons`: the largest number of agents of a species for which each has its own skeleton; more are instances of a bank of
     poses. `copies`: agents with skeletons are no instances."""
 
-    skeletons: int = SKELETONS
+    skeletons: int = MAX_SKELETON_AGENTS
     copies: bool = False
 
 
-_USUAL = UsdOptions()
-Writer = InstancerWriter | SkeletonWriter | XformWriter
+_DEFAULT_OPTIONS = UsdOptions()
+CrowdWriter = InstancerWriter | SkeletonWriter | XformWriter
 
 
-def export_instances(gallery: Gallery, frames: Iterable[int], path: Path, options: UsdOptions = _USUAL) -> list[str]:
+def export_instances(gallery: Gallery, frames: Iterable[int], path: Path, options: UsdOptions = _DEFAULT_OPTIONS) -> list[str]:
     """Write these frames into a USD file: a species of few agents as skeletons, of many as a point instancer. The write is
     atomic. Returns messages about what USD cannot hold.
 
@@ -70,7 +70,7 @@ def export_instances(gallery: Gallery, frames: Iterable[int], path: Path, option
     frames = list(frames)
     most = _max_agent_counts(gallery, frames)
 
-    def kind(number: int) -> Callable[..., Writer]:
+    def kind(number: int) -> Callable[..., CrowdWriter]:
         if most[number] > options.skeletons:
             return partial(InstancerWriter, close=options.close)
         return partial(SkeletonWriter, copies=options.copies, close=options.close)
@@ -78,7 +78,7 @@ def export_instances(gallery: Gallery, frames: Iterable[int], path: Path, option
     return _export(gallery, frames, path, options, kind)
 
 
-def export_xforms(gallery: Gallery, frames: Iterable[int], path: Path, options: XformOptions = _USUAL) -> list[str]:
+def export_xforms(gallery: Gallery, frames: Iterable[int], path: Path, options: XformOptions = _DEFAULT_OPTIONS) -> list[str]:
     """Write the stage with one Xform per agent, for programs that animate objects one by one."""
     return _export(gallery, list(frames), path, options, lambda number: partial(XformWriter, close=options.close))
 
@@ -102,7 +102,7 @@ def shutter_times(frame: int, options: XformOptions) -> list[float]:
 
 
 def _export(
-    gallery: Gallery, frames: list[int], path: Path, options: XformOptions, kind: Callable[[int], Callable[..., Writer]]
+    gallery: Gallery, frames: list[int], path: Path, options: XformOptions, kind: Callable[[int], Callable[..., CrowdWriter]]
 ) -> list[str]:
     with disk_failures(path), atomic_path(path, path.suffix) as part:
         try:
@@ -124,7 +124,7 @@ class _FrameWriters:
     """All that is written of a frame."""
 
     world: WorldWriter
-    crowds: list[Writer]
+    crowds: list[CrowdWriter]
     moments: TimeSamples
 
     def at(self, time: float, frame: int) -> None:
@@ -140,7 +140,7 @@ def _write(shot: _FrameWriters, files: ValueFiles, frames: list[int], options: X
     written = -np.inf
     for number, frame in enumerate(frames):
         for time in shutter_times(frame, options):
-            if time <= written + _SAME:
+            if time <= written + _SAME_TIME_FRAMES:
                 continue
             if written == -np.inf:
                 files.begin(frame)
@@ -149,7 +149,7 @@ def _write(shot: _FrameWriters, files: ValueFiles, frames: list[int], options: X
                 files.begin(frame)
             shot.at(time, frame)
             written = time
-        if number % _SAVE_EVERY == _SAVE_EVERY - 1:
+        if number % _FRAMES_PER_SAVE == _FRAMES_PER_SAVE - 1:
             stage.Save()
     files.finish()
     stage.Save()
@@ -167,7 +167,7 @@ def _describe(stage: Any, gallery: Gallery, frames: list[int]) -> None:
     world = root(stage, gallery.origin)
     pxr("Usd").ModelAPI(world).SetKind("assembly")
     stage.SetDefaultPrim(world.GetPrim())
-    stage.CreateClassPrim(BODIES)
+    stage.CreateClassPrim(BODIES_PATH)
 
 
 class ValueFiles:
@@ -221,15 +221,15 @@ class ValueFiles:
         manifest = self._file_path("manifest.usda")
         self._out.manifest.Export(str(self._parts.enter_context(atomic_path(manifest, ".usda"))))
         gf, vt = pxr("Gf"), pxr("Vt")
-        clips = pxr("Usd").ClipsAPI(self._out.stage.GetPrimAtPath(ROOT))
+        clips = pxr("Usd").ClipsAPI(self._out.stage.GetPrimAtPath(ROOT_PATH))
         names = [f"./{self._file_path(f'{frame:04d}.usdc').name}" for frame in self._starts]
-        clips.SetClipAssetPaths(pxr("Sdf").AssetPathArray([pxr("Sdf").AssetPath(name) for name in names]), _SET)
-        clips.SetClipManifestAssetPath(pxr("Sdf").AssetPath(f"./{manifest.name}"), _SET)
-        clips.SetClipPrimPath(ROOT, _SET)
+        clips.SetClipAssetPaths(pxr("Sdf").AssetPathArray([pxr("Sdf").AssetPath(name) for name in names]), _DEFAULT_CLIP_SET)
+        clips.SetClipManifestAssetPath(pxr("Sdf").AssetPath(f"./{manifest.name}"), _DEFAULT_CLIP_SET)
+        clips.SetClipPrimPath(ROOT_PATH, _DEFAULT_CLIP_SET)
         ends = (self._frames[0] - 1, self._frames[-1] + 2)  # samples of a shutter lie around the frames
         begins = [ends[0], *self._starts[1:]]
-        clips.SetClipActive(vt.Vec2dArray([gf.Vec2d(begin, k) for k, begin in enumerate(begins)]), _SET)
-        clips.SetClipTimes(vt.Vec2dArray([gf.Vec2d(end, end) for end in ends]), _SET)
+        clips.SetClipActive(vt.Vec2dArray([gf.Vec2d(begin, k) for k, begin in enumerate(begins)]), _DEFAULT_CLIP_SET)
+        clips.SetClipTimes(vt.Vec2dArray([gf.Vec2d(end, end) for end in ends]), _DEFAULT_CLIP_SET)
 
     def _file_path(self, ending: str) -> Path:
         return self._path.with_name(f"{self._path.stem}.values.{ending}")

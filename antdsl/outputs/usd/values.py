@@ -16,25 +16,25 @@ from numpy.typing import NDArray
 from antdsl.outputs.cache.manifest import SpeciesEntry
 from antdsl.scene.geometry.usd import pxr
 
-_OF_DISKS = (
+_DISK_ERRORS = (
     errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO, errno.EROFS, errno.EACCES, errno.EPERM, errno.EMFILE, errno.ENOENT,
     errno.ESTALE, errno.EINTR,
 )  # fmt: skip
-ROOT = "/World"
-LOOKS = "/World/looks"
-BODIES = "/bodies"  # classes: what is drawn only where something refers to it
+ROOT_PATH = "/World"
+MATERIALS_PATH = "/World/looks"
+BODIES_PATH = "/bodies"  # classes: what is drawn only where something refers to it
 Array = NDArray[Any]
 
 
 def root(stage: Any, origin: NDArray[np.float64]) -> Any:
     """Return the root prim of a stage, moved in double precision by the origin of its positions (scene units)."""
-    world = pxr("UsdGeom").Xform.Define(stage, ROOT)
+    world = pxr("UsdGeom").Xform.Define(stage, ROOT_PATH)
     if origin.any():
         world.AddTranslateOp(pxr("UsdGeom").XformOp.PrecisionDouble, "origin").Set(pxr("Gf").Vec3d(*origin.tolist()))
     return world
 
 
-class Samples:
+class ValueSamples:
     """Values of one attribute over time. A constant value is written at its start and end, since USD interpolates linearly
     between samples.
 
@@ -96,9 +96,9 @@ class StageOutput:
 
     def samples(
         self, attribute: Any, convert: Callable[[Array], Any], kind: Any = np.float64, *, always: bool = False
-    ) -> Samples:
+    ) -> ValueSamples:
         """Return the samples of an attribute, as arrays of a type that `convert` converts to USD's."""
-        return Samples(self, attribute, convert, kind, always)
+        return ValueSamples(self, attribute, convert, kind, always)
 
     def begin(self, clip: Any) -> None:
         """Write values into another layer from now on, each of them again."""
@@ -193,7 +193,7 @@ def disk_failures(path: Path) -> Iterator[None]:
         yield
     except pxr("Tf").ErrorException as problem:
         said = str(problem)
-        number = next((each for each in _OF_DISKS if os.strerror(each) in said), None)
+        number = next((each for each in _DISK_ERRORS if os.strerror(each) in said), None)
         if number is None:
             raise
         raise OSError(number, os.strerror(number), str(path)) from None

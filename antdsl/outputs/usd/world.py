@@ -12,13 +12,13 @@ from antdsl.numerics.vector_rows import unit_or
 from antdsl.outputs.gallery import Gallery
 from antdsl.outputs.pictures.light import decode_srgb
 from antdsl.outputs.pictures.model import Item, Picture, Solid, Trail
-from antdsl.outputs.usd.materials import Looks
+from antdsl.outputs.usd.materials import MaterialBinder
 from antdsl.outputs.usd.values import (
-    LOOKS,
-    ROOT,
+    MATERIALS_PATH,
+    ROOT_PATH,
     Array,
-    Samples,
     StageOutput,
+    ValueSamples,
     box,
     identifier,
     integers,
@@ -29,9 +29,9 @@ from antdsl.outputs.usd.values import (
 from antdsl.scene.geometry.usd import pxr
 from antdsl.scene.model import UNIT_MM
 
-_APERTURE = 36.0  # mm
-_CREASE = np.cos(np.radians(40.0))  # edges that are sharper stay sharp
-_COLOURS = {
+_APERTURE_MM = 36.0  # mm
+_CREASE_COSINE = np.cos(np.radians(40.0))  # edges that are sharper stay sharp
+_COLOUR_BY_KIND = {
     "ground": (0.27, 0.19, 0.12), "stone": (0.30, 0.29, 0.27), "boulder": (0.33, 0.31, 0.28), "hill": (0.32, 0.20, 0.11),
 }  # fmt: skip
 
@@ -41,9 +41,9 @@ class WorldWriter:
 
     def __init__(self, out: StageOutput, gallery: Gallery, frames: list[int]) -> None:
         self._out, self._gallery, self._first = out, gallery, frames[0]
-        self._looks = Looks(out.stage, f"{LOOKS}/world", _COLOURS)
+        self._looks = MaterialBinder(out.stage, f"{MATERIALS_PATH}/world", _COLOUR_BY_KIND)
         self._meshes: dict[str, _MeshWriter] = {}
-        self._items: dict[int, tuple[Samples, Samples]] = {}
+        self._items: dict[int, tuple[ValueSamples, ValueSamples]] = {}
         self._items_named: set[str] = set()
         self._fields: dict[str, _FieldWriter] = {}
         self._camera = _CameraWriter(out, gallery) if gallery.camera(frames[0]) else None
@@ -52,7 +52,7 @@ class WorldWriter:
         """The world in a frame."""
         for solid in picture.solids:
             if solid.name not in self._meshes:
-                path = f"{ROOT}/{self._out.name('mesh', solid.name)}"
+                path = f"{ROOT_PATH}/{self._out.name('mesh', solid.name)}"
                 self._meshes[solid.name] = _MeshWriter(self._out, path, self._gallery.manifest.up)
                 self._looks.bind(self._out.stage.GetPrimAtPath(path), solid.kind)
             self._meshes[solid.name].frame(frame, solid)
@@ -77,8 +77,8 @@ class WorldWriter:
         geom, stage = pxr("UsdGeom"), self._out.stage
         if number not in self._items:
             if not self._items:
-                geom.Xform.Define(stage, f"{ROOT}/items")
-            path = f"{ROOT}/items/{make_unique(identifier(item.name), self._items_named)}"
+                geom.Xform.Define(stage, f"{ROOT_PATH}/items")
+            path = f"{ROOT_PATH}/items/{make_unique(identifier(item.name), self._items_named)}"
             points, faces, colour = placed(item.shape)
             geometry: tuple[Array, Array] = (points, vertex_normals(points, faces))
             if self._gallery.manifest.up == "z":
@@ -99,10 +99,10 @@ class _CameraWriter:
 
     def __init__(self, out: StageOutput, gallery: Gallery) -> None:
         self._gallery, self._reaches = gallery, False
-        camera = pxr("UsdGeom").Camera.Define(out.stage, f"{ROOT}/camera")
+        camera = pxr("UsdGeom").Camera.Define(out.stage, f"{ROOT_PATH}/camera")
         self._tenths = 10.0 / UNIT_MM[gallery.manifest.units]  # of a millimetre in the stage's unit
-        camera.CreateHorizontalApertureAttr(_APERTURE * self._tenths)
-        camera.CreateVerticalApertureAttr(_APERTURE * 9 / 16 * self._tenths)
+        camera.CreateHorizontalApertureAttr(_APERTURE_MM * self._tenths)
+        camera.CreateVerticalApertureAttr(_APERTURE_MM * 9 / 16 * self._tenths)
         self._clipping = camera.CreateClippingRangeAttr()
         self._move = out.samples(camera.AddTransformOp(), lambda rows: pxr("Gf").Matrix4d(*rows.ravel().tolist()))
         self._focal, self._focus = (
@@ -168,8 +168,8 @@ class _FieldWriter:
 
     def __init__(self, out: StageOutput, trail: Trail) -> None:
         geom = pxr("UsdGeom")
-        geom.Xform.Define(out.stage, f"{ROOT}/fields")
-        usd_points = geom.Points.Define(out.stage, f"{ROOT}/fields/{identifier(trail.name)}")
+        geom.Xform.Define(out.stage, f"{ROOT_PATH}/fields")
+        usd_points = geom.Points.Define(out.stage, f"{ROOT_PATH}/fields/{identifier(trail.name)}")
         usd_points.CreatePurposeAttr("guide")
         floats = pxr("Vt").FloatArray.FromNumpy
         self._points = out.samples(usd_points.CreatePointsAttr(), vectors, np.float32)
@@ -205,7 +205,7 @@ def creased_normals(points: Array, faces: Array) -> Array:
     flat = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     flat = unit_or(flat, np.array([0.0, 1.0, 0.0]))
     smooth = vertex_normals(points, faces).astype(np.float64)[faces]
-    near = (smooth * flat[:, None]).sum(axis=-1, keepdims=True) > _CREASE
+    near = (smooth * flat[:, None]).sum(axis=-1, keepdims=True) > _CREASE_COSINE
     normals: Array = np.where(near, smooth, flat[:, None]).reshape(-1, 3).astype(np.float32)
     return normals
 

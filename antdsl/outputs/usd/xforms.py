@@ -7,11 +7,11 @@ from typing import Any
 import numpy as np
 
 from antdsl.outputs.cache.manifest import SpeciesEntry
-from antdsl.outputs.euler_angles import Angles
+from antdsl.outputs.euler_angles import EulerAngles
 from antdsl.outputs.pictures.light import decode_srgb
-from antdsl.outputs.usd.bank import Bank, add_coloured_mesh
+from antdsl.outputs.usd.bank import PrototypeBank, add_coloured_mesh
 from antdsl.outputs.usd.moments import TimeSample
-from antdsl.outputs.usd.values import ROOT, StageOutput, Visibility, name_states
+from antdsl.outputs.usd.values import ROOT_PATH, StageOutput, Visibility, name_states
 from antdsl.scene.geometry.usd import pxr
 
 
@@ -22,10 +22,10 @@ class XformWriter:
     notes: tuple[str, ...] = ()
 
     def __init__(self, out: StageOutput, species: SpeciesEntry, number: int, close: bool = False) -> None:
-        self._out, self._number, self._path = out, number, f"{ROOT}/{out.name('species', species.name)}"
+        self._out, self._number, self._path = out, number, f"{ROOT_PATH}/{out.name('species', species.name)}"
         name_states(pxr("UsdGeom").Scope.Define(out.stage, self._path).GetPrim(), species)
-        self._bank = Bank(out, species, close)
-        self._angles, self._agents, self._there = Angles(), dict[int, _Agent](), np.empty(0, np.int64)
+        self._bank = PrototypeBank(out, species, close)
+        self._angles, self._agents, self._there = EulerAngles(), dict[int, _AgentPrim](), np.empty(0, np.int64)
         self._first: float | None = None
         self._file = out.number
 
@@ -45,13 +45,13 @@ class XformWriter:
                 continue
             if name not in self._agents:
                 pose = self._bank.poses_of(agents)[row]
-                self._agents[name] = _Agent(self._out, f"{self._path}/agent_{name}", pose, name, self._first, time)
+                self._agents[name] = _AgentPrim(self._out, f"{self._path}/agent_{name}", pose, name, self._first, time)
             state = -1 if agents.state is None else int(agents.state[row])
             self._agents[name].set(time, agents.position[row], turn[row], agents.scale[row], colour[row], state)
         self._there = visible_ids
 
 
-class _Agent:
+class _AgentPrim:
     """The Xform of one agent."""
 
     def __init__(self, out: StageOutput, path: str, shape: str, name: int, first: float, time: float) -> None:

@@ -7,19 +7,19 @@ from typing import Any
 
 from antdsl.plan import ir
 from antdsl.plan.builder import PlanError
-from antdsl.plan.ir import Kind, Node
+from antdsl.plan.ir import PlanNode, ValueKind
 from antdsl.plan.lowering import appearance, clips, pair_values, values
 from antdsl.plan.lowering.expressions import lower, own_attribute, scalar, single_node, vector
-from antdsl.plan.lowering.values import EntityRef, NamedThing, OwnPlace, Vec
-from antdsl.plan.lowering.writer import AXES, UnsupportedConstruct, Writer
+from antdsl.plan.lowering.values import EntityRef, NamedThing, OwnPlace, VectorNodes
+from antdsl.plan.lowering.writer import AXES, PlanWriter, UnsupportedConstruct
 from antdsl.program import model
 from antdsl.source import Span
 
-Operands = tuple[Node | None, ...]
-STEER, GAZE = "~steer", "~gaze"  # temps begin with a sign that no name of an author has
+OperandTuple = tuple[PlanNode | None, ...]
+STEER_TEMP, GAZE_TEMP = "~steer", "~gaze"  # temps begin with a sign that no name of an author has
 
 
-def write(w: Writer, statements: Sequence[model.Statement], site: str, machine: str = "") -> None:
+def write(w: PlanWriter, statements: Sequence[model.Statement], site: str, machine: str = "") -> None:
     """Write statements in text order; those that cannot run yet are reported and left out. `machine`: that of the state with
     these statements as its body."""
     for number, statement in enumerate(statements, 1):
@@ -28,45 +28,45 @@ def write(w: Writer, statements: Sequence[model.Statement], site: str, machine: 
             if isinstance(statement, model.Play):
                 clips.play(w, machine, statement)
             else:
-                _WRITE[type(statement)](w, statement, f"{site}#{number}")
+                _LOWERER_BY_STATEMENT[type(statement)](w, statement, f"{site}#{number}")
         except UnsupportedConstruct as missing:
             complain(w, missing)
 
 
-def complain(w: Writer, missing: UnsupportedConstruct) -> None:
+def complain(w: PlanWriter, missing: UnsupportedConstruct) -> None:
     w.report.error("not-yet", f"{missing.what} is not supported yet", missing.span, missing.help)
 
 
-def _rate(w: Writer, amount: Node, per_second: bool) -> Node:
+def _rate(w: PlanWriter, amount: PlanNode, per_second: bool) -> PlanNode:
     """What is added in one step."""
     return w.b("mul", amount, w.run("dt")) if per_second else amount
 
 
-def _steer(w: Writer, s: model.Steer, site: str) -> None:
+def _steer(w: PlanWriter, s: model.Steer, site: str) -> None:
     for axis in AXES:
-        w.declare(f"{STEER}.{axis}", Kind.F32, "temp")
+        w.declare(f"{STEER_TEMP}.{axis}", ValueKind.F32, "temp")
     push = vector(w, s.push)
     w.note_steering(s, site, push)
-    w.store_vector(STEER, values.add(w.b, w.read_vector(STEER), push), s.span)
+    w.store_vector(STEER_TEMP, values.add(w.b, w.read_vector(STEER_TEMP), push), s.span)
 
 
-def _face(w: Writer, s: model.Face, site: str) -> None:
+def _face(w: PlanWriter, s: model.FaceLine, site: str) -> None:
     direction = vector(w, s.direction)
     w.note_steering(s, site, direction)
-    face(w, GAZE, direction, s.span)
+    face(w, GAZE_TEMP, direction, s.span)
 
 
-def face(w: Writer, register: str, direction: Vec, span: Span | None) -> None:
+def face(w: PlanWriter, register: str, direction: VectorNodes, span: Span | None) -> None:
     """Store a direction to face in a temp, unless an earlier request has set one."""
     for axis in AXES:
-        w.declare(f"{register}.{axis}", Kind.F32, "temp")
+        w.declare(f"{register}.{axis}", ValueKind.F32, "temp")
     previous = w.read_vector(register)
     w.store_vector(
         register, values.choose(w.b, w.b("gt", values.length(w.b, previous), w.b.number(0)), previous, direction), span
     )
 
 
-def _assign(w: Writer, s: model.Assign, site: str) -> None:
+def _assign(w: PlanWriter, s: model.Assign, site: str) -> None:
     pair_attribute = pair_values.find_declaration(w, s.attribute)
     if pair_attribute is not None:
         pair_values.assign(w, s, pair_attribute)
@@ -75,51 +75,53 @@ def _assign(w: Writer, s: model.Assign, site: str) -> None:
     value = lower(w, s.value)
     if s.op != "=":
         old = own_attribute(w, s.attribute, s.value.type)
-        if isinstance(value, Vec) and isinstance(old, Vec):
+        if isinstance(value, VectorNodes) and isinstance(old, VectorNodes):
             change = values.scale(b, value, w.run("dt")) if s.per_second else value
             value = values.add(b, old, change) if s.op == "+=" else values.sub(b, old, change)
         else:
-            if not isinstance(value, Node) or not isinstance(old, Node):
+            if not isinstance(value, PlanNode) or not isinstance(old, PlanNode):
                 raise PlanError(f"`{s.op}` on something that is no number: {s.span.text!r}")
             value = b("add" if s.op == "+=" else "sub", old, _rate(w, value, s.per_second))
-    if s.attribute == "heading" and isinstance(value, Vec):
+    if s.attribute == "heading" and isinstance(value, VectorNodes):
         size = values.length(b, value)
-        value = values.choose(b, b("gt", size, b.number(values.TINY)), values.divide(b, value, size), w.read_vector("heading"))
+        value = values.choose(
+            b, b("gt", size, b.number(values.MIN_VECTOR_LENGTH)), values.divide(b, value, size), w.read_vector("heading")
+        )
     w.store_value(s.attribute, value, s.span, infinite=s.attribute == "max_turn")
 
 
-def _give(w: Writer, s: model.Give, site: str) -> None:
+def _give(w: PlanWriter, s: model.Give, site: str) -> None:
     to = lower(w, s.to)
     if isinstance(to, NamedThing):
         every = w.b("set.items", w.b.number(float("inf")), attrs=(to.name,))
-        to = EntityRef(model.Kind.ITEM, to.name, w.b("reduce.item", every, w.b.true, w.b("pair.distance")))
-    if not isinstance(to, EntityRef) or to.what is not model.Kind.ITEM:
+        to = EntityRef(model.TypeKind.ITEM, to.name, w.b("reduce.item", every, w.b.true, w.b("pair.distance")))
+    if not isinstance(to, EntityRef) or to.what is not model.TypeKind.ITEM:
         raise PlanError(f"a gift to a {type(to).__name__}")
     amount = None if s.amount is None else _rate(w, scalar(w, s.amount), s.per_second)
     w.add(ir.Give(to.of, s.attribute, to.node, amount, s.attribute, s.span))
     w.mark_written(s.attribute)
 
 
-def _ask(w: Writer, s: model.Ask, site: str) -> None:
+def _ask(w: PlanWriter, s: model.EffectRequest, site: str) -> None:
     """Write a request as its row says. Its operands are the arguments, or are computed from them."""
-    rule = OPERANDS.get(s.op)
+    rule = OPERAND_LOWERERS.get(s.op)
     if rule is not None:
         operands = rule(w, *s.args)
     else:
         operands = tuple(None if arg is None else _operand(w, arg, s.per_second) for arg in s.args)
-    target_species = next((arg.type.of for arg in s.args if arg is not None and arg.type.kind is model.Kind.AGENT), None)
+    target_species = next((arg.type.of for arg in s.args if arg is not None and arg.type.kind is model.TypeKind.AGENT), None)
     w.add(ir.Request(s.op, s.of, operands, s.span, own=s.own, site=s.key, target_species=target_species))
 
 
-def _operand(w: Writer, arg: model.Expr, per_second: bool) -> Node:
+def _operand(w: PlanWriter, arg: model.Expr, per_second: bool) -> PlanNode:
     value = lower(w, arg)
     if isinstance(value, OwnPlace):
         return w.b("id")
     node = single_node(w, arg, value)
-    return _rate(w, node, per_second) if node.kind is Kind.F32 else node
+    return _rate(w, node, per_second) if node.kind is ValueKind.F32 else node
 
 
-def _carve_ball(w: Writer, size_of: model.Expr | None, toward: model.Expr | None) -> Operands:
+def _carve_ball(w: PlanWriter, size_of: model.Expr | None, toward: model.Expr | None) -> OperandTuple:
     """Return a ball that is half a body and half its radius ahead, with its underside level with the feet: an agent that moves
     ahead stays on that level."""
     assert size_of is not None
@@ -137,8 +139,8 @@ def _carve_ball(w: Writer, size_of: model.Expr | None, toward: model.Expr | None
 
 
 # Computes the operands of an effect from its arguments, if its row says that they are computed.
-OPERANDS: dict[str, Callable[..., Operands]] = {"carve": _carve_ball}
-_WRITE: dict[type, Callable[[Writer, Any, str], None]] = {
-    model.Steer: _steer, model.Face: _face, model.Assign: _assign, model.Give: _give, model.Ask: _ask,
-    **appearance.WRITE,
+OPERAND_LOWERERS: dict[str, Callable[..., OperandTuple]] = {"carve": _carve_ball}
+_LOWERER_BY_STATEMENT: dict[type, Callable[[PlanWriter, Any, str], None]] = {
+    model.Steer: _steer, model.FaceLine: _face, model.Assign: _assign, model.Give: _give, model.EffectRequest: _ask,
+    **appearance.LOWERER_BY_STATEMENT,
 }  # fmt: skip

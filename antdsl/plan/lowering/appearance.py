@@ -10,16 +10,16 @@ from collections.abc import Callable, Iterator, Sequence
 from math import pi
 from typing import Any
 
-from antdsl.plan.ir import Kind
+from antdsl.plan.ir import ValueKind
 from antdsl.plan.lowering import values
 from antdsl.plan.lowering.expressions import lower, scalar, truth
 from antdsl.plan.lowering.rules.places import offset_to
-from antdsl.plan.lowering.values import Vec
-from antdsl.plan.lowering.writer import AXES, Writer
+from antdsl.plan.lowering.values import VectorNodes
+from antdsl.plan.lowering.writer import AXES, PlanWriter
 from antdsl.program import model
 
-WITHIN, OVER = pi / 3, 0.2  # rad, s: how far a part turns and how soon where the line does not say
-_AHEAD = (1.0, 0.0, 0.0)
+DEFAULT_LOOK_ANGLE, DEFAULT_LOOK_SECONDS = pi / 3, 0.2  # rad, s: how far a part turns and how soon where the line does not say
+_LOOK_AHEAD = (1.0, 0.0, 0.0)
 
 
 def wears_of(species: model.Species) -> tuple[str, ...]:
@@ -37,32 +37,32 @@ def looks_of(species: model.Species) -> tuple[str, ...]:
     return tuple(dict.fromkeys(line.group for line in _lines(species) if isinstance(line, model.Look)))
 
 
-def declare(w: Writer) -> None:
+def declare(w: PlanWriter) -> None:
     """The registers of a species."""
     for role, sign in (("memory", ""), ("temp", "~")):
         for layer in wears_of(w.species):
-            w.declare(f"{sign}wear#{layer}", Kind.BOOL, role)
+            w.declare(f"{sign}wear#{layer}", ValueKind.BOOL, role)
         for name in channels_of(w.species):
-            w.declare(f"{sign}channel#{name}", Kind.F32, role)
-            w.declare(f"{sign}channel#{name}.said", Kind.BOOL, role)
+            w.declare(f"{sign}channel#{name}", ValueKind.F32, role)
+            w.declare(f"{sign}channel#{name}.said", ValueKind.BOOL, role)
         for group in looks_of(w.species):
-            for axis, ahead in zip(AXES, _AHEAD, strict=True):
-                w.declare(f"{sign}look#{group}.{axis}", Kind.F32, role, ahead)
+            for axis, ahead in zip(AXES, _LOOK_AHEAD, strict=True):
+                w.declare(f"{sign}look#{group}.{axis}", ValueKind.F32, role, ahead)
     for group in looks_of(w.species):
-        w.declare(f"~look#{group}.over", Kind.F32, "temp", OVER)
+        w.declare(f"~look#{group}.over", ValueKind.F32, "temp", DEFAULT_LOOK_SECONDS)
 
 
-def begin(w: Writer, starts: Sequence[model.State]) -> None:
+def begin(w: PlanWriter, starts: Sequence[model.State]) -> None:
     """Write the appearance at birth, that of the start states. Looks begin straight ahead."""
     for state in starts:
         for line in state.body:
             if isinstance(line, (model.Wear, model.Channel)):
                 w.b.span = line.span
-                WRITE[type(line)](w, line, "")
+                LOWERER_BY_STATEMENT[type(line)](w, line, "")
     _store_display(w)
 
 
-def settle(w: Writer) -> None:
+def settle(w: PlanWriter) -> None:
     """Apply the requests of all machines after they have acted; looks turn by one step."""
     _store_display(w)
     b = w.b
@@ -76,7 +76,7 @@ def settle(w: Writer) -> None:
         w.store_vector(name, values.choose(b, has_direction, turned, now), None)
 
 
-def _store_display(w: Writer) -> None:
+def _store_display(w: PlanWriter) -> None:
     for layer in wears_of(w.species):
         w.store(f"wear#{layer}", w.read(f"~wear#{layer}"), None)
     for name in channels_of(w.species):
@@ -84,18 +84,18 @@ def _store_display(w: Writer) -> None:
             w.store(register, w.read(f"~{register}"), None)
 
 
-def _wear(w: Writer, line: model.Wear, site: str) -> None:
+def _wear(w: PlanWriter, line: model.Wear, site: str) -> None:
     register = f"~wear#{line.layer}"
     worn = w.b.true if line.when is None else truth(w, line.when)
     w.store(register, w.b("or", w.read(register), worn), line.span)
 
 
-def _channel(w: Writer, line: model.Channel, site: str) -> None:
+def _channel(w: PlanWriter, line: model.Channel, site: str) -> None:
     w.store(f"~channel#{line.channel}", scalar(w, line.value), line.span)
     w.store(f"~channel#{line.channel}.said", w.b.true, line.span)
 
 
-def _look(w: Writer, line: model.Look, site: str) -> None:
+def _look(w: PlanWriter, line: model.Look, site: str) -> None:
     """Write the look direction to a position in the agent's frame, limited to the allowed angle; straight ahead where there is no
     such position."""
     b, register = w.b, f"~look#{line.group}"
@@ -103,20 +103,24 @@ def _look(w: Writer, line: model.Look, site: str) -> None:
     direction = values.unit(b, values.vector_if(b, is_present, offset))
     heading, up = w.read_vector("heading"), w.read_vector("up")
     side = values.cross(b, heading, up)
-    local_direction = Vec(values.dot(b, direction, heading), values.dot(b, direction, up), values.dot(b, direction, side))
-    limit = b.number(WITHIN) if line.within is None else scalar(w, line.within)
+    local_direction = VectorNodes(values.dot(b, direction, heading), values.dot(b, direction, up), values.dot(b, direction, side))
+    limit = b.number(DEFAULT_LOOK_ANGLE) if line.within is None else scalar(w, line.within)
     least, widest = b("cos", limit), b("sin", limit)
-    aside = values.length(b, Vec(b.number(0), local_direction.y, local_direction.z))
+    aside = values.length(b, VectorNodes(b.number(0), local_direction.y, local_direction.z))
     far = b("div", widest, b("max", aside, b.number(1e-6)))
-    held = Vec(least, b("mul", local_direction.y, far), b("mul", local_direction.z, far))
+    held = VectorNodes(least, b("mul", local_direction.y, far), b("mul", local_direction.z, far))
     wish = values.choose(b, b("lt", local_direction.x, least), held, local_direction)
-    ahead = Vec(*(b.number(part) for part in _AHEAD))
+    ahead = VectorNodes(*(b.number(part) for part in _LOOK_AHEAD))
     known = b("and", is_present, b("gt", aside, b.number(1e-6)))  # what is straight behind has no side to turn to
     w.store_vector(register, values.choose(b, known, wish, ahead), line.span)
-    w.store(f"{register}.over", b.number(OVER) if line.over is None else scalar(w, line.over), line.span)
+    w.store(f"{register}.over", b.number(DEFAULT_LOOK_SECONDS) if line.over is None else scalar(w, line.over), line.span)
 
 
-WRITE: dict[type, Callable[[Writer, Any, str], None]] = {model.Wear: _wear, model.Channel: _channel, model.Look: _look}
+LOWERER_BY_STATEMENT: dict[type, Callable[[PlanWriter, Any, str], None]] = {
+    model.Wear: _wear,
+    model.Channel: _channel,
+    model.Look: _look,
+}
 
 
 def _lines(species: model.Species) -> Iterator[model.Statement]:

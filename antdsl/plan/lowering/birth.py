@@ -5,33 +5,33 @@ from __future__ import annotations
 from graphlib import TopologicalSorter
 from math import inf
 
-from antdsl.plan.builder import Builder
-from antdsl.plan.ir import Kind, Node, birth_register
+from antdsl.plan.builder import PlanBuilder
+from antdsl.plan.ir import PlanNode, ValueKind, birth_register
 from antdsl.plan.lowering import appearance, clips, pair_values
 from antdsl.plan.lowering.actions import complain, write
 from antdsl.plan.lowering.expressions import as_truth, keeps_moving, lower
 from antdsl.plan.lowering.machines import MachineWriter
-from antdsl.plan.lowering.values import Value
-from antdsl.plan.lowering.writer import UnsupportedConstruct, Writer
+from antdsl.plan.lowering.values import LoweredValue
+from antdsl.plan.lowering.writer import PlanWriter, UnsupportedConstruct
 from antdsl.program import model
 from antdsl.program.tables.columns import REGISTERS
 from antdsl.program.traverse import inside
 
-VECTORS = tuple(name for name, column in REGISTERS.items() if column.shape)
+VECTOR_ATTRIBUTES = tuple(name for name, column in REGISTERS.items() if column.shape)
 # The given ones in an order in which each can be made from those before it; `group` is set by the runtime, by the scene's line.
 BIRTH_ATTRIBUTES = ("size", "mass", "radius", "clearance", "max_speed", "min_speed", "response", "max_turn", "max_force")
 
 
-def declare(w: Writer) -> None:
+def declare(w: PlanWriter) -> None:
     """Registers of every agent, then the author's."""
-    for name in VECTORS:
+    for name in VECTOR_ATTRIBUTES:
         for axis in "xyz":
-            w.declare(f"{name}.{axis}", Kind.F32, "attribute")
+            w.declare(f"{name}.{axis}", ValueKind.F32, "attribute")
     for name in (*BIRTH_ATTRIBUTES, "group"):
         if name != "min_speed" or keeps_moving(w.species):
-            w.declare(name, Kind.F32, "attribute")
+            w.declare(name, ValueKind.F32, "attribute")
     if w.measures_pushes:
-        w.declare("moved", Kind.F32, "attribute")
+        w.declare("moved", ValueKind.F32, "attribute")
     for attribute in w.species.attributes:
         if attribute.each:
             pair_values.declare(w, attribute)
@@ -43,11 +43,11 @@ def declare(w: Writer) -> None:
             w.declare_typed(attribute.name, attribute.type, "attribute")
 
 
-def given_default(w: Writer, name: str) -> Node:
+def given_default(w: PlanWriter, name: str) -> PlanNode:
     """Return the default of a built-in property that the author does not set (the card's `given`)."""
-    b: Builder = w.b
-    if name in _PLAIN:
-        return b.number(_PLAIN[name])
+    b: PlanBuilder = w.b
+    if name in _PLAIN_DEFAULTS:
+        return b.number(_PLAIN_DEFAULTS[name])
     if name == "radius":
         return b("mul", w.read("size"), b.number(0.5))
     # From standing to full speed within `response`. A kinematic animal (response of a step or less) may turn right round at once,
@@ -59,10 +59,18 @@ def given_default(w: Writer, name: str) -> Node:
     return b("mul", strength, b("where", is_instant, b.number(2), b.number(1)))
 
 
-_PLAIN = {"size": 4.0, "mass": 1.0, "clearance": 0.0, "max_speed": 30.0, "min_speed": 0.0, "response": 0.15, "max_turn": inf}
+_PLAIN_DEFAULTS = {
+    "size": 4.0,
+    "mass": 1.0,
+    "clearance": 0.0,
+    "max_speed": 30.0,
+    "min_speed": 0.0,
+    "response": 0.15,
+    "max_turn": inf,
+}
 
 
-def write_birth(w: Writer, machines: list[MachineWriter]) -> None:
+def write_birth(w: PlanWriter, machines: list[MachineWriter]) -> None:
     """Write the block `born`."""
     for machine in machines:
         machine.begin()
@@ -76,41 +84,41 @@ def write_birth(w: Writer, machines: list[MachineWriter]) -> None:
     clips.begin_leaning(w)
 
 
-def _or_scene_value(w: Writer, name: str, default: Value) -> Value:
+def _or_scene_value(w: PlanWriter, name: str, default: LoweredValue) -> LoweredValue:
     """Return the scene's value in place of an attribute's default, for all that is computed after it."""
-    if name not in w.begun_with or not isinstance(default, Node) or default.kind not in (Kind.F32, Kind.BOOL):
+    if name not in w.begun_with or not isinstance(default, PlanNode) or default.kind not in (ValueKind.F32, ValueKind.BOOL):
         return default
-    w.declare(birth_register(name), Kind.F32, "temp", inf)
+    w.declare(birth_register(name), ValueKind.F32, "temp", inf)
     b, scene_value = w.b, w.read(birth_register(name))
-    value = scene_value if default.kind is Kind.F32 else b("ne", scene_value, b.number(0))
+    value = scene_value if default.kind is ValueKind.F32 else b("ne", scene_value, b.number(0))
     return b("where", b("lt", scene_value, b.number(inf)), value, default)
 
 
-def _author_attributes(w: Writer) -> dict[str, model.AttributeDecl]:
+def _author_attributes(w: PlanWriter) -> dict[str, model.AttributeDecl]:
     """Return the attributes that the author wrote. A built-in one located at the species' own name comes from the card and is
     made here, where the step length is known."""
     mine = [a for a in w.species.attributes if not a.each and a.name != "push"]
     return {a.name: a for a in mine if not (a.is_builtin and a.span == w.species.span)}
 
 
-def _attribute(w: Writer, name: str) -> None:
+def _attribute(w: PlanWriter, name: str) -> None:
     declared = _author_attributes(w)
     if name not in declared:
-        value: Value = _or_scene_value(w, name, given_default(w, name))
+        value: LoweredValue = _or_scene_value(w, name, given_default(w, name))
         w.store_value(name, value, None, infinite=name == "max_turn")
         return
     attribute = declared[name]
     w.b.span = attribute.span
     try:
         value = lower(w, attribute.default)
-        if attribute.type.kind is model.Kind.BOOL:
+        if attribute.type.kind is model.TypeKind.BOOL:
             value = as_truth(w, value, attribute.default)
         w.store_value(name, _or_scene_value(w, name, value), attribute.span, infinite=name == "max_turn")
     except UnsupportedConstruct as missing:
         complain(w, missing)
 
 
-def _attribute_order(w: Writer) -> list[str]:
+def _attribute_order(w: PlanWriter) -> list[str]:
     """Return the names of all attributes, each after those that its default reads. The checker has already rejected cycles."""
     declared = _author_attributes(w)
     needs: dict[str, list[str]] = {name: [] for name in (*BIRTH_ATTRIBUTES, *declared) if name in w.registers or name in declared}
@@ -124,5 +132,5 @@ def _attribute_order(w: Writer) -> list[str]:
 
 def attributes_read(expr: model.Expr) -> list[str]:
     """Names of the agent's own attributes that an expression reads, also through lets."""
-    own = [e.name for e in inside(expr) if isinstance(e, model.Attribute) and e.of is None]
+    own = [e.name for e in inside(expr) if isinstance(e, model.AttributeRef) and e.of is None]
     return ["velocity" if name == "speed" else name for name in own]

@@ -5,23 +5,23 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from antdsl.plan.ir import Kind, LayerPlan
+from antdsl.plan.ir import LayerPlan, ValueKind
 from antdsl.plan.lowering import values
-from antdsl.plan.lowering.actions import GAZE, STEER, complain, face
+from antdsl.plan.lowering.actions import GAZE_TEMP, STEER_TEMP, complain, face
 from antdsl.plan.lowering.expressions import truth, vector
-from antdsl.plan.lowering.values import Vec
-from antdsl.plan.lowering.writer import AXES, UnsupportedConstruct, Writer
+from antdsl.plan.lowering.values import VectorNodes
+from antdsl.plan.lowering.writer import AXES, PlanWriter, UnsupportedConstruct
 from antdsl.program import model
 
-PUSH, LEFT, FACE = "push", "~left", "~face"
+PUSH_REGISTER, BUDGET_LEFT_REGISTER, FACE_REGISTER = "push", "~left", "~face"
 
 
-def blend(w: Writer, order: Sequence[str] | None) -> tuple[LayerPlan, ...]:
+def blend(w: PlanWriter, order: Sequence[str] | None) -> tuple[LayerPlan, ...]:
     """Write the layers in order; the result is the register `push`."""
     mode = w.species.layers.mode
     every = order_layers(w, order)
     layers = [layer for layer in every if not layer.faces]
-    w.declare(LEFT, Kind.F32, "temp", 1.0)
+    w.declare(BUDGET_LEFT_REGISTER, ValueKind.F32, "temp", 1.0)
     if not layers:
         _spend(w, _states(w), w.species.span, last=True)
     for number, layer in enumerate(layers):
@@ -31,14 +31,14 @@ def blend(w: Writer, order: Sequence[str] | None) -> tuple[LayerPlan, ...]:
         except UnsupportedConstruct as missing:
             complain(w, missing)
     if mode == "sum":
-        w.store_vector(PUSH, values.limit(w.b, w.read_vector(PUSH), w.b.number(1)), w.species.layers.span)
+        w.store_vector(PUSH_REGISTER, values.limit(w.b, w.read_vector(PUSH_REGISTER), w.b.number(1)), w.species.layers.span)
     _face(w, every)
     return tuple(LayerPlan(layer.text, layer.span) for layer in every)
 
 
-def _layer(w: Writer, layer: model.Layer, mode: str, last: bool) -> None:
+def _layer(w: PlanWriter, layer: model.Layer, mode: str, last: bool) -> None:
     b = w.b
-    strength = w.read(LEFT)
+    strength = w.read(BUDGET_LEFT_REGISTER)
     left = b.true if mode == "sum" else b("gt", strength, b.number(0))
     with w.region(left, layer.span):
         condition = b.true if layer.condition is None else truth(w, layer.condition)
@@ -46,21 +46,21 @@ def _layer(w: Writer, layer: model.Layer, mode: str, last: bool) -> None:
             push = _states(w) if layer.push is None else vector(w, layer.push)
             w.note_layer(layer, strength, left, condition, push)
             if mode == "sum":
-                w.store_vector(PUSH, values.add(b, w.read_vector(PUSH), push), layer.span)
+                w.store_vector(PUSH_REGISTER, values.add(b, w.read_vector(PUSH_REGISTER), push), layer.span)
             elif mode == "first":
                 _take_first(w, push, layer, last)
             else:
                 _spend(w, push, layer.span, last)
 
 
-def _face(w: Writer, layers: Sequence[model.Layer]) -> None:
+def _face(w: PlanWriter, layers: Sequence[model.Layer]) -> None:
     """Write the direction that the body faces: that of the topmost line that gives one. At the line `state`, `face` lines of the
     states apply.
 
     It takes no strength, so lines above cannot use up its share."""
-    states = f"{GAZE}.x" in w.registers
+    states = f"{GAZE_TEMP}.x" in w.registers
     if not layers and states:
-        face(w, FACE, w.read_vector(GAZE), w.species.span)
+        face(w, FACE_REGISTER, w.read_vector(GAZE_TEMP), w.species.span)
     for number, layer in enumerate(layers, 1):
         if not layer.faces and not (layer.push is None and states):
             continue
@@ -68,47 +68,47 @@ def _face(w: Writer, layers: Sequence[model.Layer]) -> None:
         try:
             holds = w.b.true if layer.condition is None else truth(w, layer.condition)
             with w.region(holds, layer.span):
-                direction = w.read_vector(GAZE) if layer.push is None else vector(w, layer.push)
+                direction = w.read_vector(GAZE_TEMP) if layer.push is None else vector(w, layer.push)
                 if layer.push is not None:
                     w.note_steering(layer, f"{w.species.name}.layers.face#{number}", direction, holds)
-                face(w, FACE, direction, layer.span)
+                face(w, FACE_REGISTER, direction, layer.span)
         except UnsupportedConstruct as missing:
             complain(w, missing)
 
 
-def _states(w: Writer) -> Vec:
+def _states(w: PlanWriter) -> VectorNodes:
     """Return the steering of the states of all machines together."""
-    if f"{STEER}.x" not in w.registers:
+    if f"{STEER_TEMP}.x" not in w.registers:
         return values.zero(w.b)
-    return w.read_vector(STEER)
+    return w.read_vector(STEER_TEMP)
 
 
-def _spend(w: Writer, push: Vec, span: object, last: bool) -> None:
+def _spend(w: PlanWriter, push: VectorNodes, span: object, last: bool) -> None:
     """Limit a push to the remaining strength, and subtract it from that."""
     b = w.b
-    left, size = w.read(LEFT), values.length(b, push)
+    left, size = w.read(BUDGET_LEFT_REGISTER), values.length(b, push)
     too_much = b("gt", size, left)
     cut = values.scale(b, push, b("where", too_much, b("div", left, size), b.number(1)))
     place = b.span
-    w.store_vector(PUSH, values.add(b, w.read_vector(PUSH), cut), place)
+    w.store_vector(PUSH_REGISTER, values.add(b, w.read_vector(PUSH_REGISTER), cut), place)
     if not last:
-        w.store(LEFT, b("where", too_much, b.number(0), b("sub", left, size)), place)
+        w.store(BUDGET_LEFT_REGISTER, b("where", too_much, b.number(0), b("sub", left, size)), place)
 
 
-def _take_first(w: Writer, push: Vec, layer: model.Layer, last: bool) -> None:
+def _take_first(w: PlanWriter, push: VectorNodes, layer: model.Layer, last: bool) -> None:
     """The first push that is any takes all."""
     b = w.b
     is_nonzero = b("gt", values.length(b, push), b.number(0))
     with w.region(is_nonzero, layer.span):
-        w.store_vector(PUSH, values.limit(b, push, b.number(1)), layer.span)
+        w.store_vector(PUSH_REGISTER, values.limit(b, push, b.number(1)), layer.span)
         if not last:
-            w.store(LEFT, b.number(0), layer.span)
+            w.store(BUDGET_LEFT_REGISTER, b.number(0), layer.span)
 
 
 # --- an order from the scene -----------------------------------------------------------------------------------------
 
 
-def order_layers(w: Writer, order: Sequence[str] | None) -> tuple[model.Layer, ...]:
+def order_layers(w: PlanWriter, order: Sequence[str] | None) -> tuple[model.Layer, ...]:
     """Return the layers as in the source, or in the order that a scene gives: each named by its text or by the word before its
     bracket."""
     layers = list(w.species.layers.layers)
@@ -143,6 +143,6 @@ def _is_named(layer: model.Layer, name: str) -> bool:
     return text == _plain_text(name) or text.split("(")[0] == _plain_text(name)
 
 
-def declare(w: Writer) -> None:
+def declare(w: PlanWriter) -> None:
     for axis in AXES:
-        w.declare(f"{PUSH}.{axis}", Kind.F32, "temp")
+        w.declare(f"{PUSH_REGISTER}.{axis}", ValueKind.F32, "temp")

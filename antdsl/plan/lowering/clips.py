@@ -21,26 +21,26 @@ from __future__ import annotations
 from math import pi
 
 from antdsl.plan import ir
-from antdsl.plan.ir import Kind, Node
+from antdsl.plan.ir import PlanNode, ValueKind
 from antdsl.plan.lowering import values
 from antdsl.plan.lowering.expressions import scalar, truth
-from antdsl.plan.lowering.values import Vec
-from antdsl.plan.lowering.writer import AXES, Writer
+from antdsl.plan.lowering.values import VectorNodes
+from antdsl.plan.lowering.writer import AXES, PlanWriter
 from antdsl.program import model
 from antdsl.source import Span
 
-TURN, SLOPE = pi / 2, 0.5  # rad/s, and the sine of the angle: what counts whole
-SMOOTH = 0.15  # s in which both follow
-OVER = 0.15  # s, in which one clip gives way to the next where no change says otherwise
-NONE = -1
-_START_OFFSET = 1e-6  # turns: where a clip that begins was before, so that it comes past a mark at its start
-_START, _LAST, _BEGINS, _WAITS = "~clip.start", "~clip.last", "~clip.begins", "~clip.waits"
-_NUMBERS = (
+FULL_LEAN_TURN, FULL_LEAN_SLOPE = pi / 2, 0.5  # rad/s, and the sine of the angle: what counts whole
+LEAN_SMOOTHING_SECONDS = 0.15  # s in which both follow
+DEFAULT_FADE_SECONDS = 0.15  # s, in which one clip gives way to the next where no change says otherwise
+NO_CLIP = -1
+_START_OFFSET_TURNS = 1e-6  # turns: where a clip that begins was before, so that it comes past a mark at its start
+_START_REGISTER, _LAST_REGISTER, _BEGINS_REGISTER, _WAITS_REGISTER = "~clip.start", "~clip.last", "~clip.begins", "~clip.waits"
+_CLIP_NUMBER_REGISTERS = (
     "clip_turns", "clip_last", "clip_weight", "clip_before_turns", "clip_before_weight", "clip_fade",
     "clip_earlier_turns", "clip_earlier_weight", "clip_earlier_fade",
 )  # fmt: skip
 # Which registers take over from which as another clip begins, in this order.
-_BACK = (
+_FADE_REGISTER_COPIES = (
     ("clip_earlier", "clip_before"), ("clip_earlier_turns", "clip_before_turns"), ("clip_earlier_weight", "clip_before_weight"),
     ("clip_earlier_fade", "clip_fade"), ("clip_earlier_fading", "clip_fading"), ("clip_before", "clip"),
     ("clip_before_turns", "clip_turns"), ("clip_before_weight", "clip_weight"), ("clip_fading", "clip_over"),
@@ -65,19 +65,19 @@ def plays_clips(machine: model.Machine) -> bool:
     return bool(_lines(machine))
 
 
-def declare(w: Writer, machine: model.Machine) -> None:
+def declare(w: PlanWriter, machine: model.Machine) -> None:
     """The registers of a machine that plays."""
     name = machine.name
     for part in ("clip", "clip_before", "clip_earlier"):
-        w.declare(f"{name}.{part}", Kind.I32, "memory", NONE)
-    for part in _NUMBERS:
-        w.declare(f"{name}.{part}", Kind.F32, "memory")
+        w.declare(f"{name}.{part}", ValueKind.I32, "memory", NO_CLIP)
+    for part in _CLIP_NUMBER_REGISTERS:
+        w.declare(f"{name}.{part}", ValueKind.F32, "memory")
     for part in ("clip_over", "clip_fading", "clip_earlier_fading"):
-        w.declare(f"{name}.{part}", Kind.F32, "memory", OVER)
-    w.declare(f"{name}.clip_waits", Kind.BOOL, "memory")
+        w.declare(f"{name}.{part}", ValueKind.F32, "memory", DEFAULT_FADE_SECONDS)
+    w.declare(f"{name}.clip_waits", ValueKind.BOOL, "memory")
 
 
-def begin(w: Writer, machine: model.Machine) -> None:
+def begin(w: PlanWriter, machine: model.Machine) -> None:
     """At birth, start the clip of the start state: at its beginning, or at a drawn time if it loops."""
     line = next((line for line in machine.states[machine.start].body if isinstance(line, model.Play)), None)
     if line is None:
@@ -86,30 +86,30 @@ def begin(w: Writer, machine: model.Machine) -> None:
     draw = b("draw", attrs=(f"{w.species.name}.{name}.clip", 0))
     w.store(f"{name}.clip", clip, line.span)
     w.store(f"{name}.clip_turns", b("where", _loops(w, clip), draw, b.number(0)), line.span)
-    w.store(f"{name}.clip_last", b("sub", w.read(f"{name}.clip_turns"), b.number(_START_OFFSET)), line.span)
+    w.store(f"{name}.clip_last", b("sub", w.read(f"{name}.clip_turns"), b.number(_START_OFFSET_TURNS)), line.span)
     w.store(f"{name}.clip_weight", b.number(1), line.span)
 
 
-def give_way(w: Writer, machine: model.Machine, over: model.Expr | None, span: Span) -> None:
+def give_way(w: PlanWriter, machine: model.Machine, over: model.Expr | None, span: Span) -> None:
     """Store how long the clip of the state that a transition leaves takes to fade out."""
-    w.store(f"{machine.name}.clip_over", w.b.number(OVER) if over is None else scalar(w, over), span)
+    w.store(f"{machine.name}.clip_over", w.b.number(DEFAULT_FADE_SECONDS) if over is None else scalar(w, over), span)
     w.store(f"{machine.name}.clip_waits", w.b.false, span)
 
 
-def enter(w: Writer, machine: model.Machine, state: model.State) -> None:
+def enter(w: PlanWriter, machine: model.Machine, state: model.State) -> None:
     """Restart the clip of a state with `again` for agents that enter the state, even if it plays already."""
     line = next((line for line in state.body if isinstance(line, model.Play)), None)
     if line is not None and line.again is not None:
         w.store(f"{machine.name}.clip_waits", truth(w, line.again), line.span)
 
 
-def rest(w: Writer, machine: model.Machine, state: model.State) -> None:
+def rest(w: PlanWriter, machine: model.Machine, state: model.State) -> None:
     """In a state without a clip, of a machine that has clips: let the previous clip fade out to none."""
     if plays_clips(machine) and not any(isinstance(line, model.Play) for line in state.body):
-        _step(w, machine.name, w.b.row(NONE), None, w.b.number(0), state.span)
+        _step(w, machine.name, w.b.row(NO_CLIP), None, w.b.number(0), state.span)
 
 
-def play(w: Writer, machine: str, line: model.Play) -> None:
+def play(w: PlanWriter, machine: str, line: model.Play) -> None:
     """A line of the state that the agent is in."""
     b = w.b
     speed = None if line.speed is None else scalar(w, line.speed)
@@ -117,23 +117,24 @@ def play(w: Writer, machine: str, line: model.Play) -> None:
     _step(w, machine, _clip_number(w, line), speed, weight, line.span)
 
 
-def _step(w: Writer, machine: str, clip: Node, speed: Node | None, weight: Node, span: Span) -> None:
+def _step(w: PlanWriter, machine: str, clip: PlanNode, speed: PlanNode | None, weight: PlanNode, span: Span) -> None:
     """Write a step of a machine that requests `clip`: it begins, waits until it can, or continues."""
     b, now, turns = w.b, w.read(f"{machine}.clip"), w.read(f"{machine}.clip_turns")
-    none = clip is b.row(NONE)
+    none = clip is b.row(NO_CLIP)
     wished = b("ne", now, clip) if none else b("or", b("ne", now, clip), w.read(f"{machine}.clip_waits"))
     shares = (w.read(f"{machine}.{share}") for share in ("clip_fade", "clip_earlier_fade"))
     three = b("and", *(b("gt", share, b.number(0)) for share in shares))
     own = b.number(1) if speed is None else speed
     first = _first_turns(w, machine, clip, b("mul", b("mul", _pace(w, clip), own), w.run("dt")))
     held = (
-        (_BEGINS, Kind.BOOL, b("and", wished, b("not", three))), (_WAITS, Kind.BOOL, b("and", wished, three)),
-        (_START, Kind.F32, first[0]), (_LAST, Kind.F32, first[1]),
+        (_BEGINS_REGISTER, ValueKind.BOOL, b("and", wished, b("not", three))), (_WAITS_REGISTER, ValueKind.BOOL, b("and",
+        wished, three)),
+        (_START_REGISTER, ValueKind.F32, first[0]), (_LAST_REGISTER, ValueKind.F32, first[1]),
     )  # fmt: skip
     for name, kind, node in held:
         w.declare(name, kind, "temp")
         w.store(name, node, span)
-    begins, waits = w.read(_BEGINS), w.read(_WAITS)
+    begins, waits = w.read(_BEGINS_REGISTER), w.read(_WAITS_REGISTER)
     pace = b("mul", _pace(w, now), b("where", waits, b.number(1), own))
     goes_on = b("add", turns, b("mul", pace, w.run("dt")))
     further = b("where", _loops(w, now), goes_on, b("min", goes_on, b.number(1)))
@@ -145,7 +146,7 @@ def _step(w: Writer, machine: str, clip: Node, speed: Node | None, weight: Node,
     w.store(f"{machine}.clip_weight", b("where", waits, w.read(f"{machine}.clip_weight"), weight), span)
 
 
-def lower_clip_test(w: Writer, e: model.ClipTest) -> Node:
+def lower_clip_test(w: PlanWriter, e: model.ClipTest) -> PlanNode:
     """Return whether a clip passed a mark in the last step (`clip at MARK`), or ended since it began (`clip done`)."""
     b, machine = w.b, e.machine
     names = next(m for m in w.species.machines if m.name == machine)
@@ -162,28 +163,28 @@ def lower_clip_test(w: Writer, e: model.ClipTest) -> Node:
     return b("and", has_begun, b("and", passed, b("ge", mark, b.number(0))))
 
 
-def _first_turns(w: Writer, machine: str, clip: Node, step: Node) -> tuple[Node, Node]:
+def _first_turns(w: PlanWriter, machine: str, clip: PlanNode, step: PlanNode) -> tuple[PlanNode, PlanNode]:
     """Return the first turns of another clip, and its turns before that. It begins at 0, or in step with the previous clip if
     both cover ground; it then advances by `step` turns."""
     b, previous_clip, turns = w.b, w.read(f"{machine}.clip"), w.read(f"{machine}.clip_turns")
     both = b("and", b("ne", previous_clip, clip), b("and", _covers_ground(w, previous_clip), _covers_ground(w, clip)))
     part = b("sub", turns, b("floor", turns))
-    return b("where", both, b("add", part, step), b.number(0)), b("where", both, part, b.number(-_START_OFFSET))
+    return b("where", both, b("add", part, step), b.number(0)), b("where", both, part, b.number(-_START_OFFSET_TURNS))
 
 
-def _start_clip(w: Writer, machine: str, clip: Node, span: Span | None) -> None:
+def _start_clip(w: PlanWriter, machine: str, clip: PlanNode, span: Span | None) -> None:
     """Begin another clip; the clips before it move back by one place."""
     b = w.b
-    with w.region(w.read(_BEGINS), span or w.species.span):
-        for to, source in _BACK:
+    with w.region(w.read(_BEGINS_REGISTER), span or w.species.span):
+        for to, source in _FADE_REGISTER_COPIES:
             w.store(f"{machine}.{to}", w.read(f"{machine}.{source}"), span)
         w.store(f"{machine}.clip_fade", b.number(1), span)
-        w.store(f"{machine}.clip_last", w.read(_LAST), span)
+        w.store(f"{machine}.clip_last", w.read(_LAST_REGISTER), span)
         w.store(f"{machine}.clip", clip, span)
-        w.store(f"{machine}.clip_turns", w.read(_START), span)
+        w.store(f"{machine}.clip_turns", w.read(_START_REGISTER), span)
 
 
-def _fade(w: Writer, machine: str, span: Span | None) -> None:
+def _fade(w: PlanWriter, machine: str, span: Span | None) -> None:
     """Reduce the shares of the previous clips and advance them."""
     b, dt = w.b, w.run("dt")
     with w.region(b("gt", w.read(f"{machine}.clip_fade"), b.number(0)), span or w.species.span):
@@ -199,7 +200,7 @@ def _fade(w: Writer, machine: str, span: Span | None) -> None:
             w.store(f"{machine}.{share}", b("max", left, b.number(0)), span)
 
 
-def _pace(w: Writer, clip: Node) -> Node:
+def _pace(w: PlanWriter, clip: PlanNode) -> PlanNode:
     """Return turns per second: from the ground covered in body lengths if the clip covers ground, else from the clip's
     duration."""
     b = w.b
@@ -211,16 +212,16 @@ def _pace(w: Writer, clip: Node) -> Node:
     return b("where", b("gt", stride, b.number(0)), by_ground, b("div", b.number(1), b("max", seconds, w.run("dt"))))
 
 
-def _clip_number(w: Writer, line: model.Play) -> Node:
+def _clip_number(w: PlanWriter, line: model.Play) -> PlanNode:
     """The number of the clip of a line."""
     return w.b.row(clips_of(w.species).index(_clip_plan(line)))
 
 
-def _loops(w: Writer, clip: Node) -> Node:
+def _loops(w: PlanWriter, clip: PlanNode) -> PlanNode:
     return w.b("gt", w.b("clip.value", clip, attrs=("loop",)), w.b.number(0.5))
 
 
-def _covers_ground(w: Writer, clip: Node) -> Node:
+def _covers_ground(w: PlanWriter, clip: PlanNode) -> PlanNode:
     return w.b("gt", w.b("clip.value", clip, attrs=("stride",)), w.b.number(0))
 
 
@@ -228,38 +229,38 @@ def _lines(machine: model.Machine) -> list[model.Play]:
     return [line for state in machine.states for line in state.body if isinstance(line, model.Play)]
 
 
-def leans(w: Writer) -> bool:
+def leans(w: PlanWriter) -> bool:
     """Return whether a clip of the species depends on how its agents turn or climb."""
     return any(clip.leans for clip in clips_of(w.species))
 
 
-def declare_leaning(w: Writer) -> None:
+def declare_leaning(w: PlanWriter) -> None:
     """The registers of a species."""
     if leans(w):
         for name in ("turn", "slope", *(f"was.{axis}" for axis in AXES)):
-            w.declare(f"lean#{name}", Kind.F32, "memory")
+            w.declare(f"lean#{name}", ValueKind.F32, "memory")
 
 
-def begin_leaning(w: Writer) -> None:
+def begin_leaning(w: PlanWriter) -> None:
     """Store the birth heading: no agent has turned."""
     if leans(w):
         w.store_vector("lean#was", w.read_vector("heading"), None)
 
 
-def settle(w: Writer) -> None:
+def settle(w: PlanWriter) -> None:
     """Once a step, store the turn since the previous step, about the body's up, and the slope of the heading."""
     if not leans(w):
         return
     b, dt, heading = w.b, w.run("dt"), w.read_vector("heading")
     turned = b("div", values.dot(b, values.cross(b, w.read_vector("lean#was"), heading), w.read_vector("up")), dt)
-    climb = values.dot(b, heading, Vec(*(w.run(f"up_{axis}") for axis in AXES)))
-    share = b("sub", b.number(1), b("exp", b("neg", b("div", dt, b.number(SMOOTH)))))
-    for name, measure, full_value in (("turn", turned, TURN), ("slope", climb, SLOPE)):
+    climb = values.dot(b, heading, VectorNodes(*(w.run(f"up_{axis}") for axis in AXES)))
+    share = b("sub", b.number(1), b("exp", b("neg", b("div", dt, b.number(LEAN_SMOOTHING_SECONDS)))))
+    for name, measure, full_value in (("turn", turned, FULL_LEAN_TURN), ("slope", climb, FULL_LEAN_SLOPE)):
         now = w.read(f"lean#{name}")
         wish = _limit(w, b("div", measure, b.number(full_value)))
         w.store(f"lean#{name}", b("add", now, b("mul", b("sub", wish, now), share)), None)
     w.store_vector("lean#was", heading, None)
 
 
-def _limit(w: Writer, measure: Node) -> Node:
+def _limit(w: PlanWriter, measure: PlanNode) -> PlanNode:
     return w.b("min", w.b("max", measure, w.b.number(-1)), w.b.number(1))

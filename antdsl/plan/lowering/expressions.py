@@ -6,75 +6,85 @@ from collections.abc import Callable, Container
 from typing import Any
 
 from antdsl.plan.builder import PlanError
-from antdsl.plan.ir import Kind, Node
+from antdsl.plan.ir import PlanNode, ValueKind
 from antdsl.plan.lowering import values
-from antdsl.plan.lowering.values import Element, EntityRef, Group, Hit, Hits, NamedThing, OwnPlace, Value, Vec
-from antdsl.plan.lowering.writer import AXES, KINDS, NONE, UnsupportedConstruct, Writer
+from antdsl.plan.lowering.values import (
+    ElementGroup,
+    EntityRef,
+    LoweredValue,
+    NamedThing,
+    OwnPlace,
+    RayHit,
+    RayHits,
+    SetElement,
+    VectorNodes,
+)
+from antdsl.plan.lowering.writer import AXES, KIND_BY_TYPE_KIND, NONE_BY_KIND, PlanWriter, UnsupportedConstruct
 from antdsl.program import expectations, model
 from antdsl.program.traverse import inside, parts
 
 
-def lower(w: Writer, expr: model.Expr) -> Value:
+def lower(w: PlanWriter, expr: model.Expr) -> LoweredValue:
     """Return the value of an expression at the writer's current place."""
     outer, w.b.span = w.b.span, expr.span
     try:
-        return _LOWER[type(expr)](w, expr)
+        return _LOWERER_BY_EXPRESSION[type(expr)](w, expr)
     finally:
         w.b.span = outer
 
 
-def scalar(w: Writer, expr: model.Expr) -> Node:
+def scalar(w: PlanWriter, expr: model.Expr) -> PlanNode:
     """Lower an expression that is one node: a number, a bool, a state, or the row or id of a reference."""
     return single_node(w, expr, lower(w, expr))
 
 
-def single_node(w: Writer, expr: model.Expr, value: Value) -> Node:
+def single_node(w: PlanWriter, expr: model.Expr, value: LoweredValue) -> PlanNode:
     """Return the value of a lowered expression as one node."""
     if isinstance(value, EntityRef):
         return value.node
-    if isinstance(value, Element):
-        return w.b("other.row") if value.what is model.Kind.ITEM else w.b("other.id")
-    if not isinstance(value, Node):
+    if isinstance(value, SetElement):
+        return w.b("other.row") if value.what is model.TypeKind.ITEM else w.b("other.id")
+    if not isinstance(value, PlanNode):
         raise PlanError(f"a {type(value).__name__} where one value was due: {expr.span.text!r}")
     return value
 
 
-def vector(w: Writer, expr: model.Expr) -> Vec:
+def vector(w: PlanWriter, expr: model.Expr) -> VectorNodes:
     value = lower(w, expr)
-    if not isinstance(value, Vec):
+    if not isinstance(value, VectorNodes):
         raise PlanError(f"a {type(value).__name__} where a vector was due: {expr.span.text!r}")
     return value
 
 
-def truth(w: Writer, expr: model.Expr) -> Node:
+def truth(w: PlanWriter, expr: model.Expr) -> PlanNode:
     """Lower an expression as a condition. A value that may be none is true if it is present."""
     return as_truth(w, lower(w, expr), expr)
 
 
-def as_truth(w: Writer, value: Value, expr: model.Expr) -> Node:
-    if isinstance(value, Node) and value.kind is Kind.BOOL:
+def as_truth(w: PlanWriter, value: LoweredValue, expr: model.Expr) -> PlanNode:
+    if isinstance(value, PlanNode) and value.kind is ValueKind.BOOL:
         return value
-    if isinstance(value, Node) and value.kind is Kind.F32:
+    if isinstance(value, PlanNode) and value.kind is ValueKind.F32:
         return w.b("gt", value, w.b.number(0))
     return presence(w, value, expr)
 
 
-def presence(w: Writer, value: Value, expr: model.Expr) -> Node:
+def presence(w: PlanWriter, value: LoweredValue, expr: model.Expr) -> PlanNode:
     """Whether a reference, a hit or a set is not none."""
     if isinstance(value, EntityRef):
-        if value.what is model.Kind.ITEM:
+        if value.what is model.TypeKind.ITEM:
             return w.b("item.alive", value.node, attrs=(value.of,))
         return w.b("agent.alive", value.node, attrs=(value.of,))
-    if isinstance(value, Hit):
+    if isinstance(value, RayHit):
         return value.hit
-    if isinstance(value, Group):
+    if isinstance(value, ElementGroup):
         return w.b("reduce.any", value.nodes, value.condition)
-    if isinstance(value, Hits):
+    if isinstance(value, RayHits):
         is_any = w.b.false
         for hit in value.hits:
             is_any = w.b("or", is_any, hit.hit)
         return is_any
-    if isinstance(value, Element | OwnPlace | Vec):
+    if isinstance(value, SetElement | OwnPlace | VectorNodes):
         return w.b.true
     raise PlanError(f"a {type(value).__name__} is never none: {expr.span.text!r}")
 
@@ -82,8 +92,8 @@ def presence(w: Writer, value: Value, expr: model.Expr) -> Node:
 # --- leaves ----------------------------------------------------------------------------------------------------------
 
 
-def _const(w: Writer, e: model.Const) -> Value:
-    if e.type.kind is model.Kind.BOOL:
+def _const(w: PlanWriter, e: model.Constant) -> LoweredValue:
+    if e.type.kind is model.TypeKind.BOOL:
         return w.b.truth(bool(e.number))
     node = w.b.number(e.number)
     for name, exponent in (("u", e.u), ("dt", e.step)):
@@ -92,7 +102,7 @@ def _const(w: Writer, e: model.Const) -> Value:
     return node
 
 
-def _power(w: Writer, base: Node, exponent: float) -> Node:
+def _power(w: PlanWriter, base: PlanNode, exponent: float) -> PlanNode:
     if exponent == int(exponent) and exponent <= 8:
         node = base
         for _ in range(int(exponent) - 1):
@@ -101,27 +111,27 @@ def _power(w: Writer, base: Node, exponent: float) -> Node:
     return w.b("sqrt", base) if exponent == 0.5 else w.b("pow", base, w.b.number(exponent))
 
 
-def _none(w: Writer, e: model.NoneRef) -> Value:
-    if e.type.kind is model.Kind.ITEM:
+def _none(w: PlanWriter, e: model.NoneRef) -> LoweredValue:
+    if e.type.kind is model.TypeKind.ITEM:
         return EntityRef(e.type.kind, e.type.of or "", w.b.row(-1))
-    if e.type.kind is model.Kind.AGENT:
+    if e.type.kind is model.TypeKind.AGENT:
         return EntityRef(e.type.kind, e.type.of or "", w.b.agent(-1))
-    if e.type.kind is model.Kind.HIT:
+    if e.type.kind is model.TypeKind.HIT:
         nothing = values.zero(w.b)
-        return Hit(w.b.false, w.b.number(float("inf")), nothing, nothing)
+        return RayHit(w.b.false, w.b.number(float("inf")), nothing, nothing)
     raise PlanError(f"none of a {e.type.kind.value}")
 
 
-def _state(w: Writer, e: model.StateConst) -> Value:
+def _state(w: PlanWriter, e: model.StateConstant) -> LoweredValue:
     return w.b.row(e.index)
 
 
-def _param(w: Writer, e: model.ParamRef) -> Value:
+def _param(w: PlanWriter, e: model.ParamRef) -> LoweredValue:
     node = w.b("param", attrs=(e.name,))
-    return w.b("ne", node, w.b.number(0)) if e.type.kind is model.Kind.BOOL else node
+    return w.b("ne", node, w.b.number(0)) if e.type.kind is model.TypeKind.BOOL else node
 
 
-def _thing(w: Writer, e: model.ThingRef) -> Value:
+def _thing(w: PlanWriter, e: model.ThingRef) -> LoweredValue:
     if e.name == "self":
         return OwnPlace()
     return NamedThing(e.type.kind, e.name)
@@ -130,11 +140,11 @@ def _thing(w: Writer, e: model.ThingRef) -> Value:
 # --- names with a value ----------------------------------------------------------------------------------------------
 
 
-def _local(w: Writer, e: model.BindingRef) -> Value:
+def _local(w: PlanWriter, e: model.BindingRef) -> LoweredValue:
     binding = e.binding
     if binding in w.environment:
         value = w.environment[binding]
-        if isinstance(value, Element) and binding is not w.elements[-1]:
+        if isinstance(value, SetElement) and binding is not w.elements[-1]:
             raise UnsupportedConstruct(f"`{binding.name}` inside a second set", e.span, "let each set read its own elements only")
         return value
     if binding.role == "latch":
@@ -144,7 +154,7 @@ def _local(w: Writer, e: model.BindingRef) -> Value:
     raise PlanError(f"{binding.role} `{binding.name}` is used outside of its place")
 
 
-def _let(w: Writer, binding: model.Binding) -> Value:
+def _let(w: PlanWriter, binding: model.Binding) -> LoweredValue:
     """Lower a `let` once, not at each use. Its memories advance wherever it is used.
 
     A snapshot holds for the whole step. Other lets, and all lets at birth, hold until the next store."""
@@ -165,7 +175,7 @@ def _let(w: Writer, binding: model.Binding) -> Value:
     return value
 
 
-def _needed_lets(w: Writer, binding: model.Binding, known: Container[model.Binding]) -> list[model.Binding]:
+def _needed_lets(w: PlanWriter, binding: model.Binding, known: Container[model.Binding]) -> list[model.Binding]:
     """Return the lets to lower first, innermost first. This avoids deep recursion for a long chain of lets."""
     order: list[model.Binding] = []
     stack: list[tuple[model.Binding, bool]] = [(binding, False)]
@@ -186,7 +196,7 @@ def _needed_lets(w: Writer, binding: model.Binding, known: Container[model.Bindi
     return order
 
 
-def _inline(w: Writer, e: model.InlinedBehaviour) -> Value:
+def _inline(w: PlanWriter, e: model.InlinedBehaviour) -> LoweredValue:
     for argument in e.arguments:
         assert argument.value is not None
         w.environment[argument] = lower(w, argument.value)
@@ -195,24 +205,24 @@ def _inline(w: Writer, e: model.InlinedBehaviour) -> Value:
     return lower(w, e.result)
 
 
-def _plain_let(w: Writer, binding: model.Binding) -> Value:
+def _plain_let(w: PlanWriter, binding: model.Binding) -> LoweredValue:
     assert binding.value is not None
     return lower(w, binding.value)
 
 
-def _keep(w: Writer, binding: model.Binding) -> Value:
+def _keep(w: PlanWriter, binding: model.Binding) -> LoweredValue:
     """`keep x = first then next`: `first` the first time, then `next` of the value before. Memory is written once a step."""
     assert binding.value is not None and binding.then is not None
     on = f"{binding.key}.on"
     w.declare_typed(binding.key, binding.type, "memory")
-    w.declare(on, Kind.BOOL, "memory")
+    w.declare(on, ValueKind.BOOL, "memory")
     first = lower(w, binding.value)
     w.environment[binding] = _read_previous(w, binding)
     following = lower(w, binding.then)
     now = select(w, w.read_previous(on), following, first)
     stores = (
         [(f"{binding.key}.{a}", n, binding.span) for a, n in zip(AXES, now, strict=True)]
-        if isinstance(now, Vec)
+        if isinstance(now, VectorNodes)
         else [(binding.key, now.node if isinstance(now, EntityRef) else now, binding.span)]
     )
     w.memories[binding] = (*stores, (on, w.b.true, binding.span))
@@ -220,78 +230,78 @@ def _keep(w: Writer, binding: model.Binding) -> Value:
     return now
 
 
-def _read_previous(w: Writer, binding: model.Binding) -> Value:
-    if binding.type.kind is model.Kind.VECTOR:
-        return Vec(*(w.read_previous(f"{binding.key}.{axis}") for axis in AXES))
+def _read_previous(w: PlanWriter, binding: model.Binding) -> LoweredValue:
+    if binding.type.kind is model.TypeKind.VECTOR:
+        return VectorNodes(*(w.read_previous(f"{binding.key}.{axis}") for axis in AXES))
     node = w.read_previous(binding.key)
-    return EntityRef(binding.type.kind, binding.type.of or "", node) if binding.type.kind in NONE else node
+    return EntityRef(binding.type.kind, binding.type.of or "", node) if binding.type.kind in NONE_BY_KIND else node
 
 
-def select(w: Writer, condition: Node, then: Value, other: Value) -> Value:
+def select(w: PlanWriter, condition: PlanNode, then: LoweredValue, other: LoweredValue) -> LoweredValue:
     """Return `then` where the condition holds, else `other`. Works for hits and for all values that can be stored."""
     b = w.b
-    if isinstance(then, Vec) and isinstance(other, Vec):
+    if isinstance(then, VectorNodes) and isinstance(other, VectorNodes):
         return values.choose(b, condition, then, other)
-    if isinstance(then, Hit) and isinstance(other, Hit):
-        return Hit(
+    if isinstance(then, RayHit) and isinstance(other, RayHit):
+        return RayHit(
             b("where", condition, then.hit, other.hit), b("where", condition, then.distance, other.distance),
             values.choose(b, condition, then.normal, other.normal), values.choose(b, condition, then.direction, other.direction),
         )  # fmt: skip
     then, other = _as_reference(w, then), _as_reference(w, other)
     if isinstance(then, EntityRef) and isinstance(other, EntityRef):
         return EntityRef(then.what, then.of or other.of, b("where", condition, then.node, other.node))
-    if isinstance(then, Node) and isinstance(other, Node):
+    if isinstance(then, PlanNode) and isinstance(other, PlanNode):
         return b("where", condition, then, other)
     raise PlanError(f"cannot choose between a {type(then).__name__} and a {type(other).__name__}")
 
 
-def _as_reference(w: Writer, value: Value) -> Value:
-    if isinstance(value, Element):
-        return EntityRef(value.what, value.of, w.b("other.row") if value.what is model.Kind.ITEM else w.b("other.id"))
+def _as_reference(w: PlanWriter, value: LoweredValue) -> LoweredValue:
+    if isinstance(value, SetElement):
+        return EntityRef(value.what, value.of, w.b("other.row") if value.what is model.TypeKind.ITEM else w.b("other.id"))
     return value
 
 
 # --- attributes ------------------------------------------------------------------------------------------------------
 
 
-def _attribute(w: Writer, e: model.Attribute) -> Value:
+def _attribute(w: PlanWriter, e: model.AttributeRef) -> LoweredValue:
     pair_attribute = next((a for a in w.species.attributes if a.name == e.name and a.each), None)
     if pair_attribute is not None and e.of is not None:
         return w.rules.pair_value(w, pair_attribute, e.of)
     owner = None if e.of is None else lower(w, e.of)
-    if e.name == "moved" and "moved" not in w.registers and getattr(owner, "what", None) is not model.Kind.ITEM:
+    if e.name == "moved" and "moved" not in w.registers and getattr(owner, "what", None) is not model.TypeKind.ITEM:
         words = "`moved`, which the program does not use elsewhere,"
         raise UnsupportedConstruct(words, e.span, "add `let pushed = moved` to a species")
     if owner is None or isinstance(owner, OwnPlace):
         return own_attribute(w, e.name, e.type)
-    if isinstance(owner, Hit):
+    if isinstance(owner, RayHit):
         return _of_hit(w, owner, e)
-    if not isinstance(owner, Element | EntityRef):
+    if not isinstance(owner, SetElement | EntityRef):
         raise PlanError(f"`{e.name}` of a {type(owner).__name__}")
     if e.name == "speed":
-        return values.length(w.b, Vec(*(_read_other(w, owner, f"velocity.{axis}", Kind.F32) for axis in AXES)))
-    if e.name == "id" and owner.what is model.Kind.AGENT:
-        return w.b("number", w.b("other.id") if isinstance(owner, Element) else owner.node)
+        return values.length(w.b, VectorNodes(*(_read_other(w, owner, f"velocity.{axis}", ValueKind.F32) for axis in AXES)))
+    if e.name == "id" and owner.what is model.TypeKind.AGENT:
+        return w.b("number", w.b("other.id") if isinstance(owner, SetElement) else owner.node)
     if e.name == "age":
-        return w.b("agent.age", w.b("other.id") if isinstance(owner, Element) else owner.node, attrs=(owner.of,))
+        return w.b("agent.age", w.b("other.id") if isinstance(owner, SetElement) else owner.node, attrs=(owner.of,))
     if e.name == "min_speed":
         species = w.program.species.get(owner.of or "")
         if species is not None and not keeps_moving(species):
             return w.b.number(0)
-    if e.type.kind is model.Kind.VECTOR:
-        prefix = "" if owner.what is model.Kind.ITEM and e.name == "position" else f"{e.name}."
-        return Vec(*(_read_other(w, owner, f"{prefix}{axis}", Kind.F32) for axis in AXES))
-    return as_typed_value(w, _read_other(w, owner, e.name, KINDS[e.type.kind], NONE.get(e.type.kind)), e.type)
+    if e.type.kind is model.TypeKind.VECTOR:
+        prefix = "" if owner.what is model.TypeKind.ITEM and e.name == "position" else f"{e.name}."
+        return VectorNodes(*(_read_other(w, owner, f"{prefix}{axis}", ValueKind.F32) for axis in AXES))
+    return as_typed_value(w, _read_other(w, owner, e.name, KIND_BY_TYPE_KIND[e.type.kind], NONE_BY_KIND.get(e.type.kind)), e.type)
 
 
-def as_typed_value(w: Writer, node: Node, type: model.Type) -> Value:
+def as_typed_value(w: PlanWriter, node: PlanNode, type: model.ValueType) -> LoweredValue:
     """Return a register's node as a value of the language; a number that stands for a bool becomes a bool."""
-    if type.kind in NONE:
+    if type.kind in NONE_BY_KIND:
         return EntityRef(type.kind, type.of or "", node)
-    return w.b("ne", node, w.b.number(0)) if type.kind is model.Kind.BOOL and node.kind is Kind.F32 else node
+    return w.b("ne", node, w.b.number(0)) if type.kind is model.TypeKind.BOOL and node.kind is ValueKind.F32 else node
 
 
-def own_attribute(w: Writer, name: str, type: model.Type) -> Value:
+def own_attribute(w: PlanWriter, name: str, type: model.ValueType) -> LoweredValue:
     """An attribute of the agent itself."""
     if name == "id":
         return w.b("number", w.b("id"))
@@ -310,7 +320,7 @@ def measures_pushes(program: model.Program) -> bool:
     """Return whether species have the register `moved`: whether any part of the program reads how far contacts pushed an
     agent."""
     asking = parts([*program.species.values(), *program.specs])
-    return any(isinstance(part, model.Attribute) and part.name == "moved" for part in asking)
+    return any(isinstance(part, model.AttributeRef) and part.name == "moved" for part in asking)
 
 
 def keeps_moving(species: model.Species) -> bool:
@@ -321,12 +331,14 @@ def keeps_moving(species: model.Species) -> bool:
     return any(isinstance(part, model.Assign) and part.attribute == "min_speed" for part in parts(species))
 
 
-def _read_other(w: Writer, owner: Element | EntityRef, register: str, kind: Kind, none: int | None = None) -> Node:
-    if owner.what is model.Kind.ITEM:
-        kind = Kind.F32  # items have numbers only
-    if isinstance(owner, Element):
+def _read_other(
+    w: PlanWriter, owner: SetElement | EntityRef, register: str, kind: ValueKind, none: int | None = None
+) -> PlanNode:
+    if owner.what is model.TypeKind.ITEM:
+        kind = ValueKind.F32  # items have numbers only
+    if isinstance(owner, SetElement):
         return w.b("other", attrs=(register,), kind=kind)
-    if owner.what is model.Kind.ITEM:
+    if owner.what is model.TypeKind.ITEM:
         return w.b("item.get", owner.node, attrs=(owner.of, register), kind=kind)
     node = w.b("agent.get", owner.node, attrs=(owner.of, register), kind=kind)
     if none is None:
@@ -334,7 +346,7 @@ def _read_other(w: Writer, owner: Element | EntityRef, register: str, kind: Kind
     return w.b("where", w.b("agent.alive", owner.node, attrs=(owner.of,)), node, w.b.zero(kind, none))
 
 
-def _of_hit(w: Writer, hit: Hit, e: model.Attribute) -> Value:
+def _of_hit(w: PlanWriter, hit: RayHit, e: model.AttributeRef) -> LoweredValue:
     if e.name == "distance":
         return w.b("where", hit.hit, hit.distance, w.b.number(float("inf")))
     if e.name == "normal":
@@ -346,33 +358,34 @@ def _of_hit(w: Writer, hit: Hit, e: model.Attribute) -> Value:
 # --- operations ------------------------------------------------------------------------------------------------------
 
 
-def _op(w: Writer, e: model.Op) -> Value:
+def _op(w: PlanWriter, e: model.OperationExpr) -> LoweredValue:
     rule = w.rules.operations.get(e.name)
     if rule is None:
         raise UnsupportedConstruct(f"`{e.name}`", e.span, "leave the line out")
     return rule(w, e)
 
 
-def _clip_test(w: Writer, e: model.ClipTest) -> Value:
+def _clip_test(w: PlanWriter, e: model.ClipTest) -> LoweredValue:
     return w.rules.clip(w, e)
 
 
-def _set(w: Writer, e: model.SetOf) -> Value:
+def _set(w: PlanWriter, e: model.SetExpr) -> LoweredValue:
     return w.rules.gather(w, e)
 
 
-def _reduce(w: Writer, e: model.Reduce) -> Value:
+def _reduce(w: PlanWriter, e: model.ReduceExpr) -> LoweredValue:
     return w.rules.reduce(w, e)
 
 
-def _lower_tell(w: Writer, e: model.Expr) -> Value:
+def _lower_tell(w: PlanWriter, e: model.Expr) -> LoweredValue:
     return w.tell(e)
 
 
-_LOWER: dict[type, Callable[[Writer, Any], Value]] = {
-    model.Const: _const, model.NoneRef: _none, model.StateConst: _state, model.ClipTest: _clip_test, model.ParamRef: _param,
-    model.ThingRef: _thing, model.BindingRef: _local, model.InlinedBehaviour: _inline, model.Attribute: _attribute, model.Op: _op,
-    model.SetOf: _set, model.Reduce: _reduce,
-    expectations.Aggregate: _lower_tell, expectations.AtStart: _lower_tell, expectations.MotionMeasure: _lower_tell,
+_LOWERER_BY_EXPRESSION: dict[type, Callable[[PlanWriter, Any], LoweredValue]] = {
+    model.Constant: _const, model.NoneRef: _none, model.StateConstant: _state, model.ClipTest: _clip_test, model.ParamRef: _param,
+    model.ThingRef: _thing, model.BindingRef: _local, model.InlinedBehaviour: _inline, model.AttributeRef: _attribute,
+    model.OperationExpr: _op,
+    model.SetExpr: _set, model.ReduceExpr: _reduce,
+    expectations.AggregateExpr: _lower_tell, expectations.AtStart: _lower_tell, expectations.MotionMeasure: _lower_tell,
     expectations.OtherRun: _lower_tell, expectations.BodyMeasure: _lower_tell, expectations.CellValue: _lower_tell,
 }  # fmt: skip

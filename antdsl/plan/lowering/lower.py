@@ -14,29 +14,31 @@ from math import log
 from antdsl import limits
 from antdsl.diagnostics import Report
 from antdsl.plan import ir
-from antdsl.plan.builder import Builder
-from antdsl.plan.ir import Block, Kind, Node
+from antdsl.plan.builder import PlanBuilder
+from antdsl.plan.ir import Block, PlanNode, ValueKind
 from antdsl.plan.lowering import appearance, birth, blending, clips, pair_values
-from antdsl.plan.lowering.actions import STEER, complain, write
+from antdsl.plan.lowering.actions import STEER_TEMP, complain, write
 from antdsl.plan.lowering.expressions import measures_pushes, own_attribute, scalar, truth, vector
 from antdsl.plan.lowering.machines import MachineWriter
-from antdsl.plan.lowering.rules import RULES
-from antdsl.plan.lowering.source_map import Notes, NotingWriter
-from antdsl.plan.lowering.values import EntityRef, Vec, scale, sub
+from antdsl.plan.lowering.rules import LOWERING_RULES
+from antdsl.plan.lowering.source_map import NotingWriter, SourceNotes
+from antdsl.plan.lowering.values import EntityRef, VectorNodes, scale, sub
 from antdsl.plan.lowering.values import add as add_vectors
-from antdsl.plan.lowering.writer import AXES, UnsupportedConstruct, Writer
+from antdsl.plan.lowering.writer import AXES, PlanWriter, UnsupportedConstruct
 from antdsl.plan.traverse import find_shared_senses, operands, required_nodes, statements
 from antdsl.program import model
-from antdsl.program.tables.things import KINDS_OF_THINGS
+from antdsl.program.tables.things import KIND_BY_WORD
 
-MAX_RECURSION = 20_000  # frames of our own recursion over expressions; their nesting is capped by the parser and the checker
+MAX_RECURSION_FRAMES = (
+    20_000  # frames of our own recursion over expressions; their nesting is capped by the parser and the checker
+)
 
 
 def lower(
     program: model.Program,
     *,
     orders: Mapping[str, Sequence[str]] | None = None,
-    notes: dict[str, Notes] | None = None,
+    notes: dict[str, SourceNotes] | None = None,
     begun_with: Mapping[str, Collection[str]] | None = None,
 ) -> tuple[ir.Plan, Report]:
     """Return the plan of a program, and errors for constructs that pass the checks but cannot run yet.
@@ -45,15 +47,15 @@ def lower(
     each species, which nodes stand for which part of its text. `begun_with`: for each species, the attributes that the scene may
     set at an agent's birth."""
     report = Report()
-    builder = Builder()
+    builder = PlanBuilder()
     pushes = measures_pushes(program)
 
     def species_plan(s: model.Species) -> ir.SpeciesPlan:
         if notes is None:
-            w = Writer(builder, program, s, report, RULES)
+            w = PlanWriter(builder, program, s, report, LOWERING_RULES)
         else:
-            notes[s.name] = Notes()
-            w = NotingWriter(builder, program, s, report, RULES, notes[s.name])
+            notes[s.name] = SourceNotes()
+            w = NotingWriter(builder, program, s, report, LOWERING_RULES, notes[s.name])
         w.measures_pushes = pushes
         w.begun_with = frozenset((begun_with or {}).get(s.name, ()))
         return _species(w, (orders or {}).get(s.name))
@@ -66,14 +68,14 @@ def lower(
         }
     world = program.world.values()
     items = {t.name: ir.ItemsPlan(t.name, {a.name: a.default.number for a in t.attributes}) for t in world if t.kind == "items"}
-    things = {k: tuple(t.name for t in world if t.kind == k) for k, row in KINDS_OF_THINGS.items() if not row.has_values}
+    things = {k: tuple(t.name for t in world if t.kind == k) for k, row in KIND_BY_WORD.items() if not row.has_values}
     return ir.Plan(species, fields, items, params, things, tuple(builder.nodes)), report
 
 
 @contextmanager
 def _deep_recursion() -> Iterator[None]:
     previous_limit = sys.getrecursionlimit()
-    sys.setrecursionlimit(max(previous_limit, MAX_RECURSION))
+    sys.setrecursionlimit(max(previous_limit, MAX_RECURSION_FRAMES))
     try:
         yield
     finally:
@@ -83,13 +85,13 @@ def _deep_recursion() -> Iterator[None]:
 # --- species ---------------------------------------------------------------------------------------------------------
 
 
-def _species(w: Writer, order: Sequence[str] | None) -> ir.SpeciesPlan:
+def _species(w: PlanWriter, order: Sequence[str] | None) -> ir.SpeciesPlan:
     species = w.species
     birth.declare(w)
     blending.declare(w)
     declare(w)
     for latch in species.latches:
-        w.declare(latch.key or latch.name, Kind.BOOL, "memory")
+        w.declare(latch.key or latch.name, ValueKind.BOOL, "memory")
     appearance.declare(w)
     clips.declare_leaning(w)
     machines = [MachineWriter(w, machine) for machine in species.machines]
@@ -118,7 +120,7 @@ def _species(w: Writer, order: Sequence[str] | None) -> ir.SpeciesPlan:
     )  # fmt: skip
 
 
-def _lower_birth(w: Writer, machines: list[MachineWriter]) -> Block:
+def _lower_birth(w: PlanWriter, machines: list[MachineWriter]) -> Block:
     """Return the block of birth, a separate step: the first real step sees what it stored as values at its start."""
     w.born = True
     with w.block() as finish_block:
@@ -129,7 +131,7 @@ def _lower_birth(w: Writer, machines: list[MachineWriter]) -> Block:
     return block
 
 
-def _decide(w: Writer, machines: list[MachineWriter]) -> None:
+def _decide(w: PlanWriter, machines: list[MachineWriter]) -> None:
     for attribute in w.species.attributes:
         if attribute.each:
             pair_values.relax(w, attribute)
@@ -144,23 +146,23 @@ def _decide(w: Writer, machines: list[MachineWriter]) -> None:
         machine.decide()
 
 
-def _relax(w: Writer, attribute: model.AttributeDecl) -> None:
+def _relax(w: PlanWriter, attribute: model.AttributeDecl) -> None:
     """Move x toward its rest value by the share 1 - exp(-dt / over). The result per second does not depend on the step length."""
     b = w.b
     assert attribute.relax_to is not None and attribute.relax_over is not None
     b.span = attribute.span
     share = b("sub", b.number(1), b("exp", b("neg", b("div", w.run("dt"), scalar(w, attribute.relax_over)))))
     now = own_attribute(w, attribute.name, attribute.type)
-    if isinstance(now, Vec):
+    if isinstance(now, VectorNodes):
         rest = vector(w, attribute.relax_to)
         w.store_vector(attribute.name, add_vectors(b, now, scale(b, sub(b, rest, now), share)), attribute.span)
         return
-    assert isinstance(now, Node)
+    assert isinstance(now, PlanNode)
     change = b("mul", b("sub", scalar(w, attribute.relax_to), now), share)
     w.store(attribute.name, b("add", now, change), attribute.span)
 
 
-def _latch(w: Writer, latch: model.Binding) -> None:
+def _latch(w: PlanWriter, latch: model.Binding) -> None:
     """Set the latch from when its first condition holds until its second does."""
     assert latch.value is not None and latch.then is not None
     b, name = w.b, latch.key or latch.name
@@ -172,7 +174,7 @@ def _latch(w: Writer, latch: model.Binding) -> None:
         complain(w, missing)
 
 
-def _handler(w: Writer, handler: model.Handler, number: int, partners: Mapping[str, Node]) -> None:
+def _handler(w: PlanWriter, handler: model.Handler, number: int, partners: Mapping[str, PlanNode]) -> None:
     """Write a handler. `partners`: the other that an agent has begun to touch, by species."""
     if handler.event == "spawn":
         return
@@ -188,19 +190,19 @@ def _handler(w: Writer, handler: model.Handler, number: int, partners: Mapping[s
 # --- the rest --------------------------------------------------------------------------------------------------------
 
 
-def _lower_outside(builder: Builder, program: model.Program, e: model.Expr, report: Report) -> Node:
+def _lower_outside(builder: PlanBuilder, program: model.Program, e: model.Expr, report: Report) -> PlanNode:
     """An expression that no agent is needed for."""
-    empty_species = model.Species("", "", (), (), (), (), (), (), model.Layers("budget", (), e.span), e.span)
-    return scalar(Writer(builder, program, empty_species, report, RULES), e)
+    empty_species = model.Species("", "", (), (), (), (), (), (), model.LayerStack("budget", (), e.span), e.span)
+    return scalar(PlanWriter(builder, program, empty_species, report, LOWERING_RULES), e)
 
 
-def _field(builder: Builder, program: model.Program, f: model.Field, report: Report) -> ir.FieldPlan:
-    def node(e: model.Expr | None) -> Node | None:
+def _field(builder: PlanBuilder, program: model.Program, f: model.Field, report: Report) -> ir.FieldPlan:
+    def node(e: model.Expr | None) -> PlanNode | None:
         return None if e is None else _lower_outside(builder, program, e, report)
 
     for surface in f.surfaces:
         thing = program.world.get(surface)
-        if thing is not None and not KINDS_OF_THINGS[thing.kind].is_ground:
+        if thing is not None and not KIND_BY_WORD[thing.kind].is_ground:
             message = f"a field on the {thing.kind} `{surface}` is not supported yet"
             report.error("not-yet", message, f.span, "name surfaces or solids")
     cell = node(f.cell)
@@ -209,7 +211,7 @@ def _field(builder: Builder, program: model.Program, f: model.Field, report: Rep
     return ir.FieldPlan(f.name, f.surfaces, cell, keep, diffuse, f.combine, limit, f.span, f.stencil, f.deposits)
 
 
-def _keep(b: Builder, f: model.Field, node: object) -> Node | None:
+def _keep(b: PlanBuilder, f: model.Field, node: object) -> PlanNode | None:
     """The factor per step: 2^(-dt / half_life), exp(-rate dt), or as said."""
     assert callable(node)
     dt = b("run", attrs=("dt",))
@@ -219,11 +221,11 @@ def _keep(b: Builder, f: model.Field, node: object) -> Node | None:
         return b("exp", b("neg", b("mul", node(f.evaporate), dt)))
     if f.keeps is None:
         return None
-    factor: Node = node(f.keeps)
+    factor: PlanNode = node(f.keeps)
     return b("mul", factor, dt) if f.keeps.type.dim.time < 0 else factor
 
 
-def stand_still(w: Writer, machines: Sequence[MachineWriter]) -> None:
+def stand_still(w: PlanWriter, machines: Sequence[MachineWriter]) -> None:
     """Write, after all machines have acted, the push of agents that no state has steered."""
     rest = w.species.rest
     if rest is None:
@@ -234,21 +236,21 @@ def stand_still(w: Writer, machines: Sequence[MachineWriter]) -> None:
         if machine.name in rest.silent:
             silent = w.b("and", silent, machine.among(rest.silent[machine.name]))
     for axis in AXES:
-        w.declare(f"{STEER}.{axis}", Kind.F32, "temp")
+        w.declare(f"{STEER_TEMP}.{axis}", ValueKind.F32, "temp")
     with w.region(silent, rest.span):
         push = vector(w, rest.push)
         w.note_rest(rest, push)
-        w.store_vector(STEER, push, rest.span)
+        w.store_vector(STEER_TEMP, push, rest.span)
 
 
-def declare(w: Writer) -> None:
+def declare(w: PlanWriter) -> None:
     """Declare the ids of the others that an agent touches, of each species that a handler is about."""
     for of in _met(w.species):
         for name in _touch_registers(w.species, of):
-            w.declare(name, Kind.I64, "memory", -1, of)
+            w.declare(name, ValueKind.I64, "memory", -1, of)
 
 
-def notice(w: Writer) -> dict[str, Node]:
+def notice(w: PlanWriter) -> dict[str, PlanNode]:
     """Return the id of the other that an agent has begun to touch, -1 for none, by species; from here on it counts as touched."""
     partners = {}
     for of, handler in _met(w.species).items():
@@ -261,10 +263,10 @@ def notice(w: Writer) -> dict[str, Node]:
     return partners
 
 
-def bind(w: Writer, handler: model.Handler, partner: Node) -> None:
+def bind(w: PlanWriter, handler: model.Handler, partner: PlanNode) -> None:
     """Bind the name in the brackets of a handler to the agent `partner`."""
     if handler.other is not None:
-        w.environment[handler.other] = EntityRef(model.Kind.AGENT, handler.of, partner)
+        w.environment[handler.other] = EntityRef(model.TypeKind.AGENT, handler.of, partner)
 
 
 def _met(species: model.Species) -> dict[str, model.Handler]:
@@ -277,4 +279,4 @@ def _met(species: model.Species) -> dict[str, model.Handler]:
 
 
 def _touch_registers(species: model.Species, of: str) -> Sequence[str]:
-    return [f"{species.name}.touched.{of}#{number}" for number in range(1, limits.TOUCHED + 1)]
+    return [f"{species.name}.touched.{of}#{number}" for number in range(1, limits.MAX_TOUCHED_AGENTS + 1)]

@@ -11,19 +11,19 @@ from dataclasses import dataclass
 from functools import partial
 
 from antdsl.plan import ir
-from antdsl.plan.ir import Kind, Node
+from antdsl.plan.ir import PlanNode, ValueKind
 from antdsl.plan.lowering import clips
 from antdsl.plan.lowering.actions import complain, write
 from antdsl.plan.lowering.expressions import lower, presence, scalar, truth
 from antdsl.plan.lowering.values import EntityRef, NamedThing
-from antdsl.plan.lowering.writer import UnsupportedConstruct, Writer
+from antdsl.plan.lowering.writer import PlanWriter, UnsupportedConstruct
 from antdsl.program import model
 
-SLACK = 1 - 4e-7  # 0.5 s at 24 frames a second is 12 steps, also where the quotient of two float32 says 12.000001
+STEP_COUNT_SLACK = 1 - 4e-7  # 0.5 s at 24 frames a second is 12 steps, also where the quotient of two float32 says 12.000001
 
 
 @dataclass(frozen=True, slots=True)
-class _Change:
+class _StateChange:
     """A transition with its number and the state it leaves."""
 
     number: int
@@ -32,22 +32,22 @@ class _Change:
 
 
 class MachineWriter:
-    def __init__(self, w: Writer, machine: model.Machine) -> None:
+    def __init__(self, w: PlanWriter, machine: model.Machine) -> None:
         self.w, self.machine, self.name = w, machine, machine.name
         self.site = f"{w.species.name}.{machine.name}"
         pairs = [(s, t) for s in machine.states for t in s.transitions]
-        self.changes = [_Change(n, s, t) for n, (s, t) in enumerate(pairs, 1)]
+        self.changes = [_StateChange(n, s, t) for n, (s, t) in enumerate(pairs, 1)]
         self.shared = Counter(t.key for _, t in pairs)
         for part in ("state", "previous", "next"):
-            w.declare(f"{self.name}.{part}", Kind.I32, "memory")
-        w.declare(f"{self.name}.time_in_state", Kind.F32, "memory")
+            w.declare(f"{self.name}.{part}", ValueKind.I32, "memory")
+        w.declare(f"{self.name}.time_in_state", ValueKind.F32, "memory")
         if clips.plays_clips(machine):
             clips.declare(w, machine)
-        w.declare(self.pending, Kind.I32, "temp")
-        w.declare(self.won, Kind.BOOL, "temp")
+        w.declare(self.pending, ValueKind.I32, "temp")
+        w.declare(self.won, ValueKind.BOOL, "temp")
         for change in self.changes:
             if change.transition.held is not None:
-                w.declare(_counter(change.transition), Kind.F32, "memory")
+                w.declare(_counter(change.transition), ValueKind.F32, "memory")
 
     @property
     def pending(self) -> str:
@@ -67,12 +67,12 @@ class MachineWriter:
             self.machine.start,
         )
 
-    def _is_in(self, state: model.State) -> Node:
+    def _is_in(self, state: model.State) -> PlanNode:
         if len(self.machine.states) == 1:
             return self.w.b.true
         return self.w.b("eq", self.w.read(f"{self.name}.state"), self.w.b.row(state.index))
 
-    def among(self, states: Iterable[int]) -> Node:
+    def among(self, states: Iterable[int]) -> PlanNode:
         """Whether it is in one of these states by now."""
         state = self.w.read(f"{self.name}.state")
         is_among = self.w.b.false
@@ -103,13 +103,13 @@ class MachineWriter:
     def _per_state(self, states: Iterable[model.State], write: Callable[[model.State], None]) -> None:
         self.w.alternatives([(self._is_in(s), s.span, partial(write, s)) for s in states])
 
-    def _per_change(self, changes: Iterable[_Change], write: Callable[[_Change], None]) -> None:
+    def _per_change(self, changes: Iterable[_StateChange], write: Callable[[_StateChange], None]) -> None:
         self.w.alternatives([(self._is_change(c), c.transition.span, partial(write, c)) for c in changes])
 
-    def _is_change(self, change: _Change) -> Node:
+    def _is_change(self, change: _StateChange) -> PlanNode:
         return self.w.b("eq", self.w.read(self.pending), self.w.b.row(change.number))
 
-    def _weigh(self, changes: list[_Change]) -> None:
+    def _weigh(self, changes: list[_StateChange]) -> None:
         winner = self.w.b.row(0)
         weighed = [(c, self._fires(c)) for c in changes]
         for change, fires in weighed:
@@ -118,7 +118,7 @@ class MachineWriter:
             winner = self.w.b("where", fires, self.w.b.row(change.number), winner)
         self.w.store(self.pending, winner, changes[0].state.span)
 
-    def _fires(self, change: _Change) -> Node:
+    def _fires(self, change: _StateChange) -> PlanNode:
         w, t = self.w, change.transition
         w.b.span = t.span
         try:
@@ -131,7 +131,7 @@ class MachineWriter:
                 holds = w.b("and", has_passed(w, self.name, change.state.at_least), holds)
             if self._is_from_any(t) and t.target is None:
                 holds = w.b("and", holds, w.b("ne", self._target(change), w.read(f"{self.name}.state")))
-            if t.take is not None and t.take.source.type.kind is not model.Kind.FIELD:
+            if t.take is not None and t.take.source.type.kind is not model.TypeKind.FIELD:
                 holds = w.b("and", holds, presence(w, lower(w, t.take.source), t.take.source))
             return holds
         except UnsupportedConstruct as missing:
@@ -141,9 +141,9 @@ class MachineWriter:
     def _is_from_any(self, t: model.Transition) -> bool:
         """Return whether a transition was declared `from any`. It never leads into the current state, even where only the run
         shows which state that is."""
-        return t.key.startswith(f"{self.site}.{model.ANYWHERE}->")
+        return t.key.startswith(f"{self.site}.{model.FROM_ANY_KEY}->")
 
-    def _has_held(self, t: model.Transition, holds: Node, duration: model.Expr) -> Node:
+    def _has_held(self, t: model.Transition, holds: PlanNode, duration: model.Expr) -> PlanNode:
         """Return whether the condition holds now and has held without a break for `duration` before this step."""
         b, counter = self.w.b, _counter(t)
         previous_count = self.w.read_previous(counter)
@@ -151,7 +151,7 @@ class MachineWriter:
         self.w.store(counter, count, t.span)
         return b("and", holds, b("ge", previous_count, steps(self.w, scalar(self.w, duration))))
 
-    def _claim(self, change: _Change) -> None:
+    def _claim(self, change: _StateChange) -> None:
         w, take = self.w, change.transition.take
         assert take is not None
         source = lower(w, take.source)
@@ -181,7 +181,7 @@ class MachineWriter:
         write(self.w, state.body, f"{self.site}.{state.name}", self.name)
         clips.rest(self.w, self.machine, state)
 
-    def _is_changing(self) -> Node:
+    def _is_changing(self) -> PlanNode:
         b = self.w.b
         chosen = b("ne", self.w.read(self.pending), b.row(0))
         taking = [c for c in self.changes if c.transition.take]
@@ -209,7 +209,7 @@ class MachineWriter:
         w.store(f"{name}.time_in_state", b.number(0), self.machine.span)
         self._per_state(self.machine.states, self._enter)
 
-    def _target(self, change: _Change) -> Node:
+    def _target(self, change: _StateChange) -> PlanNode:
         w, t, b = self.w, change.transition, self.w.b
         if t.previous:
             return w.read(f"{self.name}.previous")
@@ -246,21 +246,21 @@ def _counter(t: model.Transition) -> str:
     return f"{t.key}.held"
 
 
-def steps(w: Writer, duration: Node) -> Node:
+def steps(w: PlanWriter, duration: PlanNode) -> PlanNode:
     """Return the smallest whole number of steps that lasts at least `duration`."""
     b = w.b
-    ratio = b("mul", b("div", duration, w.run("dt")), b.number(SLACK))
+    ratio = b("mul", b("div", duration, w.run("dt")), b.number(STEP_COUNT_SLACK))
     return b("neg", b("floor", b("neg", ratio)))
 
 
-def has_passed(w: Writer, machine: str, duration: model.Expr) -> Node:
+def has_passed(w: PlanWriter, machine: str, duration: model.Expr) -> PlanNode:
     """The agent has been in the machine's state for that long."""
     b = w.b
     nearly = b("sub", steps(w, scalar(w, duration)), b.number(0.5))
     return b("ge", w.read(f"{machine}.time_in_state"), b("mul", nearly, w.run("dt")))
 
 
-def advance(w: Writer, machine: str) -> None:
+def advance(w: PlanWriter, machine: str) -> None:
     """Count one more step in the state. Steps are whole numbers, so no rounding errors accumulate."""
     b, dt = w.b, w.run("dt")
     name = f"{machine}.time_in_state"

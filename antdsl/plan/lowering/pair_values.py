@@ -8,32 +8,32 @@ from __future__ import annotations
 from math import inf, nan
 
 from antdsl.plan.builder import PlanError
-from antdsl.plan.ir import Kind, Node
+from antdsl.plan.ir import PlanNode, ValueKind
 from antdsl.plan.lowering.expressions import lower, scalar
 from antdsl.plan.lowering.sets import bound, lower_set
-from antdsl.plan.lowering.values import Element, Group, OwnPlace, Value
-from antdsl.plan.lowering.writer import Writer
+from antdsl.plan.lowering.values import ElementGroup, LoweredValue, OwnPlace, SetElement
+from antdsl.plan.lowering.writer import PlanWriter
 from antdsl.plan.registers import slot_names
 from antdsl.program import model
 
-NEAR_REST = 1e-9  # base units from the value of rest: nearer values have no slot
+REST_TOLERANCE = 1e-9  # base units from the value of rest: nearer values have no slot
 
 
-def declare(w: Writer, attribute: model.AttributeDecl) -> None:
+def declare(w: PlanWriter, attribute: model.AttributeDecl) -> None:
     """Declare the registers of a value per pair, and one of the step by its name, which values to be stored go through."""
     holds = (attribute.type.kind.value, *attribute.type.dim, attribute.each)
     for who, value in slot_names(attribute.name, attribute.strongest):
-        w.declare(who, Kind.I64, "pair", -1, attribute.each, holds)
-        w.declare(value, Kind.F32, "pair", holds=holds)
-    w.declare(attribute.name, Kind.F32, "temp")
+        w.declare(who, ValueKind.I64, "pair", -1, attribute.each, holds)
+        w.declare(value, ValueKind.F32, "pair", holds=holds)
+    w.declare(attribute.name, ValueKind.F32, "temp")
 
 
-def find_declaration(w: Writer, name: str) -> model.AttributeDecl | None:
+def find_declaration(w: PlanWriter, name: str) -> model.AttributeDecl | None:
     """The value per pair of a name."""
     return next((a for a in w.species.attributes if a.name == name and a.each), None)
 
 
-def read(w: Writer, attribute: model.AttributeDecl, of: model.Expr) -> Node:
+def read(w: PlanWriter, attribute: model.AttributeDecl, of: model.Expr) -> PlanNode:
     """`likes[other]`."""
     other_id = _id(w, lower(w, of))
     result = rest_value(w, attribute)
@@ -44,7 +44,7 @@ def read(w: Writer, attribute: model.AttributeDecl, of: model.Expr) -> Node:
     return w.b("where", w.b("eq", other_id, w.b.agent(-1)), rest_value(w, attribute), result)
 
 
-def relax(w: Writer, attribute: model.AttributeDecl) -> None:
+def relax(w: PlanWriter, attribute: model.AttributeDecl) -> None:
     """At the start of a step, relax each value towards its rest, and free the slots of values that have reached it."""
     b = w.b
     b.span = attribute.span
@@ -54,12 +54,12 @@ def relax(w: Writer, attribute: model.AttributeDecl) -> None:
         keep = b("exp", b("neg", b("div", w.run("dt"), scalar(w, attribute.relax_over))))
     for (who, value), names in zip(_slots(w, attribute), slot_names(attribute.name, attribute.strongest), strict=True):
         away = b("mul", b("sub", value, rest), keep)
-        is_expired = b("or", b("eq", who, b.agent(-1)), b("le", b("abs", away), b.number(NEAR_REST)))
+        is_expired = b("or", b("eq", who, b.agent(-1)), b("le", b("abs", away), b.number(REST_TOLERANCE)))
         w.store(names[0], b("where", is_expired, b.agent(-1), who), attribute.span)
         w.store(names[1], b("where", is_expired, b.number(0), b("add", rest, away)), attribute.span)
 
 
-def assign(w: Writer, s: model.Assign, attribute: model.AttributeDecl) -> None:
+def assign(w: PlanWriter, s: model.Assign, attribute: model.AttributeDecl) -> None:
     """A line that sets a value, or adds to it, about one other or about each of a set."""
     if s.over is not None:
         _assign_all(w, s, attribute)
@@ -73,13 +73,13 @@ def assign(w: Writer, s: model.Assign, attribute: model.AttributeDecl) -> None:
         _put(w, attribute, held, value, s, known=True)
 
 
-def _assign_all(w: Writer, s: model.Assign, attribute: model.AttributeDecl) -> None:
+def _assign_all(w: PlanWriter, s: model.Assign, attribute: model.AttributeDecl) -> None:
     """Set the value for all others of a set. Others with a slot change in place; of the rest the strongest come in, as many as
     there are slots. All is computed before anything changes, as the value may use such values itself."""
     b = w.b
     assert s.over is not None and s.element is not None
     over = lower_set(w, s.over)
-    if not isinstance(over, Group):
+    if not isinstance(over, ElementGroup):
         raise PlanError(f"a value per pair about hits: {s.span.text!r}")
     rest, zero = rest_value(w, attribute), b.number(0)
     amount = bound(w, s.element, over.element, lambda: _changed_value(w, s, zero, scalar(w, s.value)))
@@ -99,14 +99,14 @@ def _assign_all(w: Writer, s: model.Assign, attribute: model.AttributeDecl) -> N
             value,
         )
         changed_values.append(_freeze_value(w, f"~{attribute.name}.{k}", changed, s))
-    new = b.all(holds, b("gt", strength, b.number(NEAR_REST)), *(b("ne", other, who) for who, _ in slots))
+    new = b.all(holds, b("gt", strength, b.number(REST_TOLERANCE)), *(b("ne", other, who) for who, _ in slots))
     coming = [(f"~{attribute.name}.new.{k}.id", f"~{attribute.name}.new.{k}") for k in range(attribute.strongest)]
     for names in coming:
-        w.declare(names[0], Kind.I64, "temp", -1)
-        w.declare(names[1], Kind.F32, "temp")
+        w.declare(names[0], ValueKind.I64, "temp", -1)
+        w.declare(names[1], ValueKind.F32, "temp")
         w.store(names[0], b.agent(-1), s.span)
 
-    def find(new: Node, left: int) -> None:
+    def find(new: PlanNode, left: int) -> None:
         """Find the strongest of the agents that have no slot yet, then recursively the next one."""
         other_id = b("reduce.agent", over.nodes, new, b("neg", strength))
         with w.region(b("ne", other_id, b.agent(-1)), s.span):
@@ -130,20 +130,22 @@ def _assign_all(w: Writer, s: model.Assign, attribute: model.AttributeDecl) -> N
     come_in(attribute.strongest)
 
 
-def _freeze_value(w: Writer, name: str, value: Node, s: model.Assign) -> Node:
+def _freeze_value(w: PlanWriter, name: str, value: PlanNode, s: model.Assign) -> PlanNode:
     """Store a value in a temp, so that later stores do not change it."""
-    w.declare(name, value.kind, "temp", -1 if value.kind is Kind.I64 else 0)
+    w.declare(name, value.kind, "temp", -1 if value.kind is ValueKind.I64 else 0)
     w.store(name, value, s.span)
     return w.read(name)
 
 
-def _put(w: Writer, attribute: model.AttributeDecl, other_id: Node, value: Node, s: model.Assign, known: bool) -> None:
+def _put(
+    w: PlanWriter, attribute: model.AttributeDecl, other_id: PlanNode, value: PlanNode, s: model.Assign, known: bool
+) -> None:
     """Store a value about an agent: in a pass over the slots the stronger stays and the weaker moves to the next, so that the
     weakest of all is left over. `known`: the agent may have a slot already, which is freed first."""
     b, rest = w.b, rest_value(w, attribute)
     carried, amount = other_id, _freeze_value(w, attribute.name, value, s)
     strength = b("abs", b("sub", amount, rest))
-    changed: list[tuple[Node, Node]] = []
+    changed: list[tuple[PlanNode, PlanNode]] = []
     for who, stored_value in _slots(w, attribute):
         if known:
             freed = b("eq", who, other_id)
@@ -163,24 +165,24 @@ def _put(w: Writer, attribute: model.AttributeDecl, other_id: Node, value: Node,
         w.store(who_name, held, s.span)
 
 
-def _changed_value(w: Writer, s: model.Assign, old: Node, value: Node) -> Node:
+def _changed_value(w: PlanWriter, s: model.Assign, old: PlanNode, value: PlanNode) -> PlanNode:
     if s.op == "=":
         return value
     change = w.b("mul", value, w.run("dt")) if s.per_second else value
     return w.b("add" if s.op == "+=" else "sub", old, change)
 
 
-def _slots(w: Writer, attribute: model.AttributeDecl) -> list[tuple[Node, Node]]:
+def _slots(w: PlanWriter, attribute: model.AttributeDecl) -> list[tuple[PlanNode, PlanNode]]:
     return [(w.read(who), w.read(value)) for who, value in slot_names(attribute.name, attribute.strongest)]
 
 
-def rest_value(w: Writer, attribute: model.AttributeDecl) -> Node:
+def rest_value(w: PlanWriter, attribute: model.AttributeDecl) -> PlanNode:
     """Return the initial and rest value of a pair value: a constant or a param."""
     return scalar(w, attribute.default)
 
 
-def _id(w: Writer, value: Value) -> Node:
+def _id(w: PlanWriter, value: LoweredValue) -> PlanNode:
     """The id of the agent that a value per pair is about."""
     if isinstance(value, OwnPlace):
         return w.b("id")
-    return w.b("other.id") if isinstance(value, Element) else value.node  # type: ignore[union-attr]
+    return w.b("other.id") if isinstance(value, SetElement) else value.node  # type: ignore[union-attr]

@@ -7,22 +7,22 @@ from math import inf, pi
 from typing import TypeVar
 
 from antdsl.plan.builder import PlanError
-from antdsl.plan.ir import Node, Rate
+from antdsl.plan.ir import PlanNode, UpdateRate
 from antdsl.plan.lowering import values
 from antdsl.plan.lowering.expressions import lower, scalar, select, truth
-from antdsl.plan.lowering.values import Element, EntityRef, Group, Hit, Hits, Value, Vec
-from antdsl.plan.lowering.writer import UnsupportedConstruct, Writer
+from antdsl.plan.lowering.values import ElementGroup, EntityRef, LoweredValue, RayHit, RayHits, SetElement, VectorNodes
+from antdsl.plan.lowering.writer import PlanWriter, UnsupportedConstruct
 from antdsl.plan.simplify import constant_value
 from antdsl.program import model
-from antdsl.program.model import Dim
+from antdsl.program.model import Dimension
 
 T = TypeVar("T")
-BACKWARD = -2.0  # a cosine that every direction reaches
-FULL_TURN = 2 * pi - 1e-5
-_MOST = {"neighbours": 2, "all": 1}  # which of a set's arguments says how many count at most
+ANY_DIRECTION_COSINE = -2.0  # a cosine that every direction reaches
+FULL_TURN_ANGLE = 2 * pi - 1e-5
+_MAX_COUNT_ARGUMENT = {"neighbours": 2, "all": 1}  # which of a set's arguments says how many count at most
 
 
-def quantum_exponent(dim: Dim) -> int:
+def quantum_exponent(dim: Dimension) -> int:
     """Return the exponent of the quantum of sums. Terms are rounded to a multiple of 2**quantum of their base unit, so that the
     sum is exact in any order.
 
@@ -33,39 +33,39 @@ def quantum_exponent(dim: Dim) -> int:
     return -20 if dim.length <= 1 else -10 if dim.length <= 2 else 0
 
 
-def lower_set(w: Writer, e: model.SetOf) -> Group | Hits:
+def lower_set(w: PlanWriter, e: model.SetExpr) -> ElementGroup | RayHits:
     """The set with its condition, ready to be reduced."""
     if e.source == "feelers":
         hits = lower_feelers(w, e)
         narrowed_hits = tuple(_narrow_hit(w, hit, e.element, e.where) for hit in hits)
-        return Hits(narrowed_hits)
+        return RayHits(narrowed_hits)
     b = w.b
     kind = e.element.type.kind
-    if kind not in (model.Kind.ITEM, model.Kind.AGENT):
-        kind = model.Kind.ITEM if _is_items(w, e.of) else model.Kind.AGENT
+    if kind not in (model.TypeKind.ITEM, model.TypeKind.AGENT):
+        kind = model.TypeKind.ITEM if _is_items(w, e.of) else model.TypeKind.AGENT
     if e.source == "neighbours":
         radius, fov = scalar_of_agent(w, e.args[0], e), scalar_of_agent(w, e.args[1], e)
         nodes = b("set.agents", radius, *min_cosine(w, fov), attrs=(e.of, _is_full_circle(fov)))
-    elif kind is model.Kind.ITEM:
+    elif kind is model.TypeKind.ITEM:
         within = b.number(inf) if not e.args or e.args[0] is None else scalar_of_agent(w, e.args[0], e)
         nodes = b("set.items", within, attrs=(e.of,))
     elif not e.args or e.args[0] is None:
         nodes = b("set.every", attrs=(e.of,))
     else:
-        nodes = b("set.agents", scalar_of_agent(w, e.args[0], e), b.number(BACKWARD), attrs=(e.of, True))
-    element = Element(kind, e.of)
+        nodes = b("set.agents", scalar_of_agent(w, e.args[0], e), b.number(ANY_DIRECTION_COSINE), attrs=(e.of, True))
+    element = SetElement(kind, e.of)
     condition = bound(w, e.element, element, lambda: b.true if e.where is None else truth(w, e.where))
-    most = e.args[_MOST[e.source]] if len(e.args) > _MOST[e.source] else None
+    most = e.args[_MAX_COUNT_ARGUMENT[e.source]] if len(e.args) > _MAX_COUNT_ARGUMENT[e.source] else None
     if most is not None:
         condition = b("and", condition, _among_nearest(w, nodes, condition, kind, scalar_of_agent(w, most, e)))
-    return Group(nodes, condition, element)
+    return ElementGroup(nodes, condition, element)
 
 
-def _among_nearest(w: Writer, nodes: Node, condition: Node, kind: model.Kind, most: Node) -> Node:
+def _among_nearest(w: PlanWriter, nodes: PlanNode, condition: PlanNode, kind: model.TypeKind, most: PlanNode) -> PlanNode:
     """Return whether an element is among the `most` nearest of those for which a condition holds. Ties go to the lower id or row.
     All elements count if there are no more than `most`."""
     b, away = w.b, w.b("pair.distance")
-    of_items = kind is model.Kind.ITEM
+    of_items = kind is model.TypeKind.ITEM
     last = b("reduce.nth_item" if of_items else "reduce.nth_agent", nodes, condition, away, most)
     label = b("other.row") if of_items else b("other.id")
     far = b("reduce.min", nodes, b("eq", label, last), away)
@@ -74,45 +74,45 @@ def _among_nearest(w: Writer, nodes: Node, condition: Node, kind: model.Kind, mo
     return b("and", b("ge", most, b.number(1)), b("or", every, nearer))
 
 
-def _is_items(w: Writer, name: str) -> bool:
+def _is_items(w: PlanWriter, name: str) -> bool:
     thing = w.program.world.get(name)
     return thing is not None and thing.kind == "items"
 
 
-def scalar_of_agent(w: Writer, e: model.Expr | None, set_expr: model.SetOf) -> Node:
+def scalar_of_agent(w: PlanWriter, e: model.Expr | None, set_expr: model.SetExpr) -> PlanNode:
     """A size of a set, which may depend on the agent but not on an element of another set."""
     if e is None:
         raise PlanError(f"a set without its size: {set_expr.span.text!r}")
     node = scalar(w, e)
-    if node.rate > Rate.AGENT:
+    if node.rate > UpdateRate.AGENT:
         words = "a set with a size that depends on an element of another set"
         raise UnsupportedConstruct(words, e.span, "use a size that depends only on the agent")
     return node
 
 
-def _is_full_circle(fov: Node) -> bool:
+def _is_full_circle(fov: PlanNode) -> bool:
     known = constant_value(fov)
-    return known is not None and known >= FULL_TURN
+    return known is not None and known >= FULL_TURN_ANGLE
 
 
-def min_cosine(w: Writer, fov: Node) -> tuple[Node]:
+def min_cosine(w: PlanWriter, fov: PlanNode) -> tuple[PlanNode]:
     """Return the smallest cosine between the heading and a direction inside a field of view."""
     b = w.b
     if _is_full_circle(fov):
-        return (b.number(BACKWARD),)
+        return (b.number(ANY_DIRECTION_COSINE),)
     narrow = b("cos", b("mul", fov, b.number(0.5)))
-    return (b("where", b("ge", fov, b.number(FULL_TURN)), b.number(BACKWARD), narrow),)
+    return (b("where", b("ge", fov, b.number(FULL_TURN_ANGLE)), b.number(ANY_DIRECTION_COSINE), narrow),)
 
 
-def bound(w: Writer, binding: model.Binding, element: Value, body: Callable[[], T]) -> T:
+def bound(w: PlanWriter, binding: model.Binding, element: LoweredValue, body: Callable[[], T]) -> T:
     """Run `body` with a name bound to an element."""
     w.environment[binding] = element
-    if isinstance(element, Element):
+    if isinstance(element, SetElement):
         w.elements.append(binding)
     try:
         return body()
     finally:
-        if isinstance(element, Element):
+        if isinstance(element, SetElement):
             w.elements.pop()
         del w.environment[binding]
 
@@ -120,10 +120,10 @@ def bound(w: Writer, binding: model.Binding, element: Value, body: Callable[[], 
 # --- reductions ------------------------------------------------------------------------------------------------------
 
 
-def reduce(w: Writer, e: model.Reduce) -> Value:
+def reduce(w: PlanWriter, e: model.ReduceExpr) -> LoweredValue:
     """Lower sum, mean, min, max, count, any, every, best or nearest over a set."""
     over = lower_set(w, e.over)
-    if isinstance(over, Hits):
+    if isinstance(over, RayHits):
         return _reduce_hits(w, e, over)
     b = w.b
     if e.how == "nearest":
@@ -140,15 +140,15 @@ def reduce(w: Writer, e: model.Reduce) -> Value:
         return b(f"reduce.{e.how}", over.nodes, b("and", over.condition, holds))
     body = bound(w, e.element, over.element, lambda: lower(w, body_expr))
     if e.how == "best":
-        if not isinstance(body, Node):
+        if not isinstance(body, PlanNode):
             raise PlanError("best of something that is no number")
         return _element_with_least(w, over, b("neg", body))
-    parts = list(body) if isinstance(body, Vec) else [body]
+    parts = list(body) if isinstance(body, VectorNodes) else [body]
     results = [_reduce_numbers(w, e.how, over, part, quantum_exponent(body_expr.type.dim)) for part in parts]  # type: ignore[arg-type]
-    return Vec(*results) if isinstance(body, Vec) else results[0]
+    return VectorNodes(*results) if isinstance(body, VectorNodes) else results[0]
 
 
-def _reduce_numbers(w: Writer, how: str, over: Group, body: Node, fineness: int) -> Node:
+def _reduce_numbers(w: PlanWriter, how: str, over: ElementGroup, body: PlanNode, fineness: int) -> PlanNode:
     b = w.b
     if how in ("min", "max"):
         return b(f"reduce.{how}", over.nodes, over.condition, body)
@@ -161,15 +161,15 @@ def _reduce_numbers(w: Writer, how: str, over: Group, body: Node, fineness: int)
     return b("where", b("gt", count, b.number(0)), b("div", total, count), b.number(0))
 
 
-def _element_with_least(w: Writer, over: Group, body: Node) -> EntityRef:
-    op = "reduce.item" if over.element.what is model.Kind.ITEM else "reduce.agent"
+def _element_with_least(w: PlanWriter, over: ElementGroup, body: PlanNode) -> EntityRef:
+    op = "reduce.item" if over.element.what is model.TypeKind.ITEM else "reduce.agent"
     return EntityRef(over.element.what, over.element.of, w.b(op, over.nodes, over.condition, body))
 
 
 # --- feelers ---------------------------------------------------------------------------------------------------------
 
 
-def lower_feelers(w: Writer, e: model.SetOf) -> tuple[Hit, ...]:
+def lower_feelers(w: PlanWriter, e: model.SetExpr) -> tuple[RayHit, ...]:
     """Rays along the heading, turned about up evenly from one side's `spread` to the other's (Reynolds 1999, p. 12)."""
     b = w.b
     count_expr, spread_expr, reach_expr = e.args
@@ -191,26 +191,26 @@ def lower_feelers(w: Writer, e: model.SetOf) -> tuple[Hit, ...]:
     return tuple(hits)
 
 
-def cast_ray(w: Writer, direction: Vec, reach: Node, target: str) -> Hit:
+def cast_ray(w: PlanWriter, direction: VectorNodes, reach: PlanNode, target: str) -> RayHit:
     """One ray; `direction` is of length 1."""
     ray = w.b("ray", *direction, reach, attrs=(target,))
     hit, distance, x, y, z = (w.b("get", ray, attrs=(i,)) for i in range(5))
-    return Hit(hit, distance, Vec(x, y, z), direction)
+    return RayHit(hit, distance, VectorNodes(x, y, z), direction)
 
 
-def _narrow_hit(w: Writer, hit: Hit, element: model.Binding, where: model.Expr | None) -> Hit:
+def _narrow_hit(w: PlanWriter, hit: RayHit, element: model.Binding, where: model.Expr | None) -> RayHit:
     if where is None:
         return hit
     holds = bound(w, element, _assume_hit(w, hit), lambda: truth(w, where))
-    return Hit(w.b("and", hit.hit, holds), hit.distance, hit.normal, hit.direction)
+    return RayHit(w.b("and", hit.hit, holds), hit.distance, hit.normal, hit.direction)
 
 
-def _assume_hit(w: Writer, hit: Hit) -> Hit:
+def _assume_hit(w: PlanWriter, hit: RayHit) -> RayHit:
     """Return the hit for the body of a reduction: it counts as present, because results of misses are dropped afterwards."""
-    return Hit(w.b.true, hit.distance, hit.normal, hit.direction)
+    return RayHit(w.b.true, hit.distance, hit.normal, hit.direction)
 
 
-def _reduce_hits(w: Writer, e: model.Reduce, over: Hits) -> Value:
+def _reduce_hits(w: PlanWriter, e: model.ReduceExpr, over: RayHits) -> LoweredValue:
     """Lower the same reductions over hits, unrolled in the order of the rays."""
     b = w.b
     if e.how == "nearest":
@@ -233,17 +233,17 @@ def _reduce_hits(w: Writer, e: model.Reduce, over: Hits) -> Value:
     return _fold_nodes(w, "add", [b("number", each) for each in conditions], b.number(0))
 
 
-def _fold_nodes(w: Writer, op: str, nodes: list[Node], start: Node) -> Node:
+def _fold_nodes(w: PlanWriter, op: str, nodes: list[PlanNode], start: PlanNode) -> PlanNode:
     for node in nodes:
         start = w.b(op, start, node)
     return start
 
 
-def _reduce_hit_numbers(w: Writer, how: str, over: Hits, bodies: list[Value]) -> Value:
+def _reduce_hit_numbers(w: PlanWriter, how: str, over: RayHits, bodies: list[LoweredValue]) -> LoweredValue:
     b = w.b
     nothing = {"min": inf, "max": -inf}.get(how, 0.0)
 
-    def column(parts: list[Node]) -> Node:
+    def column(parts: list[PlanNode]) -> PlanNode:
         terms = [b("where", hit.hit, part, b.number(nothing)) for hit, part in zip(over.hits, parts, strict=True)]
         if how in ("min", "max"):
             return _fold_nodes(w, how, terms[1:], terms[0])
@@ -253,17 +253,17 @@ def _reduce_hit_numbers(w: Writer, how: str, over: Hits, bodies: list[Value]) ->
         count = _fold_nodes(w, "add", [b("number", hit.hit) for hit in over.hits], b.number(0))
         return b("where", b("gt", count, b.number(0)), b("div", total, count), b.number(0))
 
-    if isinstance(bodies[0], Vec):
+    if isinstance(bodies[0], VectorNodes):
         return values.zip_with(lambda *parts: column(list(parts)), *bodies)  # type: ignore[arg-type]
     return column(bodies)  # type: ignore[arg-type]
 
 
-def _hit_with_least(w: Writer, over: Hits, keys: list[Node]) -> Hit:
+def _hit_with_least(w: PlanWriter, over: RayHits, keys: list[PlanNode]) -> RayHit:
     """The hit with the least key; the earlier ray at a tie."""
     best, least = over.hits[0], keys[0]
     for hit, key in zip(over.hits[1:], keys[1:], strict=True):
         better = w.b("and", hit.hit, w.b("or", w.b("not", best.hit), w.b("lt", key, least)))
         chosen = select(w, better, hit, best)
-        assert isinstance(chosen, Hit)
+        assert isinstance(chosen, RayHit)
         best, least = chosen, w.b("where", better, key, least)
     return best

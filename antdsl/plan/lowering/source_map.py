@@ -9,22 +9,22 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 
 from antdsl.diagnostics import Report
-from antdsl.plan.builder import Builder, PlanError
-from antdsl.plan.ir import Node
+from antdsl.plan.builder import PlanBuilder, PlanError
+from antdsl.plan.ir import PlanNode
 from antdsl.plan.lowering import values
 from antdsl.plan.lowering.expressions import lower, presence, scalar, truth
 from antdsl.plan.lowering.machines import has_passed, steps
-from antdsl.plan.lowering.writer import Rules, Writer
+from antdsl.plan.lowering.writer import LoweringRules, PlanWriter
 from antdsl.program import model
 from antdsl.program.tables.units import default_unit, measure
 from antdsl.source import Span
-from antdsl.syntax.words import NUMBER, UNITS
+from antdsl.syntax.words import NUMBER_REGEX, UNITS_REGEX
 
-_JOINED = frozenset(("and", "or", "not", "is_some", "is_none", "lt", "le", "gt", "ge", "eq", "ne"))
-_WITH_UNIT = re.compile(rf"(?<![\w.]){NUMBER}[ \t]*({UNITS})")
-_MAX_DEPTH = 6  # parts of parts of a condition that are noted
-_BOOL = model.Type(model.Kind.BOOL)
-_NUMBER = model.Type(model.Kind.NUMBER)
+_JOINING_OPERATIONS = frozenset(("and", "or", "not", "is_some", "is_none", "lt", "le", "gt", "ge", "eq", "ne"))
+_NUMBER_WITH_UNIT = re.compile(rf"(?<![\w.]){NUMBER_REGEX}[ \t]*({UNITS_REGEX})")
+_MAX_NOTED_DEPTH = 6  # parts of parts of a condition that are noted
+_BOOL_TYPE = model.ValueType(model.TypeKind.BOOL)
+_NUMBER_TYPE = model.ValueType(model.TypeKind.NUMBER)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -33,9 +33,9 @@ class PartNote:
     one. `role`: draw or bar, of a `chance`; joined, if it only joins its parts with `and`, `<` and the like."""
 
     text: str
-    type: model.Type
+    type: model.ValueType
     unit: str
-    nodes: tuple[Node, ...]
+    nodes: tuple[PlanNode, ...]
     parts: tuple[PartNote, ...] = ()
     role: str = ""
 
@@ -45,9 +45,9 @@ class TimerNote:
     """`what`: held, after or at least. `has` and `needs` are steps for held, seconds otherwise."""
 
     what: str
-    has: Node
-    needs: Node
-    holds: Node
+    has: PlanNode
+    needs: PlanNode
+    holds: PlanNode
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -58,9 +58,9 @@ class ChangeNote:
     number: int
     state: model.State
     transition: model.Transition
-    fires: Node
+    fires: PlanNode
     condition: PartNote | None
-    holds: Node | None
+    holds: PlanNode | None
     timers: tuple[TimerNote, ...]
     take: PartNote | None
 
@@ -70,8 +70,8 @@ class ChoiceNote:
     """Of a transition to one of several states: the draw, and the weight of each state's index."""
 
     key: str
-    draw: Node
-    weights: tuple[tuple[int, Node], ...]
+    draw: PlanNode
+    weights: tuple[tuple[int, PlanNode], ...]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -79,14 +79,14 @@ class LayerNote:
     """A layer. `left` is the budget that earlier layers have left; `looked` is whether it is above 0."""
 
     layer: model.Layer
-    left: Node
-    looked: Node
+    left: PlanNode
+    looked: PlanNode
     condition: PartNote | None
-    holds: Node
-    push: tuple[Node, Node, Node]
+    holds: PlanNode
+    push: tuple[PlanNode, PlanNode, PlanNode]
 
 
-RESTS = "no line steers, so the agent does not move: halt()"
+RESTING_TEXT = "no line steers, so the agent does not move: halt()"
 
 
 def resting_site(species: str) -> str:
@@ -100,12 +100,12 @@ class SteerNote:
 
     site: str
     text: str
-    push: tuple[Node, Node, Node]
-    holds: Node | None = None  # whether the condition of a layer does
+    push: tuple[PlanNode, PlanNode, PlanNode]
+    holds: PlanNode | None = None  # whether the condition of a layer does
 
 
 @dataclass(slots=True, eq=False)
-class Notes:
+class SourceNotes:
     """What was noted of one species."""
 
     changes: list[ChangeNote] = field(default_factory=list)
@@ -114,20 +114,26 @@ class Notes:
     steers: list[SteerNote] = field(default_factory=list)
 
 
-class NotingWriter(Writer):
+class NotingWriter(PlanWriter):
     """Writes the same and keeps notes."""
 
     def __init__(
-        self, builder: Builder, program: model.Program, species: model.Species, report: Report, rules: Rules, notes: Notes
+        self,
+        builder: PlanBuilder,
+        program: model.Program,
+        species: model.Species,
+        report: Report,
+        rules: LoweringRules,
+        notes: SourceNotes,
     ) -> None:
         super().__init__(builder, program, species, report, rules)
         self.notes = notes
 
-    def note_transition(self, machine: str, number: int, state: model.State, t: model.Transition, fires: Node) -> None:
+    def note_transition(self, machine: str, number: int, state: model.State, t: model.Transition, fires: PlanNode) -> None:
         statement_count = len(self.statements)
         condition = None if t.condition is None else self._part_note(t.condition, _written_units(t.span))
         holds = None if t.condition is None else truth(self, t.condition)
-        take = None if t.take is None or t.take.source.type.kind is model.Kind.FIELD else self._part_note(t.take.source, [])
+        take = None if t.take is None or t.take.source.type.kind is model.TypeKind.FIELD else self._part_note(t.take.source, [])
         timers = tuple(self._timer_notes(machine, state, t))
         if len(self.statements) != statement_count:
             raise PlanError(f"a note wrote a statement: {t.span.text!r}")
@@ -143,10 +149,10 @@ class NotingWriter(Writer):
         if state.at_least is not None and not t.interrupt:
             yield TimerNote("at least", time_in_state, scalar(self, state.at_least), has_passed(self, machine, state.at_least))
 
-    def note_choice(self, key: str, draw: Node, weights: list[tuple[int, Node]]) -> None:
+    def note_choice(self, key: str, draw: PlanNode, weights: list[tuple[int, PlanNode]]) -> None:
         self.notes.choices[key] = ChoiceNote(key, draw, tuple(weights))
 
-    def note_layer(self, layer: model.Layer, left: Node, looked: Node, holds: Node, push: values.Vec) -> None:
+    def note_layer(self, layer: model.Layer, left: PlanNode, looked: PlanNode, holds: PlanNode, push: values.VectorNodes) -> None:
         statement_count = len(self.statements)
         condition = None if layer.condition is None else self._part_note(layer.condition, _written_units(layer.condition.span))
         if len(self.statements) != statement_count:
@@ -154,12 +160,12 @@ class NotingWriter(Writer):
         self.notes.layers.append(LayerNote(layer, left, looked, condition, holds, (push.x, push.y, push.z)))
 
     def note_steering(
-        self, s: model.Steer | model.Face | model.Layer, site: str, push: values.Vec, holds: Node | None = None
+        self, s: model.Steer | model.FaceLine | model.Layer, site: str, push: values.VectorNodes, holds: PlanNode | None = None
     ) -> None:
         self.notes.steers.append(SteerNote(site, _single_line(s.span.text), (push.x, push.y, push.z), holds))
 
-    def note_rest(self, rest: model.Rest, push: values.Vec) -> None:
-        self.notes.steers.append(SteerNote(resting_site(self.species.name), RESTS, (push.x, push.y, push.z)))
+    def note_rest(self, rest: model.RestingPush, push: values.VectorNodes) -> None:
+        self.notes.steers.append(SteerNote(resting_site(self.species.name), RESTING_TEXT, (push.x, push.y, push.z)))
 
     # --- parts -------------------------------------------------------------------------------------------------------
 
@@ -168,26 +174,28 @@ class NotingWriter(Writer):
         value = lower(self, e)
         text, type = _single_line(e.span.text), e.type
         parts: tuple[PartNote, ...] = ()
-        if isinstance(value, values.NamedThing | values.OwnPlace | values.Element):
+        if isinstance(value, values.NamedThing | values.OwnPlace | values.SetElement):
             return None
-        if isinstance(value, values.Vec):
+        if isinstance(value, values.VectorNodes):
             return PartNote(text, type, _display_unit(e, units, self.program), tuple(value))
         if isinstance(value, values.EntityRef):
-            return PartNote(text, model.Type(value.what, of=value.of), "", (value.node,))
-        if isinstance(value, values.Hit):
-            nearness = PartNote("distance", model.Type(model.Kind.NUMBER, model.Dim(length=1)), "mm", (value.distance,))
-            return PartNote(text, _BOOL, "", (value.hit,), (nearness,))
-        if not isinstance(value, Node):
-            return PartNote(text, _BOOL, "", (presence(self, value, e),))
-        if depth < _MAX_DEPTH:
+            return PartNote(text, model.ValueType(value.what, of=value.of), "", (value.node,))
+        if isinstance(value, values.RayHit):
+            nearness = PartNote(
+                "distance", model.ValueType(model.TypeKind.NUMBER, model.Dimension(length=1)), "mm", (value.distance,)
+            )
+            return PartNote(text, _BOOL_TYPE, "", (value.hit,), (nearness,))
+        if not isinstance(value, PlanNode):
+            return PartNote(text, _BOOL_TYPE, "", (presence(self, value, e),))
+        if depth < _MAX_NOTED_DEPTH:
             parts = tuple(self._inner_notes(e, value, units, depth + 1))
-        joined = isinstance(e, model.Op) and e.name in _JOINED and bool(parts)
+        joined = isinstance(e, model.OperationExpr) and e.name in _JOINING_OPERATIONS and bool(parts)
         return PartNote(text, type, _display_unit(e, units, self.program), (value,), parts, "joined" if joined else "")
 
-    def _inner_notes(self, e: model.Expr, node: Node, units: list[str], depth: int) -> Iterator[PartNote]:
-        if isinstance(e, model.Op) and e.name == "chance" and node.op == "lt":
-            yield PartNote("draw", _NUMBER, "", node.args[:1], role="draw")
-            yield PartNote("bar", _NUMBER, "", node.args[1:], role="bar")
+    def _inner_notes(self, e: model.Expr, node: PlanNode, units: list[str], depth: int) -> Iterator[PartNote]:
+        if isinstance(e, model.OperationExpr) and e.name == "chance" and node.op == "lt":
+            yield PartNote("draw", _NUMBER_TYPE, "", node.args[:1], role="draw")
+            yield PartNote("bar", _NUMBER_TYPE, "", node.args[1:], role="bar")
         named: set[str] = set()
         for inner, written in _inner_parts(e, units):
             outer = self.snapshot
@@ -205,15 +213,21 @@ def _inner_parts(e: model.Expr, units: list[str]) -> Iterator[tuple[model.Expr, 
     """Yield the parts of an expression that are worth showing: sides of a comparison, names in a sum, the values of `let`s. Each
     comes with its units."""
     if isinstance(e, model.BindingRef) and e.binding.role == "let" and e.binding.value is not None:
-        if isinstance(e.binding.value, model.Op):
+        if isinstance(e.binding.value, model.OperationExpr):
             yield from _inner_parts(e.binding.value, _written_units(e.binding.value.span))
         return
-    if not isinstance(e, model.Op):
+    if not isinstance(e, model.OperationExpr):
         return
     for arg in e.args:
-        if arg is None or arg.rate is model.Rate.ELEMENT or isinstance(arg, model.Const | model.StateConst | model.NoneRef):
+        if (
+            arg is None
+            or arg.rate is model.ChangeRate.ELEMENT
+            or isinstance(arg, model.Constant | model.StateConstant | model.NoneRef)
+        ):
             continue
-        if e.name in _JOINED or isinstance(arg, model.BindingRef | model.Attribute | model.ParamRef | model.Reduce):
+        if e.name in _JOINING_OPERATIONS or isinstance(
+            arg, model.BindingRef | model.AttributeRef | model.ParamRef | model.ReduceExpr
+        ):
             yield arg, units
         else:
             yield from _inner_parts(arg, units)
@@ -225,12 +239,12 @@ def _single_line(text: str) -> str:
 
 def _written_units(span: Span) -> list[str]:
     """The units that stand behind numbers in a stretch of text."""
-    return _WITH_UNIT.findall(span.text)
+    return _NUMBER_WITH_UNIT.findall(span.text)
 
 
 def _display_unit(e: model.Expr, units: list[str], program: model.Program) -> str:
     """Return a unit for a number: that of the param itself, the first unit of its dimension in the text, or a default."""
-    if e.type.kind not in (model.Kind.NUMBER, model.Kind.VECTOR):
+    if e.type.kind not in (model.TypeKind.NUMBER, model.TypeKind.VECTOR):
         return ""
     if isinstance(e, model.ParamRef) and e.name in program.params:
         units = [program.params[e.name].unit, *units]

@@ -11,20 +11,20 @@ from dataclasses import dataclass, field, replace
 
 from antdsl.diagnostics import Report
 from antdsl.plan import ir
-from antdsl.plan.builder import Builder
-from antdsl.plan.ir import OPS, Block, Kind, Node, Rate, Register, SpeciesPlan, Store
+from antdsl.plan.builder import PlanBuilder
+from antdsl.plan.ir import OPERATION_BY_NAME, Block, PlanNode, Register, SpeciesPlan, Store, UpdateRate, ValueKind
 from antdsl.plan.lowering.actions import complain
 from antdsl.plan.lowering.expressions import lower, scalar, truth
-from antdsl.plan.lowering.lower import MAX_RECURSION
-from antdsl.plan.lowering.rules import RULES
-from antdsl.plan.lowering.values import EntityRef, OwnPlace, Value, Vec, length
-from antdsl.plan.lowering.writer import UnsupportedConstruct, Writer
+from antdsl.plan.lowering.lower import MAX_RECURSION_FRAMES
+from antdsl.plan.lowering.rules import LOWERING_RULES
+from antdsl.plan.lowering.values import EntityRef, LoweredValue, OwnPlace, VectorNodes, length
+from antdsl.plan.lowering.writer import PlanWriter, UnsupportedConstruct
 from antdsl.plan.traverse import find_shared_senses, required_nodes
 from antdsl.program import expectations, model
 from antdsl.source import Span
 
-_TRUTHS = ("share", "count", "any", "every")
-_OF_ITEMS = "items have a position, a radius and their own values"
+_TRUTH_AGGREGATES = ("share", "count", "any", "every")
+_ITEM_VALUES_HELP = "items have a position, a radius and their own values"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -48,7 +48,7 @@ class StartPlan:
     `name`."""
 
     name: str
-    value: Node | None = None
+    value: PlanNode | None = None
     species: str | None = None
     source_register: str | None = None
 
@@ -58,7 +58,7 @@ class OtherRunPlan:
     """A number of the whole in the run that is compared with, passed as `name`: in that run it is the node's value."""
 
     name: str
-    value: Node
+    value: PlanNode
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -66,9 +66,9 @@ class ReadingPlan:
     """A value to tell: a node, or a register that `blend` fills for one agent."""
 
     span: Span
-    type: model.Type
+    type: model.ValueType
     unit: str
-    node: Node | None = None
+    node: PlanNode | None = None
     register: str | None = None
 
 
@@ -80,13 +80,13 @@ class JudgementPlan:
     kind: str
     block: int
     species: str | None
-    condition: Node | str
-    time: Node | None
+    condition: PlanNode | str
+    time: PlanNode | None
     readings: tuple[ReadingPlan, ...]
     at_end: bool
     span: Span
-    held: Node | None = None
-    since: Node | str | None = None
+    held: PlanNode | None = None
+    since: PlanNode | str | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -96,7 +96,7 @@ class SpecPlan:
 
     spec: expectations.Spec
     plan: ir.Plan
-    duration: Node | None
+    duration: PlanNode | None
     wholes: tuple[AggregatePlan, ...]
     starts: tuple[StartPlan, ...]
     judgements: tuple[JudgementPlan, ...]
@@ -104,22 +104,22 @@ class SpecPlan:
     bodily: Mapping[str, frozenset[str]] = field(default_factory=dict)
 
 
-class _Writer(Writer):
+class _SpecWriter(PlanWriter):
     """A writer that knows what only a spec can ask."""
 
     def __init__(self, work: _SpecLowering, species: model.Species, registers: dict[str, Register]) -> None:
-        super().__init__(work.b, work.program, species, work.report, RULES)
+        super().__init__(work.b, work.program, species, work.report, LOWERING_RULES)
         self.work = work
         self.registers = dict(registers)
         self.blocks: dict[str, list[Store]] = {"decide": [], "act": [], "blend": []}
 
-    def _read(self, name: str, snapshot: bool) -> Node:
+    def _read(self, name: str, snapshot: bool) -> PlanNode:
         if name not in self.registers:
-            raise UnsupportedConstruct("a sense of an item", self.b.span or self.species.span, _OF_ITEMS)
+            raise UnsupportedConstruct("a sense of an item", self.b.span or self.species.span, _ITEM_VALUES_HELP)
         return super()._read(name, snapshot)
 
-    def tell(self, e: model.Expr) -> Value:
-        if isinstance(e, expectations.Aggregate):
+    def tell(self, e: model.Expr) -> LoweredValue:
+        if isinstance(e, expectations.AggregateExpr):
             return self.work.lower_aggregate(e)
         if isinstance(e, expectations.MotionMeasure):
             return self.b("told", attrs=(f"motion.{e.name}",))
@@ -128,18 +128,18 @@ class _Writer(Writer):
         if isinstance(e, expectations.BodyMeasure):
             return self.read_body_register(e)
         if isinstance(e, expectations.CellValue):
-            return self.b("snap", attrs=("value",), kind=Kind.F32)
+            return self.b("snap", attrs=("value",), kind=ValueKind.F32)
         assert isinstance(e, expectations.AtStart)
         return self.work.start(self, e)
 
-    def read_body_register(self, e: expectations.BodyMeasure) -> Node:
+    def read_body_register(self, e: expectations.BodyMeasure) -> PlanNode:
         """Return a register that is filled before the evaluation."""
         name = f"geometry.{e.name}"
-        self.registers[name] = Register(name, Kind.F32, "attribute")
+        self.registers[name] = Register(name, ValueKind.F32, "attribute")
         self.work.bodily.setdefault(self.species.name, set()).add(e.name)
-        return self.b("snap", attrs=(name,), kind=Kind.F32)
+        return self.b("snap", attrs=(name,), kind=ValueKind.F32)
 
-    def store_result(self, block: str, name: str, node: Node, span: Span) -> str:
+    def store_result(self, block: str, name: str, node: PlanNode, span: Span) -> str:
         """A register of the spec's own that a block fills."""
         self.registers[name] = Register(name, node.kind, "memory")
         self.blocks[block].append(Store(name, node, span, infinite=True))
@@ -156,49 +156,53 @@ class _SpecLowering:
 
     def __init__(self, program: model.Program, plan: ir.Plan, report: Report) -> None:
         self.program, self.lowered, self.report = program, plan, report
-        self.b = Builder()
+        self.b = PlanBuilder()
         self.wholes: list[AggregatePlan] = []
         self.starts: list[StartPlan] = []
         self.others: list[OtherRunPlan] = []
         self.bodily: dict[str, set[str]] = {}
-        self.known: dict[model.Expr, Node] = {}
-        self.writers: dict[str, _Writer] = {}
-        empty_layers = model.Layers("budget", (), next(iter(program.species.values())).span)
+        self.known: dict[model.Expr, PlanNode] = {}
+        self.writers: dict[str, _SpecWriter] = {}
+        empty_layers = model.LayerStack("budget", (), next(iter(program.species.values())).span)
         self._nobody = empty_layers
-        self.above = _Writer(self, self._find_species(""), {})
+        self.above = _SpecWriter(self, self._find_species(""), {})
 
     def _find_species(self, name: str) -> model.Species:
         return model.Species(name, "", (), (), (), (), (), (), self._nobody, self._nobody.span)
 
-    def agent_writer(self, species: str, span: Span | None = None) -> _Writer:
+    def agent_writer(self, species: str, span: Span | None = None) -> _SpecWriter:
         if species not in self.lowered.species:
             assert span is not None
             words = f"a spec on `{species}`, which the scene does not contain,"
             raise UnsupportedConstruct(words, span, f"add `{species}` to the scene's `crowd`")
         if species not in self.writers:
-            self.writers[species] = _Writer(self, self.program.species[species], self.lowered.species[species].registers)
+            self.writers[species] = _SpecWriter(self, self.program.species[species], self.lowered.species[species].registers)
         return self.writers[species]
 
-    def item_writer(self, items: str) -> _Writer:
+    def item_writer(self, items: str) -> _SpecWriter:
         if items not in self.writers:
             names = ("position.x", "position.y", "position.z", "radius", *self.lowered.items[items].attributes)
-            self.writers[items] = _Writer(self, self._find_species(items), {n: Register(n, Kind.F32, "attribute") for n in names})
+            self.writers[items] = _SpecWriter(
+                self, self._find_species(items), {n: Register(n, ValueKind.F32, "attribute") for n in names}
+            )
         return self.writers[items]
 
-    def cell_writer(self, field: str) -> _Writer:
+    def cell_writer(self, field: str) -> _SpecWriter:
         if field not in self.writers:
-            self.writers[field] = _Writer(self, self._find_species(field), {"value": Register("value", Kind.F32, "attribute")})
+            self.writers[field] = _SpecWriter(
+                self, self._find_species(field), {"value": Register("value", ValueKind.F32, "attribute")}
+            )
         return self.writers[field]
 
     # --- wholes and starts -------------------------------------------------------------------------------------------
 
-    def lower_aggregate(self, e: expectations.Aggregate) -> Node:
+    def lower_aggregate(self, e: expectations.AggregateExpr) -> PlanNode:
         """Return the value of a whole; it is evaluated once, however often the rules read the expression."""
         if e not in self.known:
             self.known[e] = self._lower_new_aggregate(e)
         return self.known[e]
 
-    def _lower_new_aggregate(self, e: expectations.Aggregate) -> Node:
+    def _lower_new_aggregate(self, e: expectations.AggregateExpr) -> PlanNode:
         name, of = f"whole#{len(self.wholes) + 1}", e.over.of or ""
         kind = e.over.kind.value
         where = body = amount = None
@@ -210,39 +214,39 @@ class _SpecLowering:
             if e.where is not None:
                 where = w.store_result("decide", f"{name}.where", self._check_pure(w, truth(w, e.where), e.where), e.where.span)
             if e.body is not None:
-                node = truth(w, e.body) if e.how in _TRUTHS else scalar(w, e.body)
+                node = truth(w, e.body) if e.how in _TRUTH_AGGREGATES else scalar(w, e.body)
                 body = w.store_result("decide", f"{name}.body", self._check_pure(w, node, e.body), e.body.span)
                 if kind == "items" and node.op == "snap" and node.attrs[0] in self.lowered.items[of].attributes:
                     amount = node.attrs[0]
         self.wholes.append(AggregatePlan(name, e.how, kind, of, where, body, amount))
         result = self.b("told", attrs=(name,))
-        return self.b("ne", result, self.b.number(0)) if e.type.kind is model.Kind.BOOL else result
+        return self.b("ne", result, self.b.number(0)) if e.type.kind is model.TypeKind.BOOL else result
 
-    def start(self, w: _Writer, e: expectations.AtStart) -> Node:
+    def start(self, w: _SpecWriter, e: expectations.AtStart) -> PlanNode:
         """Return the value at the start, of the whole or stored for each agent."""
         if e not in self.known:
             self.known[e] = self._lower_new_at_start(w, e)
         return self.known[e]
 
-    def _lower_new_at_start(self, w: _Writer, e: expectations.AtStart) -> Node:
+    def _lower_new_at_start(self, w: _SpecWriter, e: expectations.AtStart) -> PlanNode:
         node = scalar(w, e.value)
         name = f"start#{len(self.starts) + 1}"
-        if node.rate <= Rate.STEP:
+        if node.rate <= UpdateRate.STEP:
             self.starts.append(StartPlan(name, value=node))
             return self.b("told", attrs=(name,))
         source_register = w.store_result("decide", f"{name}.asked", self._check_pure(w, node, e), e.span)
-        w.registers[name] = Register(name, Kind.F32, "attribute")
+        w.registers[name] = Register(name, ValueKind.F32, "attribute")
         self.starts.append(StartPlan(name, species=w.species.name, source_register=source_register))
-        return self.b("snap", attrs=(name,), kind=Kind.F32)
+        return self.b("snap", attrs=(name,), kind=ValueKind.F32)
 
-    def lower_other_run(self, e: expectations.OtherRun) -> Node:
+    def lower_other_run(self, e: expectations.OtherRun) -> PlanNode:
         """Return the value in the other run."""
         if e not in self.known:
             self.others.append(OtherRunPlan(f"other#{len(self.others) + 1}", scalar(self.above, e.value)))
             self.known[e] = self.b("told", attrs=(self.others[-1].name,))
         return self.known[e]
 
-    def _check_pure(self, w: _Writer, node: Node, e: model.Expr) -> Node:
+    def _check_pure(self, w: _SpecWriter, node: PlanNode, e: model.Expr) -> PlanNode:
         """Return the node, if evaluating it changes nothing and items have all that it reads."""
         if w.statements:
             w.statements.clear()
@@ -251,7 +255,7 @@ class _SpecLowering:
         name = w.species.name
         if name in (*self.lowered.items, *self.program.fields) and any(_is_agent_only(n) for n in required_nodes([node])):
             if name in self.lowered.items:
-                raise UnsupportedConstruct("a sense of an item", e.span, _OF_ITEMS)
+                raise UnsupportedConstruct("a sense of an item", e.span, _ITEM_VALUES_HELP)
             raise UnsupportedConstruct("a sense of a cell", e.span, "a cell of a field has only a `value`")
         return node
 
@@ -263,7 +267,7 @@ class _SpecLowering:
             node = self._check_pure(w, truth(w, e.condition), e.condition)
             condition = node if e.species is None else w.store_result("act", f"line#{number}", node, e.span)
             time, held = (None if each is None else scalar(self.above, each) for each in (e.time, e.held))
-            since: Node | str | None = None
+            since: PlanNode | str | None = None
             if e.since is not None:
                 since_node = self._check_pure(w, truth(w, e.since), e.since)
                 since = since_node if e.species is None else w.store_result("act", f"line#{number}.since", since_node, e.span)
@@ -273,23 +277,23 @@ class _SpecLowering:
             return None
         return JudgementPlan(e.kind, e.block, e.species, condition, time, tuple(readings), e.at_end, e.span, held, since)
 
-    def _lower_reading(self, w: _Writer, reading: expectations.Reading, name: str) -> ReadingPlan:
+    def _lower_reading(self, w: _SpecWriter, reading: expectations.ExpectationReading, name: str) -> ReadingPlan:
         e, value = reading.expr, lower(w, reading.expr)
         type = e.type
         if isinstance(value, EntityRef):
             value = value.node
-        elif isinstance(value, Vec):
-            value, type = length(w.b, value), model.Type(model.Kind.NUMBER, type.dim)
-        elif not isinstance(value, Node):
-            value, type = truth(w, e), model.Type(model.Kind.BOOL)
-        if value.rate <= Rate.STEP:
+        elif isinstance(value, VectorNodes):
+            value, type = length(w.b, value), model.ValueType(model.TypeKind.NUMBER, type.dim)
+        elif not isinstance(value, PlanNode):
+            value, type = truth(w, e), model.ValueType(model.TypeKind.BOOL)
+        if value.rate <= UpdateRate.STEP:
             return ReadingPlan(e.span, type, reading.unit, node=value)
         return ReadingPlan(e.span, type, reading.unit, register=w.store_result("blend", name, value, e.span))
 
 
-def _is_agent_only(node: Node) -> bool:
+def _is_agent_only(node: PlanNode) -> bool:
     """Return whether only an agent has such a value, for example a sense or its age; items only have registers."""
-    return node.op != "snap" and (OPS[node.op].rate is Rate.AGENT or node.kind is Kind.SET)
+    return node.op != "snap" and (OPERATION_BY_NAME[node.op].rate is UpdateRate.AGENT or node.kind is ValueKind.SET)
 
 
 def lower_spec(spec: expectations.Spec, program: model.Program, plan: ir.Plan) -> tuple[SpecPlan | None, Report]:
@@ -297,7 +301,7 @@ def lower_spec(spec: expectations.Spec, program: model.Program, plan: ir.Plan) -
     evaluated yet."""
     report = Report()
     previous_limit = sys.getrecursionlimit()
-    sys.setrecursionlimit(max(previous_limit, MAX_RECURSION))
+    sys.setrecursionlimit(max(previous_limit, MAX_RECURSION_FRAMES))
     try:
         work = _SpecLowering(program, plan, report)
         duration = None if spec.duration is None else scalar(work.above, spec.duration)

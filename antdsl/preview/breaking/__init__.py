@@ -10,14 +10,14 @@ from antdsl.pipeline import Shot
 from antdsl.preview.breaking.conditions import ConditionWatcher
 from antdsl.preview.breaking.model import BreakpointError, BreakpointWatcher
 from antdsl.preview.breaking.watchers import FaultWatcher, SpecWatcher, StateWatcher
-from antdsl.preview.observing.observer import Stop
-from antdsl.preview.observing.spec_judgement import Specs
+from antdsl.preview.observing.observer import PauseReason
+from antdsl.preview.observing.spec_judgement import SpecObserver
 from antdsl.preview.requests import Break, ConditionBreak, FaultBreak, SpecBreak, StateBreak
 from antdsl.preview.session import Session
 from antdsl.runtime import World
 
 # Made for the program that a session has now; Misfit where it does not fit that.
-KINDS: Mapping[type, Callable[[Session, Any, Specs], BreakpointWatcher]] = {
+WATCHER_BY_BREAK_KIND: Mapping[type, Callable[[Session, Any, SpecObserver], BreakpointWatcher]] = {
     StateBreak: lambda session, ask, specs: StateWatcher(session, ask),
     ConditionBreak: lambda session, ask, specs: ConditionWatcher(session, ask),
     SpecBreak: SpecWatcher,
@@ -50,7 +50,7 @@ class Breakpoints:
     """Checks each step that is played. `tell` gets a message for each breakpoint that does not fit a program, and all of them
     whenever they are built again."""
 
-    def __init__(self, specs: Specs, tell: Callable[[dict[str, Any]], None] = lambda message: None) -> None:
+    def __init__(self, specs: SpecObserver, tell: Callable[[dict[str, Any]], None] = lambda message: None) -> None:
         self.specs, self.tell = specs, tell
         self.breaks: list[Breakpoint] = []
         self._shot: Shot | None = None  # that they are made for
@@ -60,7 +60,7 @@ class Breakpoints:
         """Replace all breakpoints. Raises BreakpointError if the additional one, `tried`, does not fit the program: then nothing
         changes."""
         if tried is not None and tried not in asks:
-            KINDS[type(tried)](session, tried, self.specs)
+            WATCHER_BY_BREAK_KIND[type(tried)](session, tried, self.specs)
             asks = [*asks, tried]
         known = {each.ask: each for each in self.breaks}
         self.breaks = [known.get(ask) or Breakpoint(ask) for ask in asks]
@@ -85,7 +85,7 @@ class Breakpoints:
                     each.waits.begin(session)
             self._seen = session.world, session.frame
 
-    def after_step(self, session: Session) -> Stop | None:
+    def after_step(self, session: Session) -> PauseReason | None:
         if not self.breaks or self._seen is None or session.world is not self._seen[0]:
             return None  # none waits, or the step led into another program: that is looked at before the next
         looked = [each.waits.check_frame(session) for each in self.breaks if each.waits is not None]
@@ -103,7 +103,7 @@ class Breakpoints:
         self._shot, self._seen = session.shot, None
         for each in self.breaks:
             try:
-                each.waits, each.why = KINDS[type(each.ask)](session, each.ask, self.specs), None
+                each.waits, each.why = WATCHER_BY_BREAK_KIND[type(each.ask)](session, each.ask, self.specs), None
             except BreakpointError as why:
                 old_reason, each.waits, each.why = _reason_text(each.why), None, why
                 if old_reason == _reason_text(why):

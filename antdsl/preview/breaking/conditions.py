@@ -11,19 +11,19 @@ from antdsl.diagnostics import Report
 from antdsl.pipeline import Shot
 from antdsl.plan.lowering.spec_blocks import SpecPlan, lower_spec
 from antdsl.preview.breaking.model import BreakpointError
-from antdsl.preview.breaking.watchers import MOST, agents_text
-from antdsl.preview.observing.observer import Stop
+from antdsl.preview.breaking.watchers import MAX_SELECTED_AGENTS, agents_text
+from antdsl.preview.observing.observer import PauseReason
 from antdsl.preview.requests import ConditionBreak
 from antdsl.preview.session import Session
 from antdsl.runtime import World
 from antdsl.source import Source
-from antdsl.specs.queries import Questioner
+from antdsl.specs.queries import SpecEvaluator
 from antdsl.specs.value_text import format_value
 from antdsl.syntax import nodes, parse
 
-_EACH = re.compile(r"\s*each\s+([A-Za-z_]\w*)\s*:(.*)", re.DOTALL)
-_NAME = "<breakpoint>"
-_ALONE = "write one condition, such as `count(state == carry) > 10`"
+_EACH_PATTERN = re.compile(r"\s*each\s+([A-Za-z_]\w*)\s*:(.*)", re.DOTALL)
+_SOURCE_NAME = "<breakpoint>"
+_ONE_CONDITION_HELP = "write one condition, such as `count(state == carry) > 10`"
 
 
 class ConditionWatcher:
@@ -33,14 +33,14 @@ class ConditionWatcher:
         self.text = " ".join(ask.text.split())
         self.plan = condition_plan(session.shot, ask.text)
         [self.line] = self.plan.judgements
-        self.asker: Questioner | None = None
+        self.asker: SpecEvaluator | None = None
         self.held: NDArray[np.int64] = np.zeros(0, np.int64)  # ids for which it held; 0 alone where it is about the whole
 
     def begin(self, session: Session) -> None:
-        self.asker = Questioner(self.plan, session.world)
+        self.asker = SpecEvaluator(self.plan, session.world)
         self.held = self._matching_ids(self.asker, session.world)
 
-    def check_frame(self, session: Session) -> Stop | None:
+    def check_frame(self, session: Session) -> PauseReason | None:
         if self.asker is None:
             self.begin(session)
             return None
@@ -49,14 +49,16 @@ class ConditionWatcher:
         if not len(new):
             return None
         if self.line.species is None:
-            return Stop(f"{self.text}: true at frame {session.frame}{self._values_text(self.asker, session.world)}")
+            return PauseReason(f"{self.text}: true at frame {session.frame}{self._values_text(self.asker, session.world)}")
         ids = tuple(int(each) for each in new)
         text = self.text.partition(":")[2].strip()
-        return Stop(
-            f"{agents_text(self.line.species, ids[:MOST])}: {text} at frame {session.frame}", self.line.species, ids[:MOST]
+        return PauseReason(
+            f"{agents_text(self.line.species, ids[:MAX_SELECTED_AGENTS])}: {text} at frame {session.frame}",
+            self.line.species,
+            ids[:MAX_SELECTED_AGENTS],
         )
 
-    def _matching_ids(self, evaluator: Questioner, world: World) -> NDArray[np.int64]:
+    def _matching_ids(self, evaluator: SpecEvaluator, world: World) -> NDArray[np.int64]:
         judged_world = evaluator.ask(world, {})
         if self.line.species is None:
             assert not isinstance(self.line.condition, str)
@@ -65,7 +67,7 @@ class ConditionWatcher:
         assert isinstance(self.line.condition, str)
         return judged.ids[judged.now[self.line.condition].astype(np.bool_)]
 
-    def _values_text(self, evaluator: Questioner, world: World) -> str:
+    def _values_text(self, evaluator: SpecEvaluator, world: World) -> str:
         readings = []
         for reading in self.line.readings:
             if reading.node is not None:
@@ -79,25 +81,25 @@ def condition_plan(shot: Shot, text: str) -> SpecPlan:
     the text."""
     from antdsl.program import check
 
-    file, report = parse(Source(_NAME, _spec_text(text)))
+    file, report = parse(Source(_SOURCE_NAME, _spec_text(text)))
     _raise_first_error(report)
     if not _is_one_line(file):
-        raise BreakpointError(f"`{' '.join(text.split())[:80]}` is not one condition", _ALONE)
+        raise BreakpointError(f"`{' '.join(text.split())[:80]}` is not one condition", _ONE_CONDITION_HELP)
     loaded = shot.loaded
     program, report = check([*loaded.files, file], loaded.find_library, loaded.modules)
     words = (
         f"write `each {next(iter(shot.plan.species))}: {' '.join(text.split())}` to ask every agent, or ask for a `count` of all"
     )
-    _raise_first_error(report, "" if _EACH.fullmatch(text) else words)
+    _raise_first_error(report, "" if _EACH_PATTERN.fullmatch(text) else words)
     plan, report = lower_spec(program.specs[-1], program, shot.plan)
     _raise_first_error(report)
     if plan is None or len(plan.judgements) != 1:
-        raise BreakpointError(f"`{' '.join(text.split())[:80]}` is not one condition", _ALONE)
+        raise BreakpointError(f"`{' '.join(text.split())[:80]}` is not one condition", _ONE_CONDITION_HELP)
     return plan
 
 
 def _spec_text(text: str) -> str:
-    each = _EACH.fullmatch(text)
+    each = _EACH_PATTERN.fullmatch(text)
     if each is None:
         return f'spec "breakpoint" {{\n  never: {text}\n}}\n'
     return f'spec "breakpoint" {{\n  each {each[1]} {{\n    never: {each[2]}\n  }}\n}}\n'

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Protocol
 
-from antdsl.preview.observing.observer import Stop
+from antdsl.preview.observing.observer import PauseReason
 from antdsl.preview.session import Session
 
 
@@ -22,6 +22,6 @@ class BreakpointWatcher(Protocol):
     def begin(self, session: Session) -> None:
         """Record the condition at this frame. What holds already is no hit; only a change to it is."""
 
-    def check_frame(self, session: Session) -> Stop | None:
+    def check_frame(self, session: Session) -> PauseReason | None:
         """Return why to stop at this frame, or None. Frames arrive in order: each is the next after the last one seen or looked
         at."""

@@ -7,13 +7,13 @@ from numpy.typing import NDArray
 
 from antdsl.diagnostics.suggestion import nearest_name
 from antdsl.preview.breaking.model import BreakpointError
-from antdsl.preview.observing.observer import Stop
-from antdsl.preview.observing.spec_judgement import CURVE, Specs
+from antdsl.preview.observing.observer import PauseReason
+from antdsl.preview.observing.spec_judgement import CURVE_NAME_PREFIX, SpecObserver
 from antdsl.preview.requests import FaultBreak, SpecBreak, StateBreak
 from antdsl.preview.session import Session
 
-_NAMED = 3  # agents that are named in words
-MOST = 500  # agents that a page selects
+_MAX_NAMED_AGENTS = 3  # agents that are named in words
+MAX_SELECTED_AGENTS = 500  # agents that a page selects
 
 
 class StateWatcher:
@@ -35,7 +35,7 @@ class StateWatcher:
         population = session.world.populations[self.ask.species]
         self.others = population.ids[population.now[f"{self.ask.machine}.state"] != self.state]
 
-    def check_frame(self, session: Session) -> Stop | None:
+    def check_frame(self, session: Session) -> PauseReason | None:
         population = session.world.populations[self.ask.species]
         ids_in_state = population.ids[population.now[f"{self.ask.machine}.state"] == self.state]
         entered = np.intersect1d(ids_in_state, self.others)
@@ -44,13 +44,13 @@ class StateWatcher:
             return None
         ids = tuple(int(each) for each in entered)
         line = f"{agents_text(self.ask.species, ids)} entered {self.ask.state} at frame {session.frame}"
-        return Stop(line, self.ask.species, ids[:MOST])
+        return PauseReason(line, self.ask.species, ids[:MAX_SELECTED_AGENTS])
 
 
 def agents_text(species: str, ids: tuple[int, ...]) -> str:
     """Return a text for agents of a species, with the ids of the first few."""
-    words = f"{species} {', '.join(map(str, ids[:_NAMED]))}"
-    return f"{words} and {len(ids) - _NAMED} more" if len(ids) > _NAMED else words
+    words = f"{species} {', '.join(map(str, ids[:_MAX_NAMED_AGENTS]))}"
+    return f"{words} and {len(ids) - _MAX_NAMED_AGENTS} more" if len(ids) > _MAX_NAMED_AGENTS else words
 
 
 def _unknown_name_error(what: str, name: str, known: list[str]) -> BreakpointError:
@@ -60,7 +60,7 @@ def _unknown_name_error(what: str, name: str, known: list[str]) -> BreakpointErr
 
 
 class SpecWatcher:
-    def __init__(self, session: Session, ask: SpecBreak, specs: Specs) -> None:
+    def __init__(self, session: Session, ask: SpecBreak, specs: SpecObserver) -> None:
         known = dict(specs.plans_by_name(session.shot, session.compiler.scene))
         if ask.spec not in known:
             near = nearest_name(ask.spec, known)
@@ -74,14 +74,16 @@ class SpecWatcher:
     def begin(self, session: Session) -> None:
         """The curve says how it was."""
 
-    def check_frame(self, session: Session) -> Stop | None:
-        frame, curves, key = session.frame, session.timeline.curves, CURVE + self.ask.spec
+    def check_frame(self, session: Session) -> PauseReason | None:
+        frame, curves, key = session.frame, session.timeline.curves, CURVE_NAME_PREFIX + self.ask.spec
         if curves.get(frame, {}).get(key) != 0.0 or curves.get(frame - 1, {}).get(key) == 0.0:
             return None
         judged = next((each.as_json() for each in self.specs.judged if each.name == self.ask.spec), None)
         if judged is None or judged["frame"] != frame:  # it was judged before an edit, and is gone through again
-            return Stop(f"`{self.ask.spec}` fails at frame {frame}")
-        return Stop(f"`{self.ask.spec}` fails at frame {frame}: {judged['message']}", judged["species"], tuple(judged["agents"]))
+            return PauseReason(f"`{self.ask.spec}` fails at frame {frame}")
+        return PauseReason(
+            f"`{self.ask.spec}` fails at frame {frame}: {judged['message']}", judged["species"], tuple(judged["agents"])
+        )
 
 
 class FaultWatcher:
@@ -93,6 +95,6 @@ class FaultWatcher:
     def begin(self, session: Session) -> None:
         """Each step has its own faults."""
 
-    def check_frame(self, session: Session) -> Stop | None:
+    def check_frame(self, session: Session) -> PauseReason | None:
         fault = session.world.faults.latest
-        return None if fault is None else Stop(fault.brief, fault.species, (fault.agent,))
+        return None if fault is None else PauseReason(fault.brief, fault.species, (fault.agent,))

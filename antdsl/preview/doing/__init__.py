@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     from antdsl.preview.live import Client, Live
 
 # By the kind of request. A handler may raise Refusal; others are reported as bugs and end nothing.
-HANDLERS: Mapping[type[Any], Callable[[Live, Any, Client], None]] = {
+HANDLER_BY_REQUEST: Mapping[type[Any], Callable[[Live, Any, Client], None]] = {
     requests.Play: time.play,
     requests.Pause: time.pause,
     requests.Step: time.step,
@@ -28,4 +28,4 @@ HANDLERS: Mapping[type[Any], Callable[[Live, Any, Client], None]] = {
     requests.Breaks: queries.set_breakpoints,
     requests.Profile: queries.profile,
 }
-WITHOUT_SESSION = frozenset([requests.Look, requests.Reload, requests.Speed])  # possible while the scene has errors
+SESSIONLESS_REQUESTS = frozenset([requests.Look, requests.Reload, requests.Speed])  # possible while the scene has errors

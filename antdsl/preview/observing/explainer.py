@@ -20,11 +20,11 @@ from antdsl.explain import (
     state_stretches,
     tell,
 )
-from antdsl.explain.model import Stretch as StateStretch
+from antdsl.explain.model import StateInterval as StateStretch
 from antdsl.pipeline import Shot
 from antdsl.preview.agent_columns import Arrays
 from antdsl.preview.session import Session
-from antdsl.preview.timeline import Change, Stretch
+from antdsl.preview.timeline import ParamChange, SimulationStretch
 from antdsl.runtime import World, checkpoint
 
 _CACHED_STRETCHES = 2  # stretches with cached replays: before and after an edit
@@ -35,7 +35,7 @@ class StretchHistory:
     """The history of one stretch of a session. `near`: one extra checkpoint, at the frame of the last replay."""
 
     session: Session
-    stretch: Stretch
+    stretch: SimulationStretch
     near: dict[int, Arrays] = field(default_factory=dict)
 
     @property
@@ -70,7 +70,7 @@ class Explainer:
 
     def __init__(self, session: Session) -> None:
         self.session = session
-        self._replays: list[tuple[Stretch, tuple[Change, ...], Replay]] = []
+        self._replays: list[tuple[SimulationStretch, tuple[ParamChange, ...], Replay]] = []
 
     def explain(self, agents: Sequence[tuple[str, int]], frame: int) -> list[LocatedExplanation | None]:
         """Return what agents (species, id) did in the step to a frame, with their states over time; None for an agent that did

@@ -8,14 +8,14 @@ from typing import TYPE_CHECKING, Any
 
 from antdsl.preview.session import Session
 from antdsl.preview.viewing.names import FileNames
-from antdsl.runtime.profiling import Profile
+from antdsl.runtime.profiling import StepProfile
 
 if TYPE_CHECKING:
     from antdsl.preview.live import Client, Live
-    from antdsl.preview.observing.observer import Stop
+    from antdsl.preview.observing.observer import PauseReason
 
-_EVERY = 0.25  # seconds between two messages
-_LEAST = 5e-4  # ms a frame: a faster line is not reported
+_MESSAGE_INTERVAL_SECONDS = 0.25  # seconds between two messages
+_MIN_REPORTED_MS = 5e-4  # ms a frame: a faster line is not reported
 
 
 class CostReporter:
@@ -35,7 +35,7 @@ class CostReporter:
     def before_step(self, session: Session) -> None:
         """The session's meter begins automatically."""
 
-    def after_step(self, session: Session) -> Stop | None:
+    def after_step(self, session: Session) -> PauseReason | None:
         if self._asked:
             self._asked &= self._live.clients.keys()  # the others have left
             self._measure(session)
@@ -51,7 +51,7 @@ class CostReporter:
 
     def _tell(self, session: Session) -> None:
         now = monotonic()
-        if session.meter is None or now - self._told_at < _EVERY:
+        if session.meter is None or now - self._told_at < _MESSAGE_INTERVAL_SECONDS:
             return
         profile = session.meter.profile()
         if profile.frames:
@@ -61,7 +61,7 @@ class CostReporter:
                 client.tell(packet)
 
 
-def message(profile: Profile, names: FileNames) -> dict[str, Any]:
+def message(profile: StepProfile, names: FileNames) -> dict[str, Any]:
     """A profile as pages read it."""
     return {
         "op": "profile",
@@ -81,6 +81,6 @@ def message(profile: Profile, names: FileNames) -> dict[str, Any]:
         "lines": [
             {"file": names.of(each.file), "line": each.line, "text": each.text, "ms": round(each.ms, 4)}
             for each in profile.lines
-            if each.ms >= _LEAST
+            if each.ms >= _MIN_REPORTED_MS
         ],
     }

@@ -11,7 +11,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, slots=True)
-class Stop:
+class PauseReason:
     """Why the session pauses, as text, and the agents concerned, of one species."""
 
     line: str
@@ -23,7 +23,7 @@ class Observer(Protocol):
     def before_step(self, session: Session) -> None:
         """Called before each step; `stepped` follows."""
 
-    def after_step(self, session: Session) -> Stop | None:
+    def after_step(self, session: Session) -> PauseReason | None:
         """Observe a step that was requested or that play made; not those that a seek simulates again. It may add numbers to
         `session.timeline.curves[session.frame]`."""
 

@@ -10,32 +10,32 @@ from typing import TYPE_CHECKING
 from antdsl.preview.breaking import Breakpoints
 from antdsl.preview.observing.meter import CostReporter
 from antdsl.preview.observing.observer import Observer
-from antdsl.preview.observing.spec_judgement import Specs
+from antdsl.preview.observing.spec_judgement import SpecObserver
 from antdsl.preview.session import Session
 
 if TYPE_CHECKING:
     from antdsl.preview.live import Live
-    from antdsl.preview.observing.observer import Stop
+    from antdsl.preview.observing.observer import PauseReason
 
 
 def _specs(live: Live) -> Observer:
-    return Specs(live.tell_all)
+    return SpecObserver(live.tell_all)
 
 
 def _breakpoints(live: Live) -> Observer:
-    return Breakpoints(live.observer(Specs), live.tell_all)
+    return Breakpoints(live.observer(SpecObserver), live.tell_all)
 
 
 def _notes(live: Live) -> Observer:
-    return Notes()
+    return NoteObserver()
 
 
 # What each Live makes one of, in this order; a handler gets at its own by `live.observer(Kind)`. A spec is judged before one asks
 # whether it failed.
-OBSERVERS: tuple[Callable[[Live], Observer], ...] = (CostReporter, _notes, _specs, _breakpoints)
+OBSERVER_MAKERS: tuple[Callable[[Live], Observer], ...] = (CostReporter, _notes, _specs, _breakpoints)
 
 
-class Notes:
+class NoteObserver:
     """An observer; the live thread's own."""
 
     def __init__(self) -> None:
@@ -44,7 +44,7 @@ class Notes:
     def before_step(self, session: Session) -> None:
         """What comes is said after the step."""
 
-    def after_step(self, session: Session) -> Stop | None:
+    def after_step(self, session: Session) -> PauseReason | None:
         for sentence in session.world.backend.messages():
             if sentence not in self._said:
                 self._said.add(sentence)

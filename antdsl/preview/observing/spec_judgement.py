@@ -12,18 +12,21 @@ from typing import Any
 
 from antdsl.pipeline import Shot
 from antdsl.plan.lowering.spec_blocks import SpecPlan, lower_spec
-from antdsl.preview.observing.observer import Stop
+from antdsl.preview.observing.observer import PauseReason
 from antdsl.preview.session import Session
-from antdsl.preview.timeline import Stretch
+from antdsl.preview.timeline import SimulationStretch
 from antdsl.program.expectations import Spec
 from antdsl.runtime import World
 from antdsl.scene.paths import PathRefused, Roots
 from antdsl.specs.cases import Failure
-from antdsl.specs.judge import Judge
+from antdsl.specs.judge import SpecJudge
 
-_SHARE, _LITTLE = 0.1, 0.004  # of the time that a step takes, and seconds: what judging a spec may take unless it is requested
-_WARM, _TRIED = 3, 24  # frames that are not counted, and those after which it is known
-CURVE = "spec: "
+_MAX_JUDGING_SHARE, _MAX_JUDGING_SECONDS = (
+    0.1,
+    0.004,
+)  # of the time that a step takes, and seconds: what judging a spec may take unless it is requested
+_WARM_UP_FRAMES, _MEASURED_FRAMES = 3, 24  # frames that are not counted, and those after which it is known
+CURVE_NAME_PREFIX = "spec: "
 
 
 @dataclass(slots=True, eq=False)
@@ -33,7 +36,7 @@ class SpecStatus:
     name: str
     plan: SpecPlan | None = None
     why: str = ""
-    judge: Judge | None = None
+    judge: SpecJudge | None = None
     seconds: float = 0.0
     frames: int = 0
 
@@ -54,7 +57,7 @@ class SpecStatus:
         }
 
 
-class Specs:
+class SpecObserver:
     """All specs of a session's program. Specs that a client requires are judged at any cost. `tell` receives a message whenever
     the status of a spec changes."""
 
@@ -62,7 +65,7 @@ class Specs:
         self.tell, self.wanted = tell, frozenset[str]()
         self.judged: list[SpecStatus] = []
         self._plans: tuple[Shot, list[tuple[str, SpecPlan | str]]] | None = None
-        self._stretch: Stretch | None = None
+        self._stretch: SimulationStretch | None = None
         self._last = 0  # the frame that was judged last
         self._told: dict[str, Any] = {}
         self._began = 0.0
@@ -87,7 +90,7 @@ class Specs:
         self._judge_frame(session)
         self._began = perf_counter()
 
-    def after_step(self, session: Session) -> Stop | None:
+    def after_step(self, session: Session) -> PauseReason | None:
         took = perf_counter() - self._began
         self._judge_frame(session)
         for each in self.judged:
@@ -116,14 +119,14 @@ class Specs:
             self._judge_spec(each, session.world)
             if each.judge is not None:
                 curve = 0.0 if each.failure is not None else 1.0
-                session.timeline.curves[frame].setdefault(CURVE + each.name, curve)
+                session.timeline.curves[frame].setdefault(CURVE_NAME_PREFIX + each.name, curve)
 
     def _start_judging(self, session: Session, which: Callable[[SpecStatus], bool]) -> list[SpecStatus]:
         """Judge, from this frame on, the matching specs that are not judged yet and can be."""
         candidates = [each for each in self.judged if each.judge is None and each.plan is not None and which(each)]
         for each in candidates:
             assert each.plan is not None
-            each.judge = Judge(each.plan, session.world, session.shot.frames.last)
+            each.judge = SpecJudge(each.plan, session.world, session.shot.frames.last)
             each.why, each.seconds, each.frames = "", 0.0, 0
         return candidates
 
@@ -132,15 +135,15 @@ class Specs:
             began = thread_time()  # of the processor: what others do on this machine is not its fault
             each.judge.look(world)
             each.frames += 1
-            if each.frames > _WARM:
+            if each.frames > _WARM_UP_FRAMES:
                 each.seconds += thread_time() - began
 
     def _stop_if_slow(self, each: SpecStatus, step: float) -> None:
         """Stop judging a spec that takes too long, while it has not failed and no breakpoint waits for it."""
-        if each.judge is None or each.frames < _TRIED or each.name in self.wanted or each.failure is not None:
+        if each.judge is None or each.frames < _MEASURED_FRAMES or each.name in self.wanted or each.failure is not None:
             return
-        takes = each.seconds / (each.frames - _WARM)
-        if not each.judge.over and takes > max(_SHARE * step, _LITTLE):
+        takes = each.seconds / (each.frames - _WARM_UP_FRAMES)
+        if not each.judge.over and takes > max(_MAX_JUDGING_SHARE * step, _MAX_JUDGING_SECONDS):
             each.judge = None
             each.why = f"judging it takes {1000 * takes:.1f} ms a frame: with a breakpoint on it, it is judged all the same"
 

@@ -10,10 +10,10 @@ from contextlib import suppress
 from dataclasses import dataclass
 from ipaddress import ip_address
 
-PORT = 8765
-_NEXT = 64  # ports tried one after the other where none was named
-_LOOPBACK = ("127.0.0.1", "::1")
-_ABSENT = (errno.EADDRNOTAVAIL, errno.EAFNOSUPPORT)  # as `::1` where a machine has no IPv6
+DEFAULT_PORT = 8765
+_MAX_PORT_ATTEMPTS = 64  # ports tried one after the other where none was named
+_LOOPBACK_ADDRESSES = ("127.0.0.1", "::1")
+_MISSING_ADDRESS_ERRORS = (errno.EADDRNOTAVAIL, errno.EAFNOSUPPORT)  # as `::1` where a machine has no IPv6
 
 
 class ListenError(Exception):
@@ -45,8 +45,8 @@ def is_loopback(host: str | None) -> bool:
 def listen(host: str | None = None, port: int | None = None) -> ListeningSockets:
     """Bind sockets on the loopback interface, or at `host`. Without `port`, use the first free one from 8765 on; 0 takes any.
     Raises ListenError if a named port is taken, or if this machine does not have the host."""
-    addresses = _LOOPBACK if host is None else _resolve_host(host)
-    for candidate in (port,) if port is not None else range(PORT, PORT + _NEXT):
+    addresses = _LOOPBACK_ADDRESSES if host is None else _resolve_host(host)
+    for candidate in (port,) if port is not None else range(DEFAULT_PORT, DEFAULT_PORT + _MAX_PORT_ATTEMPTS):
         try:
             sockets, taken = _bind_sockets(addresses, candidate)
         except OSError as why:
@@ -58,7 +58,7 @@ def listen(host: str | None = None, port: int | None = None) -> ListeningSockets
         return ListeningSockets(
             sockets, frozenset(f"{name}:{taken}" for name in names), tuple(f"http://{name}:{taken}/" for name in display_names)
         )
-    raise ListenError(f"the ports {PORT} to {PORT + _NEXT - 1} are all taken")
+    raise ListenError(f"the ports {DEFAULT_PORT} to {DEFAULT_PORT + _MAX_PORT_ATTEMPTS - 1} are all taken")
 
 
 def _bind_sockets(addresses: Iterable[str], port: int) -> tuple[tuple[socket.socket, ...], int]:
@@ -71,7 +71,7 @@ def _bind_sockets(addresses: Iterable[str], port: int) -> tuple[tuple[socket.soc
             try:
                 sockets.append(_socket(place, port))
             except OSError as why:
-                if why.errno not in _ABSENT:
+                if why.errno not in _MISSING_ADDRESS_ERRORS:
                     raise
                 absent = why
             else:
@@ -118,10 +118,10 @@ def _server_names(host: str | None, addresses: Iterable[str]) -> list[str]:
     """Return names that lead to this server and to no other: the requested one, and its addresses. A server that listens at every
     address is also called by each address and name of the machine. A name that an attacker may choose is not among them."""
     if host is None:
-        return ["localhost", *_LOOPBACK]
+        return ["localhost", *_LOOPBACK_ADDRESSES]
     addresses = list(addresses)
     if any(ip_address(each).is_unspecified for each in addresses):
-        return ["localhost", *_LOOPBACK, socket.gethostname().lower(), *_machine_addresses()]
+        return ["localhost", *_LOOPBACK_ADDRESSES, socket.gethostname().lower(), *_machine_addresses()]
     return [host.lower(), *addresses]
 
 
@@ -155,6 +155,6 @@ def _error_text(why: OSError, host: str | None, port: int) -> str:
         return f"port {port} is taken"
     if why.errno in (errno.EACCES, errno.EPERM):
         return f"this user may not listen on port {port}"
-    if why.errno in _ABSENT:
+    if why.errno in _MISSING_ADDRESS_ERRORS:
         return f"this machine has no address `{host or 'localhost'}`"
     return f"cannot listen on port {port}: {(why.strerror or str(why)).lower()}"

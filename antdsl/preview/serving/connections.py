@@ -18,15 +18,15 @@ class ConnectionGate:
     sends nothing displaces its own, and not the page that authenticates in time."""
 
     def __init__(self) -> None:
-        self._waiting: dict[Connection, None] = {}
-        self._in: dict[Connection, bool] = {}  # with whether it came by a code that is good once
+        self._waiting: dict[GatedConnection, None] = {}
+        self._in: dict[GatedConnection, bool] = {}  # with whether it came by a code that is good once
 
-    def make_connection(self, *args: Any, **options: Any) -> Connection:
+    def make_connection(self, *args: Any, **options: Any) -> GatedConnection:
         """A connection, as `serve` makes them."""
-        return Connection(self, *args, **options)
+        return GatedConnection(self, *args, **options)
 
     def let_in(self, connection: ServerConnection, *, invited: bool) -> None:
-        assert isinstance(connection, Connection)
+        assert isinstance(connection, GatedConnection)
         self._waiting.pop(connection, None)
         self._in[connection] = invited
 
@@ -34,11 +34,11 @@ class ConnectionGate:
         return connection in self._in
 
     def is_invited(self, connection: ServerConnection) -> bool:
-        return isinstance(connection, Connection) and self._in.get(connection, False)
+        return isinstance(connection, GatedConnection) and self._in.get(connection, False)
 
-    def add(self, connection: Connection) -> None:
+    def add(self, connection: GatedConnection) -> None:
         self._waiting[connection] = None
-        if len(self._waiting) > limits.PREVIEW_STRANGERS:
+        if len(self._waiting) > limits.MAX_UNADMITTED_CONNECTIONS:
             oldest = next(iter(self._waiting))
             del self._waiting[oldest]
             oldest.transport.abort()
@@ -47,19 +47,19 @@ class ConnectionGate:
         for each in (*self._waiting, *self._in):
             each.transport.abort()
 
-    def remove(self, connection: Connection) -> None:
+    def remove(self, connection: GatedConnection) -> None:
         self._waiting.pop(connection, None)
         self._in.pop(connection, None)
 
 
-class Connection(ServerConnection):
+class GatedConnection(ServerConnection):
     """A connection that is closed if the client sends frames too fast (pings included) or splits a message into too many
     fragments. Fragments may be empty, so a byte limit alone does not bound them."""
 
     def __init__(self, gate: ConnectionGate, *args: Any, **options: Any) -> None:
         super().__init__(*args, **options)
         self._door = gate
-        self._frames = TokenBucket(limits.PREVIEW_FRAMES_A_SECOND, 2 * limits.PREVIEW_FRAMES_A_SECOND)
+        self._frames = TokenBucket(limits.MAX_PREVIEW_FRAMES_PER_SECOND, 2 * limits.MAX_PREVIEW_FRAMES_PER_SECOND)
         self._pieces = 0
 
     def connection_made(self, transport: Any) -> None:
@@ -81,7 +81,7 @@ class Connection(ServerConnection):
             self._pieces = 0
         elif frame.opcode is Opcode.CONT:
             self._pieces += 1
-        return self._pieces < limits.PREVIEW_FRAGMENTS and self._frames.take()
+        return self._pieces < limits.MAX_PREVIEW_FRAGMENTS and self._frames.take()
 
 
 class TokenBucket:

@@ -25,12 +25,12 @@ from pathlib import Path
 from antdsl.user_folders import make_private_folder, read_private, state_folder
 from antdsl.whole import write_atomically
 
-_STARTS = 4  # with stored keys
-_FILES = 64  # of scenes and ports; the oldest go
-_BYTES = 4096
-_KEY = re.compile(r"[A-Za-z0-9_-]{43}")
-PROTOCOL = "antdsl.1"
-_TOKEN = "token."
+_MAX_STORED_KEYS = 4  # with stored keys
+_MAX_KEY_FILES = 64  # of scenes and ports; the oldest go
+_MAX_KEY_FILE_BYTES = 4096
+_KEY_PATTERN = re.compile(r"[A-Za-z0-9_-]{43}")
+WEBSOCKET_PROTOCOL = "antdsl.1"
+_TOKEN_PREFIX = "token."
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,7 +49,7 @@ class ReturningPages:
             make_private_folder(folder)
             place = folder / f"{name}.json"
             returning = cls(secrets.token_urlsafe(32), _read_keys(place))
-            _write_keys(place, [returning.key, *returning.previous_keys][:_STARTS])
+            _write_keys(place, [returning.key, *returning.previous_keys][:_MAX_STORED_KEYS])
         except OSError:  # no such folder, not ours alone, or no home
             return None
         return returning
@@ -68,10 +68,10 @@ class ReturningPages:
 def _read_keys(place: Path) -> tuple[str, ...]:
     """The keys in a file; none of one that is anything but a small private file of keys."""
     try:
-        keys = list(json.loads(read_private(place, _BYTES))["keys"])
+        keys = list(json.loads(read_private(place, _MAX_KEY_FILE_BYTES))["keys"])
     except (OSError, ValueError, TypeError, KeyError, RecursionError):
         return ()
-    return tuple(key for key in keys if isinstance(key, str) and _KEY.fullmatch(key))[:_STARTS]
+    return tuple(key for key in keys if isinstance(key, str) and _KEY_PATTERN.fullmatch(key))[:_MAX_STORED_KEYS]
 
 
 def _write_keys(place: Path, keys: Sequence[str]) -> None:
@@ -79,11 +79,11 @@ def _write_keys(place: Path, keys: Sequence[str]) -> None:
     write_atomically(place, json.dumps({"keys": list(keys)}).encode("ascii"), mode=0o600)
     with suppress(OSError):
         files = sorted(place.parent.glob("*.json"), key=lambda each: each.lstat().st_mtime)
-        for old in files[:-_FILES]:
+        for old in files[:-_MAX_KEY_FILES]:
             old.unlink()
 
 
-class Verdict(Enum):
+class ConnectionVerdict(Enum):
     IN = "in"
     INVITED = "invited"  # by a code that is good for this once: it has to receive the token
     STRANGER = "stranger"  # called by a wrong name, from a page of others, or by no page and without the token
@@ -91,7 +91,7 @@ class Verdict(Enum):
 
 
 @dataclass(frozen=True, slots=True)
-class Guard:
+class RequestGuard:
     """Checks hosts, origins and tokens. `names`: hosts with port as in addresses: `localhost:8765`, `[::1]:8765`. `returning`, if
     set, admits pages again after a restart of the server."""
 
@@ -122,21 +122,21 @@ class Guard:
         """Return whether the page may be loaded. It holds no secret, so no token is needed."""
         return self.is_own_host(hosts) and self.origin(origins) is not False
 
-    def judge_socket(self, hosts: Sequence[str], origins: Sequence[str], offered: Iterable[str]) -> Verdict:
+    def judge_socket(self, hosts: Sequence[str], origins: Sequence[str], offered: Iterable[str]) -> ConnectionVerdict:
         """Whether a socket may be opened; `offered` are its `Sec-WebSocket-Protocol` headers."""
         origin = self.origin(origins)
         if not self.is_own_host(hosts) or origin is False:
-            return Verdict.STRANGER
+            return ConnectionVerdict.STRANGER
         words = [word.strip() for line in offered for word in line.split(",")]
-        tokens = [word.removeprefix(_TOKEN) for word in words if word.startswith(_TOKEN)]
-        if PROTOCOL in words and len(tokens) == 1:
+        tokens = [word.removeprefix(_TOKEN_PREFIX) for word in words if word.startswith(_TOKEN_PREFIX)]
+        if WEBSOCKET_PROTOCOL in words and len(tokens) == 1:
             if _is_equal(tokens[0], self.token):
-                return Verdict.IN
+                return ConnectionVerdict.IN
             used = {code for code in self._codes if _is_equal(tokens[0], code)}
             self._codes.difference_update(used)
             if used:
-                return Verdict.INVITED
-        return Verdict.STRANGER if origin is None else Verdict.WRONG_TOKEN
+                return ConnectionVerdict.INVITED
+        return ConnectionVerdict.STRANGER if origin is None else ConnectionVerdict.WRONG_TOKEN
 
 
 def _is_equal(one: str, other: str) -> bool:

@@ -24,7 +24,7 @@ class _QueuedPacket:
     packet: bytes | None
 
 
-class Mailbox:
+class ClientMailbox:
     """The outgoing queue. `full` is called on the event loop once the queue exceeds its budget; after that, nothing is
     accepted."""
 
@@ -34,8 +34,8 @@ class Mailbox:
         hello: dict[str, str],
         full: Callable[[], None],
         *,
-        words: int = limits.PREVIEW_WORDS_WAITING,
-        packets: int = limits.PREVIEW_PACKETS_WAITING,
+        words: int = limits.MAX_QUEUED_MESSAGE_CHARACTERS,
+        packets: int = limits.MAX_QUEUED_PACKET_BYTES,
     ) -> None:
         self._loop, self._hello, self._full = loop, hello, full
         self._most_words, self._most_packets = words, packets

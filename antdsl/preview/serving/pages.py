@@ -7,12 +7,12 @@ from hashlib import sha256
 
 from antdsl.resources import page_file
 
-_FILES = {
+_CONTENT_TYPE_BY_FILE = {
     "index.html": "text/html; charset=utf-8",
     "app.js": "text/javascript; charset=utf-8",
     "app.css": "text/css; charset=utf-8",
 }
-_BUILD = b'<meta name="build" content="" />'
+_BUILD_PLACEHOLDER = b'<meta name="build" content="" />'
 
 
 @dataclass(frozen=True, slots=True)
@@ -26,12 +26,14 @@ class PageFiles:
 
 def load_pages() -> PageFiles:
     """Return the installed page. Raises OSError if its files are missing."""
-    bodies = {name: page_file(name).read_bytes() for name in _FILES}
+    bodies = {name: page_file(name).read_bytes() for name in _CONTENT_TYPE_BY_FILE}
     hashed = sha256()
-    for name in _FILES:
+    for name in _CONTENT_TYPE_BY_FILE:
         hashed.update(len(bodies[name]).to_bytes(8, "little") + bodies[name])
     build = hashed.hexdigest()[:16]
     # the page compares this with what the server says when it is connected: one out of a cache finds out that it is old
-    bodies["index.html"] = bodies["index.html"].replace(_BUILD, _BUILD.replace(b'""', f'"{build}"'.encode()))
-    routes = {f"/{name}": (kind, bodies[name]) for name, kind in _FILES.items()}
+    bodies["index.html"] = bodies["index.html"].replace(
+        _BUILD_PLACEHOLDER, _BUILD_PLACEHOLDER.replace(b'""', f'"{build}"'.encode())
+    )
+    routes = {f"/{name}": (kind, bodies[name]) for name, kind in _CONTENT_TYPE_BY_FILE.items()}
     return PageFiles({**routes, "/": routes["/index.html"]}, build)

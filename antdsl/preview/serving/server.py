@@ -28,11 +28,11 @@ from antdsl.preview.live import Client, QueueFull
 from antdsl.preview.requests import ASK, Ask
 from antdsl.preview.serving.addresses import ListeningSockets
 from antdsl.preview.serving.connections import ConnectionGate, TokenBucket
-from antdsl.preview.serving.guard import PROTOCOL, Guard, Verdict
-from antdsl.preview.serving.mailbox import Mailbox
+from antdsl.preview.serving.guard import WEBSOCKET_PROTOCOL, ConnectionVerdict, RequestGuard
+from antdsl.preview.serving.mailbox import ClientMailbox
 from antdsl.preview.serving.pages import PageFiles
 
-POLICY: Final = "; ".join(
+CONTENT_SECURITY_POLICY: Final = "; ".join(
     (
         "default-src 'none'",
         "script-src 'self'",
@@ -45,8 +45,8 @@ POLICY: Final = "; ".join(
     )
 )
 # No Access-Control-Allow-*: no other page may read an answer.
-HEADERS: Final = (
-    ("Content-Security-Policy", POLICY),
+RESPONSE_HEADERS: Final = (
+    ("Content-Security-Policy", CONTENT_SECURITY_POLICY),
     ("X-Content-Type-Options", "nosniff"),
     ("X-Frame-Options", "DENY"),
     ("Cache-Control", "no-store"),
@@ -55,14 +55,14 @@ HEADERS: Final = (
     ("Cross-Origin-Resource-Policy", "same-origin"),
     ("Cross-Origin-Embedder-Policy", "require-corp"),
 )
-_OPEN = 10.0  # seconds for a request and its answer
-_CLOSE = 2.0  # seconds for a client to say goodbye
-_STUCK = 60.0  # seconds for one packet to go out
-_QUIET = 20.0  # seconds between pings, and for their answers
-_PATIENCE = (5, 100)  # asks too many in a second, and at once, after which a client has to go
+_REQUEST_TIMEOUT_SECONDS = 10.0  # seconds for a request and its answer
+_CLOSE_TIMEOUT_SECONDS = 2.0  # seconds for a client to say goodbye
+_SEND_TIMEOUT_SECONDS = 60.0  # seconds for one packet to go out
+_PING_INTERVAL_SECONDS = 20.0  # seconds between pings, and for their answers
+_EXCESS_REQUEST_LIMITS = (5, 100)  # asks too many in a second, and at once, after which a client has to go
 
 # A flood of the server must not flood the terminal.
-_SILENT = logging.getLogger("antdsl.preview.serving")
+_SILENT_LOGGER = logging.getLogger("antdsl.preview.serving")
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,8 +95,8 @@ def read_request(text: str) -> Ask | RefusedRequest:
     return RefusedRequest(place[0], f"{where} of `{place[0]}`: {words}")
 
 
-_SILENT.addHandler(logging.NullHandler())
-_SILENT.propagate = False
+_SILENT_LOGGER.addHandler(logging.NullHandler())
+_SILENT_LOGGER.propagate = False
 
 
 class SimulationHost(Protocol):
@@ -107,10 +107,10 @@ class SimulationHost(Protocol):
     def leave(self, client: Client) -> None: ...
 
 
-class Server:
+class PreviewServer:
     """`async with Server(...).running():` serves until the block ends."""
 
-    def __init__(self, live: SimulationHost, guard: Guard, pages: PageFiles, listening: ListeningSockets) -> None:
+    def __init__(self, live: SimulationHost, guard: RequestGuard, pages: PageFiles, listening: ListeningSockets) -> None:
         self._live, self._guard, self._pages, self._listening = live, guard, pages, listening
         self._door = ConnectionGate()
         self._clients: set[ServerConnection] = set()
@@ -127,22 +127,22 @@ class Server:
                         create_connection=cast("type[ServerConnection]", self._door.make_connection),
                         process_request=self._answer_request,
                         process_response=_add_headers,
-                        subprotocols=[Subprotocol(PROTOCOL)],
+                        subprotocols=[Subprotocol(WEBSOCKET_PROTOCOL)],
                         server_header=None,
                         compression=None,  # what unpacks to gigabytes is never unpacked, and loopback has no need of it
-                        max_size=limits.PREVIEW_MESSAGE_BYTES,
-                        open_timeout=_OPEN,
-                        close_timeout=_CLOSE,
-                        ping_interval=_QUIET,
-                        ping_timeout=_QUIET,
-                        logger=_SILENT,
+                        max_size=limits.MAX_PREVIEW_MESSAGE_BYTES,
+                        open_timeout=_REQUEST_TIMEOUT_SECONDS,
+                        close_timeout=_CLOSE_TIMEOUT_SECONDS,
+                        ping_interval=_PING_INTERVAL_SECONDS,
+                        ping_timeout=_PING_INTERVAL_SECONDS,
+                        logger=_SILENT_LOGGER,
                     )
                 )
             try:
                 yield
             finally:
                 # the library says goodbye and waits until that is sent, which never happens without a reader
-                asyncio.get_running_loop().call_later(_CLOSE, self._door.close_all)
+                asyncio.get_running_loop().call_later(_CLOSE_TIMEOUT_SECONDS, self._door.close_all)
 
     # --- requests ------------------------------------------------------------------------------------------------------
 
@@ -155,10 +155,10 @@ class Server:
             return _make_response(HTTPStatus.FORBIDDEN)
         if request.path == "/ws":
             verdict = self._guard.judge_socket(hosts, origins, request.headers.get_all("Sec-WebSocket-Protocol"))
-            if verdict is Verdict.STRANGER:
+            if verdict is ConnectionVerdict.STRANGER:
                 return _make_response(HTTPStatus.FORBIDDEN)
-            if verdict in (Verdict.IN, Verdict.INVITED):
-                self._door.let_in(connection, invited=verdict is Verdict.INVITED)
+            if verdict in (ConnectionVerdict.IN, ConnectionVerdict.INVITED):
+                self._door.let_in(connection, invited=verdict is ConnectionVerdict.INVITED)
             return None
         route = self._pages.routes.get(request.path)
         return _make_response(HTTPStatus.NOT_FOUND) if route is None else _make_response(HTTPStatus.OK, *route)
@@ -172,7 +172,7 @@ class Server:
             # only a page can read why: a browser tells it nothing of an answer that is no socket
             await _close_connection(connection, CloseCode.POLICY_VIOLATION, "wrong token")
             return
-        if len(self._clients) >= limits.PREVIEW_CLIENTS:
+        if len(self._clients) >= limits.MAX_PREVIEW_CLIENTS:
             await _close_connection(connection, CloseCode.TRY_AGAIN_LATER, "too many pages are open")
             return
         hello = {"build": self._pages.build}
@@ -180,7 +180,7 @@ class Server:
             hello["token"] = self._guard.token
         if self._guard.returning is not None:
             hello["key"] = self._guard.returning.key
-        mailbox = Mailbox(asyncio.get_running_loop(), hello, lambda: self._drop_slow_client(connection))
+        mailbox = ClientMailbox(asyncio.get_running_loop(), hello, lambda: self._drop_slow_client(connection))
         self._clients.add(connection)
         self._live.join(mailbox)
         sender = asyncio.create_task(_send_messages(connection, mailbox))
@@ -201,16 +201,16 @@ class Server:
             return False
         nonce = secrets.token_urlsafe(32)
         try:
-            async with asyncio.timeout(_OPEN):
+            async with asyncio.timeout(_REQUEST_TIMEOUT_SECONDS):
                 await connection.send(json.dumps({"op": "return", "nonce": nonce}))
                 return returning.is_proof(await connection.recv(), connection.request.headers["Host"], nonce)
         except (TimeoutError, ConnectionClosed):
             return False
 
-    async def _read_requests(self, connection: ServerConnection, mailbox: Mailbox) -> None:
+    async def _read_requests(self, connection: ServerConnection, mailbox: ClientMailbox) -> None:
         """Read requests until the client disconnects or must be disconnected."""
-        bucket = TokenBucket(limits.PREVIEW_ASKS_A_SECOND, 2 * limits.PREVIEW_ASKS_A_SECOND)
-        patience, tell = TokenBucket(*_PATIENCE), TokenBucket(1, 1)
+        bucket = TokenBucket(limits.MAX_PREVIEW_REQUESTS_PER_SECOND, 2 * limits.MAX_PREVIEW_REQUESTS_PER_SECOND)
+        patience, tell = TokenBucket(*_EXCESS_REQUEST_LIMITS), TokenBucket(1, 1)
         with suppress(ConnectionClosed):
             async for message in connection:
                 if not isinstance(message, str):
@@ -226,7 +226,7 @@ class Server:
                         RefusedRequest("", "this page sends too many requests at once: the last one was ignored").message_out()
                     )
 
-    def _forward_request(self, message: str, mailbox: Mailbox) -> None:
+    def _forward_request(self, message: str, mailbox: ClientMailbox) -> None:
         request = read_request(message)
         if isinstance(request, RefusedRequest):
             mailbox.tell(request.message_out())
@@ -247,12 +247,12 @@ class Server:
         closing.add_done_callback(self._closing.discard)
 
 
-async def _send_messages(connection: ServerConnection, mailbox: Mailbox) -> None:
+async def _send_messages(connection: ServerConnection, mailbox: ClientMailbox) -> None:
     """Send the waiting messages one by one. The next is chosen only after the last was sent, so a slow client gets the latest."""
     try:
         while True:
             item = await mailbox.next()
-            async with asyncio.timeout(_STUCK):
+            async with asyncio.timeout(_SEND_TIMEOUT_SECONDS):
                 await connection.send(item)
     except ConnectionClosed:
         return
@@ -263,7 +263,7 @@ async def _send_messages(connection: ServerConnection, mailbox: Mailbox) -> None
 async def _close_connection(connection: ServerConnection, code: CloseCode, why: str) -> None:
     """Close a connection with a code and a reason; the client may not respond."""
     with suppress(TimeoutError):
-        async with asyncio.timeout(_CLOSE):
+        async with asyncio.timeout(_CLOSE_TIMEOUT_SECONDS):
             await connection.close(code, why)
     connection.transport.abort()
 
@@ -282,16 +282,16 @@ def _make_response(
 
 def _add_headers(connection: ServerConnection, request: Request, response: Response) -> None:
     """Add the common headers to a response, also to those that the library creates."""
-    for name, value in HEADERS:
+    for name, value in RESPONSE_HEADERS:
         response.headers[name] = value
 
 
-def run_server(server: Server, ready: Callable[[], None]) -> None:
+def run_server(server: PreviewServer, ready: Callable[[], None]) -> None:
     """Serve until Ctrl-C or a termination; `ready` is called once pages can be loaded."""
     asyncio.run(_serve_until_stopped(server, ready))
 
 
-async def _serve_until_stopped(server: Server, ready: Callable[[], None]) -> None:
+async def _serve_until_stopped(server: PreviewServer, ready: Callable[[], None]) -> None:
     stop = asyncio.Event()
     for number in (signal.SIGINT, signal.SIGTERM):
         with suppress(NotImplementedError):  # on Windows Ctrl-C is an exception, and cancels this

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from antdsl.bodies.agents.blending import posed
 from antdsl.bodies.agents.definition import Definition, TransformGroup
 from antdsl.bodies.agents.driving import with_channels
-from antdsl.bodies.agents.leg_ik import Legs
+from antdsl.bodies.agents.leg_ik import LegSolver
 from antdsl.bodies.agents.machine_clips import MachineClips, PlayedClip, playing_of_machines
 from antdsl.bodies.agents.poses import ClipTable, clip_table
 from antdsl.bodies.agents.varied_bodies import VariationDraws, colour_position, size_of
@@ -23,17 +23,17 @@ from antdsl.outputs.cache.pose_arrays import clips_playing, display_arrays, laye
 from antdsl.pipeline import Shot
 from antdsl.preview.session import Session
 from antdsl.preview.timeline import SpeciesPoses
-from antdsl.preview.viewing.bodies import Outfit, Traits, outfit, posed_body, traits
+from antdsl.preview.viewing.bodies import BodyOutfit, BodyTraits, outfit, posed_body, traits
 from antdsl.runtime import Population, World
 from antdsl.runtime.feet.state import Feet
 from antdsl.runtime.feet.trunk import slope_quaternions
 
-_LENGTH = 4096  # steps in a body's length
-_ONE = 32767
-_DOWN = 15  # feet with a bit for whether they stand
+_STEPS_PER_BODY_LENGTH = 4096  # steps in a body's length
+_UNIT_INT16 = 32767
+_MAX_FEET_BITS = 15  # feet with a bit for whether they stand
 Floats = NDArray[np.float32]
-NONE = 65535  # the number of no clip
-_FULL_SCALE = 65535  # one turn of a clip, or a weight of 1
+NO_CLIP_CODE = 65535  # the number of no clip
+_UNIT_UINT16 = 65535  # one turn of a clip, or a weight of 1
 Arrays = dict[str, NDArray[Any]]
 
 
@@ -80,7 +80,7 @@ def action_arrays(world: World, shot: Shot, population: Population, light: Array
     return {f"{name}/{what}": array for what, array in arrays.items()}
 
 
-def _display_arrays(world: World, population: Population, stored: Arrays, worn: Outfit) -> Arrays:
+def _display_arrays(world: World, population: Population, stored: Arrays, worn: BodyOutfit) -> Arrays:
     arrays: Arrays = {}
     if worn.layers:
         known = layers_worn(population, world.setting)
@@ -97,7 +97,7 @@ def _display_arrays(world: World, population: Population, stored: Arrays, worn: 
 
 
 def _trait_arrays(
-    world: World, population: Population, stored: Arrays, worn: Outfit, machines: tuple[MachineClips, ...]
+    world: World, population: Population, stored: Arrays, worn: BodyOutfit, machines: tuple[MachineClips, ...]
 ) -> Arrays:
     differ, varied, count = traits(worn), worn.definition.variation, len(population)
     if not differ.count or not count:
@@ -117,8 +117,8 @@ def _trait_arrays(
 
 
 def blend_weights(
-    worn: Outfit,
-    differ: Traits,
+    worn: BodyOutfit,
+    differ: BodyTraits,
     machines: Sequence[MachineClips],
     count: int,
     said: Mapping[str, NDArray[Any]],
@@ -138,7 +138,7 @@ def channel_table(definition: Definition) -> tuple[ClipTable, Mapping[str, Trans
     return clip_table(alone), alone.groups
 
 
-def _stance_arrays(world: World, name: str, worn: Outfit, light: Arrays, machines: tuple[MachineClips, ...]) -> Arrays:
+def _stance_arrays(world: World, name: str, worn: BodyOutfit, light: Arrays, machines: tuple[MachineClips, ...]) -> Arrays:
     body = posed_body(worn)
     if body.legs is None:
         return {}
@@ -159,13 +159,13 @@ def pack_clips(clips: MachineClips, loops: NDArray[np.bool_]) -> NDArray[np.uint
         known = (clip >= 0) & (clip < len(loops) - 1)
         exact = np.nan_to_num(turns.astype(np.float64))
         again = loops[np.where(known, clip, -1)]
-        output[:, 0, place] = np.where(known, clip, NONE)
-        output[:, 1, place] = np.round(np.where(again, exact - np.floor(exact), np.clip(exact, 0, 1)) * _FULL_SCALE)
-        output[:, 2, place] = np.round(np.clip(np.nan_to_num(weight), 0, 1) * _FULL_SCALE)
+        output[:, 0, place] = np.where(known, clip, NO_CLIP_CODE)
+        output[:, 1, place] = np.round(np.where(again, exact - np.floor(exact), np.clip(exact, 0, 1)) * _UNIT_UINT16)
+        output[:, 2, place] = np.round(np.clip(np.nan_to_num(weight), 0, 1) * _UNIT_UINT16)
     return output
 
 
-def stance_arrays(legs: Legs, feet: Feet, light: Arrays, stands: Floats) -> dict[str, NDArray[np.int16]]:
+def stance_arrays(legs: LegSolver, feet: Feet, light: Arrays, stands: Floats) -> dict[str, NDArray[np.int16]]:
     """Return the stances of bodies as integers, with two arrays.
 
     `feet` int16[n, L, 3]: where each foot joint is to be relative to a body with an unmoved trunk, 4096 to a body's length,
@@ -182,16 +182,16 @@ def stance_arrays(legs: Legs, feet: Feet, light: Arrays, stands: Floats) -> dict
     tilt[:, 3] += 1 - stands
     tilt /= np.maximum(np.linalg.norm(tilt, axis=1, keepdims=True), 1e-20)
     stance = np.empty((len(stands), 6), np.int16)
-    stance[:, 0] = _quantise(rise, _LENGTH)
-    stance[:, 1:4] = _quantise(tilt[:, :3], _ONE)  # by less than half a turn, so that w is above 0
-    stance[:, 4] = _quantise(stands, _ONE)
-    is_down = feet.is_standing[:, :_DOWN]
+    stance[:, 0] = _quantise(rise, _STEPS_PER_BODY_LENGTH)
+    stance[:, 1:4] = _quantise(tilt[:, :3], _UNIT_INT16)  # by less than half a turn, so that w is above 0
+    stance[:, 4] = _quantise(stands, _UNIT_INT16)
+    is_down = feet.is_standing[:, :_MAX_FEET_BITS]
     stance[:, 5] = (is_down << np.arange(is_down.shape[1])).sum(axis=1)
     away = (feet.shown - light["position"].T[:, :, None]).astype(np.float32) / size[None, :, None]
     place = _rotate_back(_body_axes(light), away)
     place[1] += legs.soles[None] - rise[:, None]
     goals = _rotate_back(_rotations(tilt), place)
-    return {"feet": _quantise(goals.transpose(1, 2, 0), _LENGTH), "stance": stance}
+    return {"feet": _quantise(goals.transpose(1, 2, 0), _STEPS_PER_BODY_LENGTH), "stance": stance}
 
 
 def _body_axes(light: Arrays) -> Floats:

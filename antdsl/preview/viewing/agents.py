@@ -13,7 +13,7 @@ from antdsl.plan.ir import Plan
 from antdsl.preview.agent_columns import OTHERS, light_frame, packet_arrays
 from antdsl.preview.binary_packets import pack
 from antdsl.preview.viewing.acting import action_arrays, store_poses, stored_poses
-from antdsl.preview.viewing.seen import Interest, Packets, ViewState
+from antdsl.preview.viewing.seen import PageInterest, SlotPackets, ViewState
 from antdsl.preview.viewing.units import base_units, unit_for
 from antdsl.program.model import Program
 from antdsl.runtime import Population, World
@@ -26,9 +26,9 @@ class AgentPackets:
     """The slot `frame`. Directions are unit vectors times 127, speeds mm/s, columns in the unit that the scene message names."""
 
     def __init__(self) -> None:
-        self._last: tuple[World | None, int, int | None, Interest] = (None, 0, None, Interest())
+        self._last: tuple[World | None, int, int | None, PageInterest] = (None, 0, None, PageInterest())
 
-    def packets(self, view_state: ViewState) -> Packets:
+    def packets(self, view_state: ViewState) -> SlotPackets:
         world = view_state.world
         key = (world, world.frame if view_state.light is None else view_state.light, view_state.light, view_state.interest)
         if key[0] is self._last[0] and key[1:] == self._last[1:]:
@@ -67,7 +67,7 @@ def _current_arrays(population: Population, factors: Mapping[tuple[str, str], fl
     return arrays
 
 
-def _factors(world: World, program: Program, interest: Interest) -> dict[tuple[str, str], float]:
+def _factors(world: World, program: Program, interest: PageInterest) -> dict[tuple[str, str], float]:
     """Return the factors of the requested columns that exist."""
     factors = {}
     for species, name in sorted(interest.columns):
@@ -77,7 +77,7 @@ def _factors(world: World, program: Program, interest: Interest) -> dict[tuple[s
     return factors
 
 
-def _followed_feelers(world: World, program: Program, interest: Interest) -> tuple[Arrays, list[tuple[str, int, int]]]:
+def _followed_feelers(world: World, program: Program, interest: PageInterest) -> tuple[Arrays, list[tuple[str, int, int]]]:
     """Return the feelers of all followed agents, one after the other, and the agents, with how many each has."""
     feelers = [(who, feeler_arrays(world, program, who.species, who.agent)) for who in interest.followed]
     feelers = [(who, arrays) for who, arrays in feelers if arrays]

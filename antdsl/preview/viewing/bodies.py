@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from antdsl.bodies.agents.definition import Definition
 from antdsl.bodies.agents.driving import look_shares
-from antdsl.bodies.agents.leg_ik import BENDING, Legs
+from antdsl.bodies.agents.leg_ik import LEG_BENDING_LIMITS, LegSolver
 from antdsl.bodies.agents.machine_clips import PlayedClip
 from antdsl.bodies.agents.poses import ClipTable, clip_table
 from antdsl.bodies.agents.varied_bodies import scaled_joints
@@ -24,22 +24,22 @@ from antdsl.bodies.skinned_mesh import BlendTarget, blend_targets
 from antdsl.outputs.cache.pose_arrays import layers_worn, playing
 from antdsl.pipeline import Shot
 from antdsl.preview.binary_packets import pack
-from antdsl.preview.viewing.seen import Packets, ViewState
+from antdsl.preview.viewing.seen import SlotPackets, ViewState
 from antdsl.runtime import Population, World
 from antdsl.scene.library_bodies import BODY_WORDS, body_for_species
 
 Arrays = dict[str, NDArray[Any]]
-MOST_LAYERS = 24  # that pages tell apart: whole numbers of so many bits are exact in float32
-MOST_TARGETS = 48  # of blend shapes, that pages know
+MAX_PAGE_LAYERS = 24  # that pages tell apart: whole numbers of so many bits are exact in float32
+MAX_BLEND_TARGETS = 48  # of blend shapes, that pages know
 
 
 class RigPackets:
     """The slots `rig:SPECIES`. Sent again if the body of a species, or the clips that it plays, changed."""
 
     def __init__(self) -> None:
-        self._given: dict[str, tuple[Outfit, tuple[str, ...]]] = {}
+        self._given: dict[str, tuple[BodyOutfit, tuple[str, ...]]] = {}
 
-    def packets(self, view_state: ViewState) -> Packets:
+    def packets(self, view_state: ViewState) -> SlotPackets:
         for name, population in view_state.world.populations.items():
             rig_key = outfit(view_state.world, view_state.shot, population), tuple(playing(population))
             if self._given.get(name) != rig_key:
@@ -48,7 +48,7 @@ class RigPackets:
 
 
 @dataclass(frozen=True, slots=True)
-class Outfit:
+class BodyOutfit:
     """The abilities of a species' bodies: the `plays` of its states (clip and transform group), the `layers` that some agents
     wear in addition to the body's own, and the transform groups of `look`. Also, whether clips blend with turn and slope."""
 
@@ -59,16 +59,16 @@ class Outfit:
     leans: bool = False
 
 
-def outfit(world: World, shot: Shot, population: Population) -> Outfit:
+def outfit(world: World, shot: Shot, population: Population) -> BodyOutfit:
     """Return the outfit of a species. Layers beyond the limit of pages are dropped."""
     plan, definition = population.plan, body_of_species(shot, population.name)
-    layers = tuple(name for name in layers_worn(population, world.setting) if name in definition.layers)[:MOST_LAYERS]
+    layers = tuple(name for name in layers_worn(population, world.setting) if name in definition.layers)[:MAX_PAGE_LAYERS]
     looks = tuple(name for name in plan.looks if name in definition.groups)
     plays = tuple(PlayedClip(each.name, each.on, each.add, each.left, each.right, each.up, each.down) for each in plan.clips)
-    return Outfit(definition, plays, layers, looks, "lean:turn" in plan.registers)
+    return BodyOutfit(definition, plays, layers, looks, "lean:turn" in plan.registers)
 
 
-def rig_packet(species: str, worn: Outfit, machines: tuple[str, ...] = ()) -> bytes:
+def rig_packet(species: str, worn: BodyOutfit, machines: tuple[str, ...] = ()) -> bytes:
     """Return the packet of a species: its clips, and its mesh for crowds and for near agents. `idle`: the number of the base clip
     below all others, and its seconds; absent if there is no such clip."""
     arrays, header = _rig(worn)
@@ -76,13 +76,13 @@ def rig_packet(species: str, worn: Outfit, machines: tuple[str, ...] = ()) -> by
 
 
 @lru_cache(maxsize=8)
-def posed_body(worn: Outfit) -> PosedBody:
+def posed_body(worn: BodyOutfit) -> PosedBody:
     """The body of an outfit, made once."""
     return PosedBody(worn.definition, worn.plays, worn.layers)
 
 
 @dataclass(frozen=True, slots=True)
-class Traits:
+class BodyTraits:
     """The traits in which bodies of agents differ apart from clips, each a number: weights of blend-shape targets, sizes of
     transform groups, and the position of each material in its range of colours."""
 
@@ -96,14 +96,14 @@ class Traits:
 
 
 @lru_cache(maxsize=8)
-def traits(worn: Outfit) -> Traits:
+def traits(worn: BodyOutfit) -> BodyTraits:
     """Return the traits of an outfit. Targets beyond the limit of pages are dropped."""
     targets = dict.fromkeys(each for level in _levels(worn).values() for each in _targets(level))
     varied = worn.definition.variation
-    return Traits(tuple(targets)[:MOST_TARGETS], tuple(varied.scales), tuple(varied.materials))
+    return BodyTraits(tuple(targets)[:MAX_BLEND_TARGETS], tuple(varied.scales), tuple(varied.materials))
 
 
-def _levels(worn: Outfit) -> dict[str, PosedBody]:
+def _levels(worn: BodyOutfit) -> dict[str, PosedBody]:
     body = posed_body(worn)
     return {"low": body.coarse, "fine": body.fine}
 
@@ -113,7 +113,7 @@ def _targets(level: PosedBody) -> dict[BlendTarget, NDArray[np.float32]]:
 
 
 @lru_cache(maxsize=8)
-def _rig(worn: Outfit) -> tuple[Arrays, dict[str, Any]]:
+def _rig(worn: BodyOutfit) -> tuple[Arrays, dict[str, Any]]:
     definition, plays = worn.definition, worn.plays
     body, table = posed_body(worn), clip_table(definition)
     idle = definition.clips.get(definition.idle)
@@ -127,7 +127,7 @@ def _rig(worn: Outfit) -> tuple[Arrays, dict[str, Any]]:
         arrays |= {f"{level}/{name}": array for name, array in mesh_arrays.items()}
     return arrays, {
         "joints": len(table.order), "texels": _texel_count(table), "length": float(definition.length),
-        "base": [round(float(x), 9) for x in definition.base_matrix()[:3].reshape(-1)], "bending": BENDING,
+        "base": [round(float(x), 9) for x in definition.base_matrix()[:3].reshape(-1)], "bending": LEG_BENDING_LIMITS,
         "idle": [] if idle is None or idle.duration <= 0 else [len(plays), idle.duration],
         "looks": list(worn.looks), "leans": worn.leans, "traits": differ.count, "targets": len(differ.targets),
     }  # fmt: skip
@@ -189,7 +189,7 @@ def _weights_by_depth(table: ClipTable, groups: Sequence[Iterable[tuple[int, flo
     return weights[:, table.order]
 
 
-def _variation(definition: Definition, differ: Traits, table: ClipTable) -> Arrays:
+def _variation(definition: Definition, differ: BodyTraits, table: ClipTable) -> Arrays:
     """`scale` float32[S, J]: by how much of a group's size each joint and all that hangs on it is scaled, joints by depth;
     `palette` float32[c, 4]: the colours of materials that vary, one material after the other."""
     scale = _weights_by_depth(table, [scaled_joints(table.rig, definition.groups[name]) for name in differ.scales])
@@ -199,7 +199,7 @@ def _variation(definition: Definition, differ: Traits, table: ClipTable) -> Arra
     return {"scale": scale, "palette": palette}
 
 
-def _trait_vertex_arrays(level: PosedBody, differ: Traits) -> Arrays:
+def _trait_vertex_arrays(level: PosedBody, differ: BodyTraits) -> Arrays:
     """Return `target` float32[T, v, 6]: the offsets of each blend-shape target to positions and normals. Also `paint` float32[v,
     2]: the trait that selects a vertex's colour (-1 if it does not vary), and the first of its colours."""
     targets, count = _targets(level), len(level.mesh.points)
@@ -219,7 +219,7 @@ def _depth_order(table: ClipTable) -> NDArray[np.int32]:
     return place
 
 
-def _legs(legs: Legs | None, table: ClipTable) -> Arrays:
+def _legs(legs: LegSolver | None, table: ClipTable) -> Arrays:
     """`leg` float32[L, 2, 4]: hip, knee and foot, joints by depth, and the axis about which a straight knee bends."""
     if legs is None:
         return {}
@@ -229,7 +229,7 @@ def _legs(legs: Legs | None, table: ClipTable) -> Arrays:
     return {"leg": leg_array}
 
 
-def _leg_parts(legs: Legs | None, joints: int) -> NDArray[np.int32]:
+def _leg_parts(legs: LegSolver | None, joints: int) -> NDArray[np.int32]:
     """Return the leg part of each joint of the rig: three times the leg plus 1 for thigh, 2 for shank, 3 for foot; 0 for none."""
     part_numbers = np.zeros(joints, np.int32)
     for number, each in enumerate(legs.chains if legs is not None else ()):
@@ -277,7 +277,7 @@ class ItemBodyPackets:
     def __init__(self) -> None:
         self._given: set[tuple[str, str, int]] = set()
 
-    def packets(self, view_state: ViewState) -> Packets:
+    def packets(self, view_state: ViewState) -> SlotPackets:
         for kind, items in view_state.world.items.items():
             for index, name in enumerate(items.names):
                 if (kind, name, index) in self._given:

@@ -10,7 +10,7 @@ from antdsl.graphs.model import Chart, PlacedChart
 from antdsl.program.model import Program
 
 
-class Charts:
+class ChartMessages:
     """The charts of a program. `need` names the package to install if charts cannot be laid out."""
 
     def __init__(self) -> None:

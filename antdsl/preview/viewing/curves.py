@@ -6,9 +6,12 @@ import math
 from collections.abc import Mapping
 from typing import Any
 
-from antdsl.preview.timeline import Branch, Timeline
+from antdsl.preview.timeline import Timeline, TimelineBranch
 
-_MOST, _BESIDE = 4000, 1000  # points of a history, and of a branch: of a longer one every so many frames are sent
+_MAX_HISTORY_POINTS, _MAX_BRANCH_POINTS = (
+    4000,
+    1000,
+)  # points of a history, and of a branch: of a longer one every so many frames are sent
 
 
 class SentCurves:
@@ -18,7 +21,7 @@ class SentCurves:
         self._timeline: Timeline | None = None
         self._upto: int | None = None
         self._had = 0  # the last frame that was sent, again or not
-        self._branches: list[Branch] = []
+        self._branches: list[TimelineBranch] = []
 
     def forget_from(self, frame: int) -> None:
         """Send a frame and what follows again: they are measured again."""
@@ -45,10 +48,10 @@ class SentCurves:
         self._timeline, self._branches = timeline, list(timeline.branches)
         self._upto = self._had = timeline.last_frame
         branches = [
-            {"first": branch.first, "line": branch.line, **_curve_columns(thin_curves(branch.curves, _BESIDE))}
+            {"first": branch.first, "line": branch.line, **_curve_columns(thin_curves(branch.curves, _MAX_BRANCH_POINTS))}
             for branch in timeline.branches
         ]
-        return _curves_message(True, thin_curves(timeline.curves, _MOST), branches)
+        return _curves_message(True, thin_curves(timeline.curves, _MAX_HISTORY_POINTS), branches)
 
 
 def _curves_message(

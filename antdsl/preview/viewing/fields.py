@@ -12,32 +12,35 @@ from numpy.typing import NDArray
 from antdsl.bodies.body import vertex_normals
 from antdsl.fields.growing import GrowingCells
 from antdsl.preview.binary_packets import pack
-from antdsl.preview.viewing.seen import Packets, ViewState
+from antdsl.preview.viewing.seen import SlotPackets, ViewState
 from antdsl.runtime import World
 from antdsl.runtime.moving.moving_geometry import vertices_at
 
 Floats = NDArray[np.float64]
 
-_MOST = 150_000  # vertices of one field's mesh, about: finer cells are shown more coarsely
-_NEAREST = 4  # cells that a vertex is mixed from
-_BESIDE = 1.5  # cells' sizes from the nearest vertex on from which a cell gets its own square
-_SOFT = 0.15  # of a cell: nearer than so a vertex counts as in the middle
-_EVERY = 0.125  # seconds between two showings while it plays
-_MESH_EVERY = 1.0  # the same of meshes that grow
-_FULL = 100.0  # what is shown as full where a field has no limit
-LEAST, DECADES = 1e-8, 16  # the values that a byte can tell: 1 is the least of them, 255 is so many powers of ten more
+_MAX_MESH_VERTICES = 150_000  # vertices of one field's mesh, about: finer cells are shown more coarsely
+_CELLS_PER_VERTEX = 4  # cells that a vertex is mixed from
+_MAX_VERTEX_DISTANCE_CELLS = 1.5  # cells' sizes from the nearest vertex on from which a cell gets its own square
+_CENTRE_SOFTNESS = 0.15  # of a cell: nearer than so a vertex counts as in the middle
+_UPDATE_INTERVAL_SECONDS = 0.125  # seconds between two showings while it plays
+_MESH_INTERVAL_SECONDS = 1.0  # the same of meshes that grow
+_DEFAULT_FULL_VALUE = 100.0  # what is shown as full where a field has no limit
+MIN_BYTE_VALUE, BYTE_DECADES = (
+    1e-8,
+    16,
+)  # the values that a byte can tell: 1 is the least of them, 255 is so many powers of ten more
 
 
 def full(limit: float) -> float:
     """Return the initial value that is displayed as full. It depends only on the program, so that a frame always looks the
     same."""
-    return float(limit) if np.isfinite(limit) and limit > 1e-3 else _FULL
+    return float(limit) if np.isfinite(limit) and limit > 1e-3 else _DEFAULT_FULL_VALUE
 
 
 def to_bytes(values: NDArray[np.float32]) -> NDArray[np.uint8]:
     """Return values on a logarithmic scale with steps of 16 %; 0 for values below `LEAST`."""
-    is_present = values >= LEAST
-    level = 1 + np.log10(np.where(is_present, values, LEAST) / LEAST) * (254 / DECADES)
+    is_present = values >= MIN_BYTE_VALUE
+    level = 1 + np.log10(np.where(is_present, values, MIN_BYTE_VALUE) / MIN_BYTE_VALUE) * (254 / BYTE_DECADES)
     return np.where(is_present, np.clip(np.rint(level), 1, 255), 0).astype(np.uint8)
 
 
@@ -52,7 +55,7 @@ class FieldPackets:
         self._shown: dict[str, int] = {}  # the frame shown last
         self._last = -1.0
 
-    def packets(self, view_state: ViewState) -> Packets:
+    def packets(self, view_state: ViewState) -> SlotPackets:
         world = view_state.world
         field_names = sorted(view_state.interest.fields & world.fields.keys())
         if world is not self._world:  # the same cells, often, and other values
@@ -67,17 +70,17 @@ class FieldPackets:
             self._cells.pop(removed_name, None)
             self._shown.pop(removed_name, None)
         if not field_names or (
-            view_state.going and view_state.now - self._last < _EVERY and self._shown.keys() >= set(field_names)
+            view_state.going and view_state.now - self._last < _UPDATE_INTERVAL_SECONDS and self._shown.keys() >= set(field_names)
         ):
             return
         self._last = view_state.now
         for name in field_names:
             yield from self._field_packets(view_state, name)
 
-    def _field_packets(self, view_state: ViewState, name: str) -> Packets:
+    def _field_packets(self, view_state: ViewState, name: str) -> SlotPackets:
         world, field = view_state.world, view_state.world.fields[name]
-        made_of, count, when = self._cells.get(name, (None, 0, -_MESH_EVERY))
-        grown = count != count_used_cells(field) and (view_state.now - when >= _MESH_EVERY or not view_state.going)
+        made_of, count, when = self._cells.get(name, (None, 0, -_MESH_INTERVAL_SECONDS))
+        grown = count != count_used_cells(field) and (view_state.now - when >= _MESH_INTERVAL_SECONDS or not view_state.going)
         if made_of is not field.cells or grown:
             mesh = make_field_mesh(world, name)
             self._meshes[name], self._cells[name] = mesh, (field.cells, count_used_cells(field), view_state.now)
@@ -144,9 +147,9 @@ def make_field_mesh(world: World, name: str) -> FieldMesh:
 
         point_normals = vertex_normals(points, faces.astype(np.int32)).astype(np.float64)
         near, share = _mix_cells(points, point_normals, positions, normals, cells.cell)
-        lone = np.flatnonzero(cKDTree(points).query(positions)[0] > _BESIDE * max(cells.cell, edge))
+        lone = np.flatnonzero(cKDTree(points).query(positions)[0] > _MAX_VERTEX_DISTANCE_CELLS * max(cells.cell, edge))
     else:
-        near, share, lone = np.empty((0, _NEAREST), np.int64), np.empty((0, _NEAREST)), np.arange(count)
+        near, share, lone = np.empty((0, _CELLS_PER_VERTEX), np.int64), np.empty((0, _CELLS_PER_VERTEX)), np.arange(count)
         points, faces, carried = np.empty((0, 3)), np.empty((0, 3), np.int64), ()
     corners, squares, own, square_share = _squares(positions[lone], normals[lone], cells.cell, lone)
     return FieldMesh(
@@ -165,7 +168,7 @@ def _cut_ground(world: World, name: str, cell: float) -> tuple[Floats, NDArray[n
     rest = [setting.surfaces[each].vertices - world.origin for each in mesh_names]
     faces = [setting.surfaces[each].faces.astype(np.int64) for each in mesh_names]
     area = sum(_area(*mesh) for mesh in zip(rest, faces, strict=True))
-    edge = max(cell, float(np.sqrt(area / (0.5 * _MOST))))
+    edge = max(cell, float(np.sqrt(area / (0.5 * _MAX_MESH_VERTICES))))
     parts, carried, first = [], [], 0
     for each, vertices, triangles in zip(mesh_names, rest, faces, strict=True):
         points, cut, of = _cut_mesh(vertices, triangles, edge)
@@ -215,9 +218,9 @@ def _mix_cells(
     """Return the nearest cells of each point that face its side, and the share of each, which falls with distance."""
     from scipy.spatial import cKDTree
 
-    distance, near = cKDTree(positions).query(points, k=[min(k, len(positions)) for k in range(1, _NEAREST + 1)])
+    distance, near = cKDTree(positions).query(points, k=[min(k, len(positions)) for k in range(1, _CELLS_PER_VERTEX + 1)])
     same = np.einsum("nkd,nd->nk", normals[near], point_normals) > 0
-    share = np.where(same, 1 / (distance**2 + (_SOFT * cell) ** 2), 0.0)
+    share = np.where(same, 1 / (distance**2 + (_CENTRE_SOFTNESS * cell) ** 2), 0.0)
     share[(distance > 2 * cell) & (distance > distance[:, :1])] = 0.0
     total = share.sum(axis=1, keepdims=True)
     return near.astype(np.int64), np.where(total > 0, share / np.maximum(total, 1e-300), 0.0)
@@ -235,6 +238,11 @@ def _squares(
     corners = [positions + half * (i * right + k * above) for i, k in ((-1, -1), (1, -1), (1, 1), (-1, 1))]
     first = np.arange(len(positions))[:, None] * 4
     faces = np.concatenate([first + np.array([0, 1, 2]), first + np.array([0, 2, 3])]).astype(np.int64)
-    share = np.zeros((len(positions) * 4, _NEAREST))
+    share = np.zeros((len(positions) * 4, _CELLS_PER_VERTEX))
     share[:, 0] = 1.0
-    return np.stack(corners, axis=1).reshape(-1, 3), faces, np.repeat(which, 4 * _NEAREST).reshape(-1, _NEAREST), share
+    return (
+        np.stack(corners, axis=1).reshape(-1, 3),
+        faces,
+        np.repeat(which, 4 * _CELLS_PER_VERTEX).reshape(-1, _CELLS_PER_VERTEX),
+        share,
+    )

@@ -12,14 +12,14 @@ from antdsl.ground.solid import Volume
 from antdsl.outputs.cache.solid_pieces import Piece, join_pieces
 from antdsl.outputs.flow_arrows import arrows
 from antdsl.preview.binary_packets import pack
-from antdsl.preview.viewing.seen import Packets, ViewState
+from antdsl.preview.viewing.seen import SlotPackets, ViewState
 from antdsl.runtime import World
 from antdsl.runtime.moving.moving_geometry import vertices_at
 from antdsl.scene.setting import MeshData, SolvedFlow
 
-_SIDE = 2  # bricks per edge of a piece
-_EVERY = 0.1  # seconds between two showings while it plays
-_AGAIN = 1.0  # seconds after which flows that are solved while it runs are shown again
+_BRICKS_PER_PIECE = 2  # bricks per edge of a piece
+_UPDATE_INTERVAL_SECONDS = 0.1  # seconds between two showings while it plays
+_SOLVED_FLOW_INTERVAL_SECONDS = 1.0  # seconds after which flows that are solved while it runs are shown again
 
 
 class MeshPackets:
@@ -30,7 +30,7 @@ class MeshPackets:
         self._frame = 0
         self._given: dict[str, tuple[MeshData, bytes] | None] = {}  # None: it moves
 
-    def packets(self, view_state: ViewState) -> Packets:
+    def packets(self, view_state: ViewState) -> SlotPackets:
         world, moves = view_state.world, view_state.world.setting.moves.meshes
         if world is self._world and (not moves or world.frame == self._frame):
             return
@@ -78,7 +78,7 @@ class CurvePackets:
         self._world: World | None = None
         self._frame = 0
 
-    def packets(self, view_state: ViewState) -> Packets:
+    def packets(self, view_state: ViewState) -> SlotPackets:
         world = view_state.world
         moves = world.setting.moves
         if world is self._world and (not moves.curves or world.frame == self._frame):
@@ -102,12 +102,12 @@ class FlowPackets:
         self._given: set[str] = set()
         self._solved = 0.0
 
-    def packets(self, view_state: ViewState) -> Packets:
+    def packets(self, view_state: ViewState) -> SlotPackets:
         world = view_state.world
         if world is not self._world:
             self._world, self._given = world, set()
         solved = {name for name in view_state.interest.flows if isinstance(world.setting.flows.get(name), SolvedFlow)}
-        if solved and view_state.now - self._solved >= _AGAIN:
+        if solved and view_state.now - self._solved >= _SOLVED_FLOW_INTERVAL_SECONDS:
             self._given -= solved
             self._solved = view_state.now
         flow_names = (view_state.interest.flows & world.flows.keys()) - self._given
@@ -130,8 +130,8 @@ class SolidPackets:
         self._shown: set[tuple[str, int]] = set()  # pieces that pages have faces of
         self._last = -1.0
 
-    def packets(self, view_state: ViewState) -> Packets:
-        if not view_state.interest.solids or (view_state.going and view_state.now - self._last < _EVERY):
+    def packets(self, view_state: ViewState) -> SlotPackets:
+        if not view_state.interest.solids or (view_state.going and view_state.now - self._last < _UPDATE_INTERVAL_SECONDS):
             return
         self._last = view_state.now
         for name in self._volumes.keys() - view_state.world.solids.keys():
@@ -141,7 +141,7 @@ class SolidPackets:
         for name, volume in view_state.world.solids.items():
             yield from self._solid_packets(name, volume)
 
-    def _solid_packets(self, name: str, volume: Volume) -> Packets:
+    def _solid_packets(self, name: str, volume: Volume) -> SlotPackets:
         bricks_by_piece = self._bricks.setdefault(name, {})
         previous_pieces = set(bricks_by_piece)
         is_new_volume = self._volumes.get(name) is not volume  # after a seek or an edit: another one, as it was then
@@ -159,7 +159,7 @@ class SolidPackets:
             for piece in sorted(previous_pieces - set(bricks_by_piece)):
                 yield from self._piece_packets(name, piece, [], volume)
 
-    def _piece_packets(self, name: str, piece: int, bricks: Iterable[Piece], volume: Volume) -> Packets:
+    def _piece_packets(self, name: str, piece: int, bricks: Iterable[Piece], volume: Volume) -> SlotPackets:
         """Return the packet of a piece; nothing for a piece without faces that is not displayed."""
         vertices, faces = join_pieces(list(bricks))
         if not len(faces) and (name, piece) not in self._shown:
@@ -175,5 +175,5 @@ class SolidPackets:
 def _piece_number(brick: int, shape: tuple[int, int, int]) -> int:
     """The number of the piece that a brick is in."""
     at = np.unravel_index(brick, shape)
-    a, b, c = (-(-side // _SIDE) for side in shape)
-    return int(np.ravel_multi_index([int(k) // _SIDE for k in at], (a, b, c)))
+    a, b, c = (-(-side // _BRICKS_PER_PIECE) for side in shape)
+    return int(np.ravel_multi_index([int(k) // _BRICKS_PER_PIECE for k in at], (a, b, c)))

@@ -15,10 +15,10 @@ from antdsl.preview.viewing.names import is_library, open_text
 if TYPE_CHECKING:
     from antdsl.preview.live import Live
 
-Message = dict[str, Any]
+JsonMessage = dict[str, Any]
 
 
-def hello(live: Live) -> Message:
+def hello(live: Live) -> JsonMessage:
     """Return the `hello` message. `build` is empty here: the server fills it in."""
     return {"op": "hello", "version": __version__, "build": "", "scene": scene_file_name(live)}
 
@@ -27,7 +27,7 @@ def scene_file_name(live: Live) -> str:
     return live.screen.names.of(live.compiler.scene)
 
 
-def texts(live: Live) -> Message:
+def texts(live: Live) -> JsonMessage:
     """All programs and scenes, as they are on the disk."""
     entries, known_paths = [], set()
     for each in live.compiler.files():
@@ -41,12 +41,12 @@ def texts(live: Live) -> Message:
     return {"op": "texts", "texts": entries}
 
 
-def problems(live: Live) -> Message:
+def problems(live: Live) -> JsonMessage:
     """Return the errors and warnings of the files from the last attempt to open them."""
     return {"op": "problems", "problems": _problems(live, live.report)}
 
 
-def _problems(live: Live, report: Report) -> list[Message]:
+def _problems(live: Live, report: Report) -> list[JsonMessage]:
     """Return the findings that fit, and the number of further ones."""
     selected = visible_diagnostics(report)
     entries, omitted_count = (
@@ -60,20 +60,20 @@ def _problems(live: Live, report: Report) -> list[Message]:
     return entries
 
 
-def outcome(live: Live, of: str, result: Outcome, file: str = "") -> Message:
+def outcome(live: Live, of: str, result: Outcome, file: str = "") -> JsonMessage:
     entries = _problems(live, result.report)
     details = {"did": result.did, "line": result.line, "text": result.text, "file": file}
     return {"op": "outcome", "of": of, "ok": result.ok, **details, "problems": entries}
 
 
-def stops(live: Live) -> Message:
+def stops(live: Live) -> JsonMessage:
     """The frames at which play was stopped, and why."""
     return {"op": "stops", "stops": [{"frame": frame, "line": why} for frame, why in live.session.timeline.stops.items()]}
 
 
-def status(live: Live, rate: float, hash: str | None) -> Message:
+def status(live: Live, rate: float, hash: str | None) -> JsonMessage:
     """Return the state of the session; with empty values while the scene has errors."""
-    fields: Message = {
+    fields: JsonMessage = {
         "op": "status", "frame": 0, "first": 0, "head": 0, "playing": False, "speed": live.speed, "rate": round(rate, 1),
         "edited": False, "fault": None, "paused_by": None, "paused_agents": None, "hash": hash, "agents": 0, "transitions": {},
         "light": False,

@@ -14,7 +14,7 @@ from antdsl.resources import library_file
 from antdsl.scene.document import decode
 from antdsl.syntax import text_files
 
-TEXT_BYTES = 1 << 20  # of one file that is shown
+MAX_SHOWN_TEXT_BYTES = 1 << 20  # of one file that is shown
 
 
 class FileNames:
@@ -83,7 +83,7 @@ def open_text(path: Path, opened: Callable[[Path], int]) -> str | None:
     """Return the text of a program or a scene with the same line ends as its readers use, even if it has errors; None if there is
     none. `opened` gives a handle on a regular file, or raises OSError."""
     try:
-        data = read_handle(opened(path), TEXT_BYTES)
+        data = read_handle(opened(path), MAX_SHOWN_TEXT_BYTES)
     except OSError:
         return None
     source, _ = text_files.read_bytes(str(path), data) if path.suffix == ".ant" else decode(data, str(path))

@@ -10,26 +10,28 @@ from numpy.typing import NDArray
 from antdsl.numerics.records import match_ids
 from antdsl.preview.binary_packets import pack
 from antdsl.preview.requests import MAX_PLANNED_AGENTS
-from antdsl.preview.viewing.seen import Interest, Packets, ViewState
+from antdsl.preview.viewing.seen import PageInterest, SlotPackets, ViewState
 
-_EVERY = 0.1  # seconds between two of them while time goes on: a page leaves out past points automatically
+_UPDATE_INTERVAL_SECONDS = 0.1  # seconds between two of them while time goes on: a page leaves out past points automatically
 
 
 class PathPackets:
     """The slot `paths`: each agent's places from frame `frame` of the header on; NaN where the agent does not exist."""
 
     def __init__(self) -> None:
-        self._last: tuple[int, Interest] | None = None
+        self._last: tuple[int, PageInterest] | None = None
         self._sent = 0.0
 
-    def packets(self, view_state: ViewState) -> Packets:
+    def packets(self, view_state: ViewState) -> SlotPackets:
         if view_state.interest.planned is None:
             if self._last is not None:
                 self._last = None
                 yield "paths", pack("paths", {}, frame=0, count=0)
             return
         now = (view_state.ahead.version, view_state.interest)
-        if now == self._last or (view_state.going and self._last is not None and view_state.now - self._sent < _EVERY):
+        if now == self._last or (
+            view_state.going and self._last is not None and view_state.now - self._sent < _UPDATE_INTERVAL_SECONDS
+        ):
             return
         self._last, self._sent = now, view_state.now
         first, arrays = min(view_state.ahead.frames, default=0), _paths(view_state)

@@ -21,8 +21,8 @@ from antdsl.scene.thing_models import millimetres
 if TYPE_CHECKING:
     from antdsl.preview.live import Live
 
-_PALETTE = ((0.98, 0.75, 0.24), (0.35, 0.75, 0.95), (0.62, 0.86, 0.42), (0.93, 0.47, 0.65), (0.70, 0.60, 0.96))
-_FOCAL = 35.0  # mm, as for pictures
+_SPECIES_COLOURS = ((0.98, 0.75, 0.24), (0.35, 0.75, 0.95), (0.62, 0.86, 0.42), (0.93, 0.47, 0.65), (0.70, 0.60, 0.96))
+_FOCAL_LENGTH_MM = 35.0  # mm, as for pictures
 
 
 def scene(live: Live, box: BoundingBox, charts: list[dict[str, Any]], charts_need: str) -> dict[str, Any]:
@@ -70,10 +70,10 @@ def _camera(session: Session) -> dict[str, Any] | None:
     """Return the scene's own camera in the first frame, relative to the world's origin."""
     setting, origin, own = session.world.setting, session.world.origin, session.shot.scene.model.camera
     if setting.camera is not None:
-        at, look_at, focal = setting.camera.at[0], setting.camera.look_at[0], float(setting.camera.focal[0]) or _FOCAL
+        at, look_at, focal = setting.camera.at[0], setting.camera.look_at[0], float(setting.camera.focal[0]) or _FOCAL_LENGTH_MM
     elif isinstance(own, Camera):
         at, look_at = (np.asarray(millimetres(point, setting.unit_mm)) for point in (own.at, own.look_at))
-        focal = own.focal.number if own.focal is not None else _FOCAL
+        focal = own.focal.number if own.focal is not None else _FOCAL_LENGTH_MM
     else:
         return None
     return {"at": [float(x) for x in at - origin], "look_at": [float(x) for x in look_at - origin], "focal": focal}
@@ -137,7 +137,7 @@ def _fields(session: Session) -> list[dict[str, Any]]:
     chosen = session.choices.params
     return [
         {
-            "name": name, "unit": "", "colour": list(_PALETTE[number % len(_PALETTE)]),
+            "name": name, "unit": "", "colour": list(_SPECIES_COLOURS[number % len(_SPECIES_COLOURS)]),
             "on": not chosen.items() >= silencing_settings(name).items(),
             "full": full(field.limit),
         }

@@ -10,27 +10,27 @@ from time import monotonic
 from typing import TYPE_CHECKING, Any
 
 from antdsl.preview.breaking import Breakpoints
-from antdsl.preview.observing.spec_judgement import Specs
+from antdsl.preview.observing.spec_judgement import SpecObserver
 from antdsl.preview.requests import MAX_PLANNED_AGENTS
 from antdsl.preview.session import Session
 from antdsl.preview.viewing import messages
 from antdsl.preview.viewing.acting import store_poses
 from antdsl.preview.viewing.agents import AgentPackets
 from antdsl.preview.viewing.bodies import ItemBodyPackets, RigPackets
-from antdsl.preview.viewing.charts import Charts
+from antdsl.preview.viewing.charts import ChartMessages
 from antdsl.preview.viewing.curves import SentCurves
 from antdsl.preview.viewing.fields import FieldPackets
 from antdsl.preview.viewing.geometry import CurvePackets, FlowPackets, MeshPackets, SolidPackets
 from antdsl.preview.viewing.names import FileNames
 from antdsl.preview.viewing.paths import PathPackets
 from antdsl.preview.viewing.scene import BoundingBox, scene
-from antdsl.preview.viewing.seen import Interest, PacketMaker, ViewState
+from antdsl.preview.viewing.seen import PacketMaker, PageInterest, ViewState
 
 if TYPE_CHECKING:
     from antdsl.preview.live import Client, Live
 
 # One of each is made; the ground comes first, what takes long to make last.
-VIEWS: tuple[Callable[[], PacketMaker], ...] = (
+PACKET_MAKERS: tuple[Callable[[], PacketMaker], ...] = (
     MeshPackets,
     SolidPackets,
     RigPackets,
@@ -41,21 +41,21 @@ VIEWS: tuple[Callable[[], PacketMaker], ...] = (
     FlowPackets,
     ItemBodyPackets,
 )
-_FRAME_EVERY = 1 / 60  # seconds
+_FRAME_INTERVAL_SECONDS = 1 / 60  # seconds
 _REPORT_INTERVAL = 0.1  # the same of status and curves while it plays
-_RATE_OVER = 1.0  # seconds of steps that the rate is measured over
+_RATE_WINDOW_SECONDS = 1.0  # seconds of steps that the rate is measured over
 
 
-class Screen:
+class PageScreen:
     """Updates the pages. Used only by the live thread. `due`: when `refresh` has work again."""
 
     def __init__(self, live: Live) -> None:
         self.live, self.names = live, FileNames(live.compiler.scene)
         self.due = inf
-        self._views = [make() for make in VIEWS]
-        self._charts, self._curves = Charts(), SentCurves()
+        self._views = [make() for make in PACKET_MAKERS]
+        self._charts, self._curves = ChartMessages(), SentCurves()
         self._box = BoundingBox()
-        self._wanted = Interest()
+        self._wanted = PageInterest()
         self._standing: dict[str, bytes] = {}  # the latest packet of each slot
         self._steps: deque[float] = deque()
         self._program = self._files = self._moved = True  # what has changed since pages heard
@@ -104,7 +104,7 @@ class Screen:
         self.on_action()
 
     def on_look(self) -> None:
-        self._wanted = Interest.by(self.live.clients.values())
+        self._wanted = PageInterest.by(self.live.clients.values())
         self._moved = True
 
     def greet(self, client: Client) -> None:
@@ -128,7 +128,7 @@ class Screen:
                     client.tell(self._curves.full_history(timeline))
                 elif news is not None:  # from now on all have the same
                     other.tell(news)
-            client.tell(self.live.observer(Specs).message())
+            client.tell(self.live.observer(SpecObserver).message())
             client.tell(self.live.observer(Breakpoints).message())
             client.tell(messages.stops(self.live))
             sent = self._show_packets(self.live.session, monotonic())
@@ -152,8 +152,8 @@ class Screen:
             laid = self._tell_scene(self._charts.is_laid_out(session.shot.program))
         playing = session is not None and (session.playing or live.is_seeking)
         if session is not None and self._moved:
-            if playing and now - self._shown_at < _FRAME_EVERY:
-                self.due = self._shown_at + _FRAME_EVERY
+            if playing and now - self._shown_at < _FRAME_INTERVAL_SECONDS:
+                self.due = self._shown_at + _FRAME_INTERVAL_SECONDS
             else:
                 self._moved = False
                 self._show_packets(session, now)
@@ -211,7 +211,7 @@ class Screen:
             self._steps.clear()
             return 0.0
         now = monotonic()
-        while self._steps and self._steps[0] < now - _RATE_OVER:
+        while self._steps and self._steps[0] < now - _RATE_WINDOW_SECONDS:
             self._steps.popleft()
         over = self._steps[-1] - self._steps[0] if len(self._steps) > 1 else 0.0
         return (len(self._steps) - 1) / over if over > 0 else 0.0

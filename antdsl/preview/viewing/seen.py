@@ -12,11 +12,11 @@ from antdsl.preview.requests import AgentRef, Look
 from antdsl.preview.session import Session
 from antdsl.runtime import World
 
-Packets = Iterator[tuple[str, bytes]]
+SlotPackets = Iterator[tuple[str, bytes]]
 
 
 @dataclass(frozen=True, slots=True)
-class Interest:
+class PageInterest:
     """All that some page looks at."""
 
     columns: frozenset[tuple[str, str]] = frozenset()  # species and attribute
@@ -28,7 +28,7 @@ class Interest:
     planned_of_all: bool = False
 
     @classmethod
-    def by(cls, looks: Iterable[Look]) -> Interest:
+    def by(cls, looks: Iterable[Look]) -> PageInterest:
         looks = list(looks)
         followed = dict.fromkeys(look.follow for look in looks if look.follow is not None)
         planned = [look.planned for look in looks if look.planned is not None]
@@ -50,7 +50,7 @@ class ViewState:
 
     session: Session
     ahead: Ahead
-    interest: Interest
+    interest: PageInterest
     light: int | None
     now: float
     going: bool  # it plays, or is on its way: the next moment comes soon
@@ -67,4 +67,4 @@ class ViewState:
 class PacketMaker(Protocol):
     """Makes the packets of one kind, and returns only those that changed."""
 
-    def packets(self, view_state: ViewState) -> Packets: ...
+    def packets(self, view_state: ViewState) -> SlotPackets: ...

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from antdsl.program.model import AttributeDecl, Const, ItemAttribute, Kind
+from antdsl.program.model import AttributeDecl, Constant, ItemAttribute, TypeKind
 from antdsl.program.tables.units import default_unit, measure
 from antdsl.runtime import World
 from antdsl.scene.quantities import QuantityError, parse_quantity
@@ -10,7 +10,7 @@ from antdsl.scene.quantities import QuantityError, parse_quantity
 
 def unit_for(declared: AttributeDecl | ItemAttribute) -> str:
     """Return the unit of the default in the text, else a usual one."""
-    if declared.type.kind is not Kind.NUMBER:
+    if declared.type.kind is not TypeKind.NUMBER:
         return ""
     default = declared.default
     try:
@@ -26,7 +26,7 @@ def base_units(unit: str, unit_mm: float, dt: float) -> float:
     return 1.0 if known is None else known.factor * unit_mm**known.u * dt**known.step
 
 
-def constant_in_base_units(value: Const, unit_mm: float, dt: float) -> float:
+def constant_in_base_units(value: Constant, unit_mm: float, dt: float) -> float:
     """A constant of the program in base units."""
     return float(value.number * unit_mm**value.u * dt**value.step)
 
@@ -34,4 +34,4 @@ def constant_in_base_units(value: Const, unit_mm: float, dt: float) -> float:
 def colour_attributes(world: World, species: str, attributes: tuple[AttributeDecl, ...]) -> list[AttributeDecl]:
     """Return the attributes of a species that are one number per agent."""
     registers = world.plan.species[species].registers
-    return [each for each in attributes if each.type.kind in (Kind.NUMBER, Kind.BOOL) and each.name in registers]
+    return [each for each in attributes if each.type.kind in (TypeKind.NUMBER, TypeKind.BOOL) and each.name in registers]

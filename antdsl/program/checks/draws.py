@@ -8,14 +8,14 @@ from collections.abc import Collection, Iterator
 
 from antdsl.diagnostics import Fix, Report
 from antdsl.program.checks.analysis.checked import CheckContext
-from antdsl.program.model import BindingRef, Const, Expr, Op
+from antdsl.program.model import BindingRef, Constant, Expr, OperationExpr
 from antdsl.program.types.descriptions import quote_source
 from antdsl.program.types.folding import constant_behind
 
-_DRAWS = frozenset(("uniform", "normal", "pick"))
-_ARITHMETIC = frozenset(("neg", "add", "sub", "mul", "div", "abs", "clamp", "min", "max", "mix", "if"))
-_COMPARISONS = frozenset(("lt", "le", "gt", "ge", "eq", "ne"))
-_FPS = 24  # of film
+_DRAW_OPERATIONS = frozenset(("uniform", "normal", "pick"))
+_ARITHMETIC_OPERATIONS = frozenset(("neg", "add", "sub", "mul", "div", "abs", "clamp", "min", "max", "mix", "if"))
+_COMPARISON_OPERATIONS = frozenset(("lt", "le", "gt", "ge", "eq", "ne"))
+_FILM_FPS = 24  # of film
 
 
 def check_draws(checked: CheckContext, report: Report) -> None:
@@ -28,24 +28,27 @@ def check_draws(checked: CheckContext, report: Report) -> None:
 
 
 def _check_test(test: Expr, report: Report) -> None:
-    within = [part for part in _walk_through(test, ("and", "or", "not")) if isinstance(part, Op)]
+    within = [part for part in _walk_through(test, ("and", "or", "not")) if isinstance(part, OperationExpr)]
     if any(part.name == "event" for part in within):
         return  # an event is there for one step only
     for part in within:
-        if part.name in _COMPARISONS and _has_draw(part):
+        if part.name in _COMPARISON_OPERATIONS and _has_draw(part):
             rate = _chance_rate(part)
             report.warning(
                 "draw-in-condition",
                 f"{quote_source(part.span)} draws a new number in every step",
                 part.span,
-                f"write `{rate}`, which is as likely at {_FPS} frames a second" if rate
+                f"write `{rate}`, which is as likely at {_FILM_FPS} frames a second" if rate
                 else "write `chance 20 %/s`, or draw once: an attribute, set in `enter`",
                 fix=Fix(part.span, rate) if rate else None,
             )  # fmt: skip
 
 
-def _has_draw(part: Op) -> bool:
-    return any(isinstance(inner, Op) and inner.name in _DRAWS for inner in _walk_through(part, _ARITHMETIC))
+def _has_draw(part: OperationExpr) -> bool:
+    return any(
+        isinstance(inner, OperationExpr) and inner.name in _DRAW_OPERATIONS
+        for inner in _walk_through(part, _ARITHMETIC_OPERATIONS)
+    )
 
 
 def _walk_through(root: Expr, through: Collection[str]) -> Iterator[Expr]:
@@ -61,26 +64,26 @@ def _walk_through(root: Expr, through: Collection[str]) -> Iterator[Expr]:
                 stack.append(part.binding.value)
             continue
         yield part
-        if isinstance(part, Op) and (part is root or part.name in through):
+        if isinstance(part, OperationExpr) and (part is root or part.name in through):
             stack += [arg for arg in part.args if arg is not None]
 
 
-def _chance_rate(part: Op) -> str | None:
+def _chance_rate(part: OperationExpr) -> str | None:
     """Return `uniform(0, 1) < 0.1` as a chance per second."""
     left, right = part.args
     assert left is not None and right is not None
     name = part.name
-    if not isinstance(left, Op):
+    if not isinstance(left, OperationExpr):
         left, right, name = right, left, {"lt": "gt", "le": "ge", "gt": "lt", "ge": "le"}.get(name, "")
     edge, ends = constant_behind(right), [constant_behind(arg) for arg in getattr(left, "args", ()) if arg is not None]
-    if not isinstance(left, Op) or left.name != "uniform" or edge is None or name not in ("lt", "le", "gt", "ge"):
+    if not isinstance(left, OperationExpr) or left.name != "uniform" or edge is None or name not in ("lt", "le", "gt", "ge"):
         return None
     low, high = ends if len(ends) == 2 else (None, None)
     if low is None or high is None or not low.number < edge.number < high.number:
         return None
     share = _true_share(low, edge, high)
-    return f"chance {-math.log1p(-(share if name in ('lt', 'le') else 1 - share)) * _FPS:.3g} /s"
+    return f"chance {-math.log1p(-(share if name in ('lt', 'le') else 1 - share)) * _FILM_FPS:.3g} /s"
 
 
-def _true_share(low: Const, edge: Const, high: Const) -> float:
+def _true_share(low: Constant, edge: Constant, high: Constant) -> float:
     return (edge.number - low.number) / (high.number - low.number)

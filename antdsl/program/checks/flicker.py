@@ -6,8 +6,8 @@ from collections.abc import Iterator
 
 from antdsl.diagnostics import Label, Report
 from antdsl.program.checks.analysis.checked import CheckContext
-from antdsl.program.checks.analysis.conditions import NOT_FOLLOWED, ConditionReader
-from antdsl.program.model import Assign, Attribute, Expr, Machine, State, Transition
+from antdsl.program.checks.analysis.conditions import UNREADABLE_CONDITION_ERRORS, ConditionReader
+from antdsl.program.model import Assign, AttributeRef, Expr, Machine, State, Transition
 from antdsl.program.traverse import parts
 from antdsl.program.types.descriptions import quote_source
 
@@ -58,7 +58,7 @@ def _is_overlapping(reader: ConditionReader, one: Expr, other: Expr) -> bool:
     """Return whether both conditions compare the same value with constants, and some value satisfies both."""
     try:
         cases = [reader.cases(one), reader.cases(other)]
-    except NOT_FOLLOWED:
+    except UNREADABLE_CONDITION_ERRORS:
         return False
     subjects = {key for each in cases for case in each for key in case.numbers}
     if len(subjects) != 1 or any(case.tests for each in cases for case in each):
@@ -74,5 +74,5 @@ def _changes_test(machine: Machine, edge: tuple[State, Transition], test: Expr) 
     written = {line.attribute for block in blocks for line in block if isinstance(line, Assign)}
     # gives change what they give, for any test
     others = any(not isinstance(line, Assign) for block in blocks for line in block)
-    read = {part.name for part in parts(test) if isinstance(part, Attribute)}
+    read = {part.name for part in parts(test) if isinstance(part, AttributeRef)}
     return others or bool(written & read) or any(name.endswith(".time_in_state") for name in read)

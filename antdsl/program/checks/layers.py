@@ -7,7 +7,18 @@ import math
 from antdsl.diagnostics import Label, Report
 from antdsl.program.checks.analysis.checked import CheckContext
 from antdsl.program.checks.analysis.conditions import ConditionReader, is_always, is_never
-from antdsl.program.model import Attribute, BindingRef, Const, Expr, Face, InlinedBehaviour, Layer, Op, Species, Steer
+from antdsl.program.model import (
+    AttributeRef,
+    BindingRef,
+    Constant,
+    Expr,
+    FaceLine,
+    InlinedBehaviour,
+    Layer,
+    OperationExpr,
+    Species,
+    Steer,
+)
 from antdsl.program.types.descriptions import quote_source
 from antdsl.program.types.folding import constant_behind
 
@@ -15,7 +26,7 @@ from antdsl.program.types.folding import constant_behind
 def check_layering(checked: CheckContext, report: Report) -> None:
     for species in checked.program.species.values():
         lines = [line for m in species.machines for state in m.states for line in state.body]
-        steering = next((line for line in lines if isinstance(line, Steer | Face)), None)
+        steering = next((line for line in lines if isinstance(line, Steer | FaceLine)), None)
         states = [layer for layer in species.layers.layers if layer.push is None]
         if steering is not None and not states:
             verb = "steers" if isinstance(steering, Steer) else "faces a way"
@@ -29,7 +40,7 @@ def check_idle_layers(checked: CheckContext, report: Report) -> None:
     reader = ConditionReader(checked.program.params)
     for species in checked.program.species.values():
         for layer in species.layers.layers:
-            if layer.condition is not None and not isinstance(layer.condition, Const) and is_never(reader, layer.condition):
+            if layer.condition is not None and not isinstance(layer.condition, Constant) and is_never(reader, layer.condition):
                 message = f"{quote_source(layer.condition.span)} can never hold"
                 report.warning("idle-layer", message, layer.condition.span, "change one of its numbers, or delete the line")
         _check_priorities(reader, species, report)
@@ -71,9 +82,9 @@ def strength(push: Expr) -> float:
         return strength(push.binding.value)
     if isinstance(push, InlinedBehaviour):
         return strength(push.result)
-    if isinstance(push, Attribute):
+    if isinstance(push, AttributeRef):
         return 1.0 if push.of is None and push.name in ("heading", "up") else 0.0
-    if not isinstance(push, Op):
+    if not isinstance(push, OperationExpr):
         return 0.0
     if push.name == "neg" and push.args[0] is not None:
         return strength(push.args[0])
@@ -88,7 +99,7 @@ def strength(push: Expr) -> float:
     return 0.0
 
 
-def _min_scaled_length(push: Op) -> float:
+def _min_scaled_length(push: OperationExpr) -> float:
     for vector, number in (push.args, push.args[::-1]):
         if vector is None or number is None:
             continue

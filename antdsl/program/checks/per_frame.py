@@ -11,18 +11,18 @@ import re
 
 from antdsl.diagnostics import Fix, Label, Report
 from antdsl.program.checks.analysis.checked import CheckContext
-from antdsl.program.checks.analysis.short_steps import Own, depends_on_step, find_changers, is_own, is_rate, reads
-from antdsl.program.checks.steps import FPS
-from antdsl.program.model import Ask, Assign, Binding, Dim, Expr, Give, Kind, Op, State
+from antdsl.program.checks.analysis.short_steps import OwnValue, depends_on_step, find_changers, is_own, is_rate, reads
+from antdsl.program.checks.steps import FILM_FPS
+from antdsl.program.model import Assign, Binding, Dimension, EffectRequest, Expr, Give, OperationExpr, State, TypeKind
 from antdsl.program.traverse import parts
 from antdsl.program.types.descriptions import quote_source
 from antdsl.program.types.folding import constant_behind
 from antdsl.source import Span
-from antdsl.syntax.words import QUANTITY
+from antdsl.syntax.words import QUANTITY_PATTERN
 
-_DECAY = re.compile(r"\w+ \* exp\(-dt / ([0-9.e+-]+ s)\)")
-_SO = "happens in every step, so it depends on the frames per second"
-_SIMPLE = re.compile(r"[\w.]+(\([^()]*\))?")
+_DECAY_PATTERN = re.compile(r"\w+ \* exp\(-dt / ([0-9.e+-]+ s)\)")
+_PER_FRAME_REASON = "happens in every step, so it depends on the frames per second"
+_SIMPLE_TERM_PATTERN = re.compile(r"[\w.]+(\([^()]*\))?")
 
 
 def check_per_frame(checked: CheckContext, report: Report) -> None:
@@ -45,20 +45,24 @@ def _check_lines(state: State, report: Report) -> None:
             _check_rate(line, line.value, line.attribute, line.per_second, f"{line.attribute} {line.op} ", report)
         elif isinstance(line, Give) and line.amount is not None:
             _check_rate(line, line.amount, line.attribute, line.per_second, "", report)
-        elif isinstance(line, Ask) and line.args and line.args[0] is not None:
+        elif isinstance(line, EffectRequest) and line.args and line.args[0] is not None:
             _check_rate(line, line.args[0], line.of, line.per_second, "", report)
 
 
-def _check_rate(line: Assign | Ask | Give, amount: Expr, own: str, per_second: bool, begins: str, report: Report) -> None:
+def _check_rate(
+    line: Assign | EffectRequest | Give, amount: Expr, own: str, per_second: bool, begins: str, report: Report
+) -> None:
     """Of what a line adds, which is times `dt`."""
     if not per_second or is_rate(amount, own):
         return
-    single_amount = amount.args[0] if isinstance(amount, Op) and amount.name == "div" and _is_dt(amount.args[1]) else None
+    single_amount = (
+        amount.args[0] if isinstance(amount, OperationExpr) and amount.name == "div" and _is_dt(amount.args[1]) else None
+    )
     help, fix = "what a state adds is multiplied by `dt` already: write an amount per second, without `dt`", None
     if single_amount is not None and not depends_on_step(single_amount) and _is_inside(single_amount.span, line.span):
         fix = Fix(amount.span, _per_second_text(_source_text(single_amount.span)))
-        help = f"write `{begins}{fix.text}`, which is as much at {FPS} frames a second"
-    report.warning("per-frame", f"{quote_source(line.span)} {_SO}", line.span, help, fix=fix)
+        help = f"write `{begins}{fix.text}`, which is as much at {FILM_FPS} frames a second"
+    report.warning("per-frame", f"{quote_source(line.span)} {_PER_FRAME_REASON}", line.span, help, fix=fix)
 
 
 def _is_dt(expr: Expr | None) -> bool:
@@ -77,18 +81,18 @@ def _check_assignment(line: Assign, driven: bool, report: Report) -> None:
         fix, display_text = Fix(line.span, f"{name} {added}"), f"{name} {added}"
     elif len(makers) == 1 and _is_inside(makers[0].span, line.span) and (text := _rate_free_text(makers[0], name)):
         fix, display_text = Fix(makers[0].span, text), f"{name} = {_replace_part(value.span, makers[0].span, text)}"
-        decay = _DECAY.fullmatch(text) if makers[0] is value else None
+        decay = _DECAY_PATTERN.fullmatch(text) if makers[0] is value else None
         addition = f", or `relax to 0 over {decay[1]}` where it is declared" if decay else ""
     if display_text:
-        help = f"write `{display_text}`, which is as much at {FPS} frames a second{addition}"
-    elif value.type.kind is Kind.BOOL:
+        help = f"write `{display_text}`, which is as much at {FILM_FPS} frames a second{addition}"
+    elif value.type.kind is TypeKind.BOOL:
         help = f"do it once: in `enter {{ }}`, or in a change: `when after 1 s -> … {{ {_source_text(line.span)} }}`"
     elif any(_is_vanishing(each, name) for each in makers):
         help = f"to keep a share per second, write `{name} = {name} * exp(-dt / 1 s)`; to add an amount, write `{name} += … /s`"
     else:
         help = f"write an amount per second: `{name} += … /s`; what happens once belongs in `enter {{ }}`"
     labels = tuple(Label(each.span, "it is changed here") for each in makers[:1] if not _is_inside(each.span, line.span))
-    report.warning("per-frame", f"{quote_source(line.span)} {_SO}", line.span, help, labels=labels, fix=fix)
+    report.warning("per-frame", f"{quote_source(line.span)} {_PER_FRAME_REASON}", line.span, help, labels=labels, fix=fix)
 
 
 def _check_memory(keep: Binding, then: Expr, report: Report) -> None:
@@ -98,9 +102,9 @@ def _check_memory(keep: Binding, then: Expr, report: Report) -> None:
     text = _rate_free_text(makers[0], keep) if len(makers) == 1 and _is_inside(makers[0].span, then.span) else ""
     help = "write an amount per second, times `dt`"
     if text:
-        help = f"write `then {_replace_part(then.span, makers[0].span, text)}`, which is as much at {FPS} frames a second"
+        help = f"write `then {_replace_part(then.span, makers[0].span, text)}`, which is as much at {FILM_FPS} frames a second"
     fix = Fix(makers[0].span, text) if text else None
-    report.warning("per-frame", f"`then {_source_text(then.span)}` {_SO}", then.span, help, fix=fix)
+    report.warning("per-frame", f"`then {_source_text(then.span)}` {_PER_FRAME_REASON}", then.span, help, fix=fix)
 
 
 # --- what to write instead -------------------------------------------------------------------------------------------
@@ -108,14 +112,14 @@ def _check_memory(keep: Binding, then: Expr, report: Report) -> None:
 
 def _added_rate_text(value: Expr, own: str) -> str:
     """`+= 24 /s` for `x + 1`, `+= (gain - 0.1) * 24 /s` for `x + gain - 0.1`; empty for anything else."""
-    if not isinstance(value, Op) or value.name not in ("add", "sub"):
+    if not isinstance(value, OperationExpr) or value.name not in ("add", "sub"):
         return ""
     left, right = value.args
     assert left is not None and right is not None
     if value.name == "add" and is_own(right, own) and not reads(left, own):
         return f"+= {_per_second_text(_source_text(left.span))}"
     spine = [value]  # `x + a - b` is a difference of which the left side is a sum
-    while isinstance(inner := spine[-1].args[0], Op) and inner.name in ("add", "sub"):
+    while isinstance(inner := spine[-1].args[0], OperationExpr) and inner.name in ("add", "sub"):
         spine.append(inner)
     first, rest = spine[-1].args
     if first is None or rest is None or not is_own(first, own) or not _is_inside(first.span, value.span):
@@ -128,9 +132,9 @@ def _added_rate_text(value: Expr, own: str) -> str:
     return f"+= {_per_second_text(text)}" if spine[-1].name == "add" and text.count("(") == text.count(")") else ""
 
 
-def _rate_free_text(op: Expr, own: Own) -> str:
+def _rate_free_text(op: Expr, own: OwnValue) -> str:
     """Return the same operation for any length of a step; empty if the text does not determine it."""
-    if not isinstance(op, Op) or len(op.args) < 2 or op.args[0] is None or op.args[1] is None:
+    if not isinstance(op, OperationExpr) or len(op.args) < 2 or op.args[0] is None or op.args[1] is None:
         return ""
     left, right = op.args[:2]
     assert left is not None and right is not None
@@ -152,7 +156,7 @@ def _rate_free_text(op: Expr, own: Own) -> str:
 def _is_vanishing(op: Expr, own: str) -> bool:
     """Return whether the value is multiplied by `dt`, as in `x * dt`, so that it vanishes in a short step."""
     return (
-        isinstance(op, Op)
+        isinstance(op, OperationExpr)
         and op.name == "mul"
         and any(e is not None and depends_on_step(e) and not reads(e, own) for e in op.args)
     )
@@ -163,7 +167,7 @@ def _decay(own: Expr, factor: Expr, power: int) -> str:
     return f"{own.span.text} * {part}" if part else ""
 
 
-def _mix_text(op: Op, own: Own) -> str:
+def _mix_text(op: OperationExpr, own: OwnValue) -> str:
     """Return the rewrite of `mix(x, goal, 0.1)`, which covers a tenth of the distance in each step."""
     a, z, share = op.args
     assert a is not None and z is not None and share is not None
@@ -180,21 +184,21 @@ def _mix_text(op: Op, own: Own) -> str:
 def _share(factor: Expr, power: int) -> str:
     """`exp(-dt / 0.4 s)` for a factor in each step."""
     known = constant_behind(factor)
-    if known is None or known.u or known.number <= 0 or known.number == 1 or known.type.dim != Dim():
+    if known is None or known.u or known.number <= 0 or known.number == 1 or known.type.dim != Dimension():
         return ""
     return _exp(power * math.log(known.number))
 
 
 def _exp(rate: float) -> str:
-    return f"exp({'-' if rate < 0 else ''}dt / {1 / abs(rate) / FPS:.3g} s)"
+    return f"exp({'-' if rate < 0 else ''}dt / {1 / abs(rate) / FILM_FPS:.3g} s)"
 
 
 def _per_second_text(text: str) -> str:
     """An amount a step as one a second: `1` as `24 /s`, `2 mm` as `48 mm/s`, `gain` as `gain * 24 /s`."""
-    literal = QUANTITY.fullmatch(text)
+    literal = QUANTITY_PATTERN.fullmatch(text)
     if literal is not None and "/" not in text:
-        return f"{float(literal[1]) * FPS:.6g} {literal[2] or ''}/s"
-    return f"{text if _SIMPLE.fullmatch(text) else f'({text})'} * {FPS} /s"
+        return f"{float(literal[1]) * FILM_FPS:.6g} {literal[2] or ''}/s"
+    return f"{text if _SIMPLE_TERM_PATTERN.fullmatch(text) else f'({text})'} * {FILM_FPS} /s"
 
 
 def _source_text(span: Span) -> str:

@@ -14,7 +14,7 @@ from antdsl.program.types.descriptions import quote_source
 from antdsl.source import Span
 from antdsl.syntax import nodes
 
-FPS = 24  # of film: what is written instead is as much, or as long, at this rate
+FILM_FPS = 24  # of film: what is written instead is as much, or as long, at this rate
 
 
 def check_step_units(checked: CheckContext, report: Report) -> None:
@@ -50,16 +50,16 @@ def _replacement(
         share = node.value * (0.01 if "%" in node.unit else 1.0)
         if not 0 < share < 1:
             return None, "state how fast it fades: `half_life 8 s`"
-        return _describe_fix(around.span, f"half_life {-math.log(2) / math.log(share) / FPS:.3g} s", "fades as fast")
+        return _describe_fix(around.span, f"half_life {-math.log(2) / math.log(share) / FILM_FPS:.3g} s", "fades as fast")
     if isinstance(around, nodes.AnimalProperty) and around.name.text == "response" and node.value <= 1:
         return Fix(node.span, "0.001 s"), "write `response 0.001 s`, which is immediate at any frame rate"
     if node.unit == "step":
-        return _describe_fix(node.span, f"{node.value / FPS:.3g} s", "is as long")
+        return _describe_fix(node.span, f"{node.value / FILM_FPS:.3g} s", "is as long")
     if power == -1 and node.unit.endswith("/step"):
         unit = f"{node.unit.removesuffix('/step')}/s"
-        return _describe_fix(node.span, f"{node.value * FPS:.6g} {unit}", "is as much")
+        return _describe_fix(node.span, f"{node.value * FILM_FPS:.6g} {unit}", "is as much")
     return None, "say it in seconds"
 
 
 def _describe_fix(span: Span, text: str, words: str) -> tuple[Fix, str]:
-    return Fix(span, text), f"write `{text}`, which {words} at {FPS} frames a second"
+    return Fix(span, text), f"write `{text}`, which {words} at {FILM_FPS} frames a second"

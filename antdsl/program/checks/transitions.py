@@ -6,8 +6,8 @@ from __future__ import annotations
 from antdsl.diagnostics import Label, Report
 from antdsl.program.checks.analysis.checked import CheckContext
 from antdsl.program.checks.analysis.conditions import ConditionReader, implies, is_always, is_never
-from antdsl.program.model import Ask, ClipTest, Const, Expr, Machine, Op, Play, Species, State, Transition
-from antdsl.program.tables.effects import EFFECTS
+from antdsl.program.model import ClipTest, Constant, EffectRequest, Expr, Machine, OperationExpr, Play, Species, State, Transition
+from antdsl.program.tables.effects import EFFECT_BY_OPERATION
 from antdsl.program.types.descriptions import quote_source
 from antdsl.program.types.folding import constant_behind
 from antdsl.source import Span
@@ -46,7 +46,7 @@ def _report_unreachable(machine: Machine, state: State, report: Report) -> None:
 
 
 def _is_stuck(state: State) -> bool:
-    leaves = any(isinstance(line, Ask) and EFFECTS[line.op].last for line in (*state.body, *state.enter))
+    leaves = any(isinstance(line, EffectRequest) and EFFECT_BY_OPERATION[line.op].last for line in (*state.body, *state.enter))
     return not state.transitions and not leaves
 
 
@@ -130,11 +130,11 @@ def _check_clip_waits(species: Species, machine: Machine, state: State, report: 
 
 def _conjuncts(test: Expr) -> list[Expr]:
     """What all has to hold for a condition to."""
-    if isinstance(test, Op) and test.name == "and":
+    if isinstance(test, OperationExpr) and test.name == "and":
         return [part for arg in test.args if arg is not None for part in _conjuncts(arg)]
     return [test]
 
 
 def _is_truth_word(test: Expr) -> bool:
     """`true` and `false` as words are meant so."""
-    return isinstance(test, Const)
+    return isinstance(test, Constant)

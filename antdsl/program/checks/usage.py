@@ -11,7 +11,7 @@ from antdsl.diagnostics import Report
 from antdsl.diagnostics.suggestion import nearest_name
 from antdsl.program.checks.analysis.checked import CheckContext
 from antdsl.program.memo import cached_part
-from antdsl.program.model import Ask, AttributeDecl, Const, NoneRef, Op, Program, Species, ThingRef
+from antdsl.program.model import AttributeDecl, Constant, EffectRequest, NoneRef, OperationExpr, Program, Species, ThingRef
 from antdsl.program.tables.effects import feeding_effects
 from antdsl.program.traverse import parts
 from antdsl.program.types.descriptions import quote_source
@@ -54,7 +54,7 @@ def _check_species(checked: CheckContext, species: Species, report: Report) -> N
             report.warning("unused-attribute", words, attribute.span, "use it, or delete it")
     for binding in (*species.lets, *species.latches):
         if not checked.is_used("let", f"{species.name}.{binding.name}"):
-            word = "fuzzy" if isinstance(binding.value, Op) and binding.value.name == "fuzzy" else binding.role
+            word = "fuzzy" if isinstance(binding.value, OperationExpr) and binding.value.name == "fuzzy" else binding.role
             words = f"`{word} {binding.name}` is never used"
             report.warning(f"unused-{binding.role}", words, binding.span, "use it, or delete it")
 
@@ -98,7 +98,7 @@ def _used_names(root: object) -> tuple[frozenset[str], frozenset[str]]:
     every, laying = list(parts(root)), feeding_effects("field")
     return (
         frozenset(each.name for each in every if isinstance(each, ThingRef)),
-        frozenset(each.of for each in every if isinstance(each, Ask) and each.op in laying),
+        frozenset(each.of for each in every if isinstance(each, EffectRequest) and each.op in laying),
     )
 
 
@@ -108,7 +108,7 @@ def _check_attribute(checked: CheckContext, species: Species, attribute: Attribu
     if written and not read:
         hint = f"ask for it: `when {attribute.name} … -> …`, name it in `output: {{attributes: […]}}` of the scene, or delete it"
         report.warning("unread-attribute", f"attribute `{attribute.name}` is set and never read", attribute.span, hint)
-    elif read and not written and attribute.relax_to is None and isinstance(attribute.default, (Const, NoneRef)):
+    elif read and not written and attribute.relax_to is None and isinstance(attribute.default, (Constant, NoneRef)):
         value = quote_source(attribute.default.span)
         advice = f"set it where it changes: `{attribute.name} = …`, or make it a `param` if all agents share it"
         report.warning("constant-attribute", f"attribute `{attribute.name}` is always {value}", attribute.span, advice)

@@ -8,23 +8,23 @@ from antdsl import limits
 from antdsl.diagnostics import Report
 from antdsl.program.checks.analysis.checked import CheckContext
 from antdsl.program.checks.analysis.ranges import range_of
-from antdsl.program.model import BindingRef, Const, Expr, Kind, Param, ParamRef, Reduce, SetOf, Species
+from antdsl.program.model import BindingRef, Constant, Expr, Param, ParamRef, ReduceExpr, SetExpr, Species, TypeKind
 from antdsl.program.traverse import parts
 from antdsl.program.types.descriptions import quote_source
 from antdsl.program.types.folding import constant_behind
 
-_LENGTHS = 1000  # of a body: beyond so many no neighbour is sensed
-_SIZE = 4.0  # mm, of a body where the program does not say
+_MAX_BODY_LENGTHS = 1000  # of a body: beyond so many no neighbour is sensed
+_DEFAULT_BODY_SIZE_MM = 4.0  # mm, of a body where the program does not say
 
 
 def check_wide_radius(checked: CheckContext, report: Report) -> None:
     for species in checked.program.species.values():
         size = _max_body_size(species, checked.program.params)
         every = list(parts(species))
-        one = {id(part.over) for part in every if isinstance(part, Reduce) and part.how == "nearest"}
+        one = {id(part.over) for part in every if isinstance(part, ReduceExpr) and part.how == "nearest"}
         for part in every:
             if (
-                not isinstance(part, SetOf)
+                not isinstance(part, SetExpr)
                 or not part.args
                 or part.args[0] is None
                 or not _is_radius_search(part, id(part) in one)
@@ -32,20 +32,22 @@ def check_wide_radius(checked: CheckContext, report: Report) -> None:
                 continue
             written = part.args[0]
             radius = _radius(written, checked.program.params)
-            if radius is None or radius.u or radius.number <= _LENGTHS * size:
+            if radius is None or radius.u or radius.number <= _MAX_BODY_LENGTHS * size:
                 continue
             own = [each.span for each in _named_values(written) if each.span.source.path == species.span.source.path]
             span = own[-1] if own else written.span
             message = f"within {quote_source(span)} there are all agents: that is {radius.number / size:,.0f} body lengths"
-            advice = f"write some body lengths, such as `3 * size`; of all within it the {limits.NEIGHBOURS} nearest count"
+            advice = (
+                f"write some body lengths, such as `3 * size`; of all within it the {limits.MAX_QUERY_NEIGHBOURS} nearest count"
+            )
             report.warning("wide-radius", message, span, advice)
 
 
-def _is_radius_search(part: SetOf, only_the_nearest: bool) -> bool:
+def _is_radius_search(part: SetExpr, only_the_nearest: bool) -> bool:
     """Return whether a set goes through the agents within a radius. The nearest one of all is found without that."""
     if part.source == "neighbours":
         return True
-    return part.source == "all" and part.element.type.kind is Kind.AGENT and not (only_the_nearest and part.where is None)
+    return part.source == "all" and part.element.type.kind is TypeKind.AGENT and not (only_the_nearest and part.where is None)
 
 
 def _named_values(expr: Expr) -> list[Expr]:
@@ -57,7 +59,7 @@ def _named_values(expr: Expr) -> list[Expr]:
     return exprs
 
 
-def _radius(expr: Expr, params: Mapping[str, Param]) -> Const | None:
+def _radius(expr: Expr, params: Mapping[str, Param]) -> Constant | None:
     """Return the constant value of a radius; a param counts by its default."""
     last = _named_values(expr)[-1]
     return constant_behind(params[last.name].default if isinstance(last, ParamRef) and last.name in params else last)
@@ -66,5 +68,5 @@ def _radius(expr: Expr, params: Mapping[str, Param]) -> Const | None:
 def _max_body_size(species: Species, params: Mapping[str, Param]) -> float:
     """The largest that a body can be, in mm, as far as the program shows."""
     written = next((a.default for a in species.attributes if a.name == "size"), None)
-    high = range_of(written, params, {}).high if written is not None else _SIZE
-    return high if 0 < high < limits.LARGEST else _SIZE
+    high = range_of(written, params, {}).high if written is not None else _DEFAULT_BODY_SIZE_MM
+    return high if 0 < high < limits.MAX_NUMBER else _DEFAULT_BODY_SIZE_MM

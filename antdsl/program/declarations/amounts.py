@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from antdsl.diagnostics import Fix
-from antdsl.program.kinds import Dim, Kind, Type
-from antdsl.program.names.scope import Scope
+from antdsl.program.kinds import Dimension, TypeKind, ValueType
+from antdsl.program.names.scope import NameScope
 from antdsl.program.tables.units import combine_dimensions
 from antdsl.program.typed import Expr
 from antdsl.program.types.descriptions import is_compatible, quote_source, report_mismatch
@@ -15,7 +15,7 @@ from antdsl.syntax import nodes
 
 
 @dataclass(frozen=True, slots=True)
-class Block:
+class StatementContext:
     """The context of statements. `body`: they run in each step. `commuting`: they are in a handler, where several events may
     arrive at once."""
 
@@ -23,20 +23,26 @@ class Block:
     commuting: bool = False
 
 
-BODY = Block(body=True)
-ACTION = Block(body=False)
-HANDLER = Block(body=False, commuting=True)
+BODY_CONTEXT = StatementContext(body=True)
+ACTION_CONTEXT = StatementContext(body=False)
+HANDLER_CONTEXT = StatementContext(body=False, commuting=True)
 
 
 def amount_or_rate(
-    scope: Scope, node: nodes.Expr, type: Type, block: Block, prefix: str, suffix: str = "", level: bool = False
+    scope: NameScope,
+    node: nodes.Expr,
+    type: ValueType,
+    block: StatementContext,
+    prefix: str,
+    suffix: str = "",
+    level: bool = False,
 ) -> Expr | None:
     """Return the added value: a rate per second in a state's body, else an amount; with `level` always an amount. `prefix` and
     `suffix`: the author's words around it."""
-    per_second = Type(type.kind, combine_dimensions(type.dim, Dim(time=1), -1))
+    per_second = ValueType(type.kind, combine_dimensions(type.dim, Dimension(time=1), -1))
     want = per_second if block.body else type
     expr = value(scope, node, want)
-    if expr.type.kind is Kind.BAD:
+    if expr.type.kind is TypeKind.BAD:
         return None
     if level and expr.type == type:
         return expr

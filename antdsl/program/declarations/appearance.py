@@ -7,65 +7,71 @@ from dataclasses import replace
 
 from antdsl.diagnostics import Label
 from antdsl.program import model
-from antdsl.program.declarations.amounts import Block
-from antdsl.program.kinds import NUMBER, TIME, Dim, Kind, Type
-from antdsl.program.names.scope import Scope
+from antdsl.program.declarations.amounts import StatementContext
+from antdsl.program.kinds import NUMBER_TYPE, TIME_TYPE, Dimension, TypeKind, ValueType
+from antdsl.program.names.scope import NameScope
 from antdsl.program.typed import Expr
-from antdsl.program.types.arguments import Slot, arrange_arguments, place, type_arguments
+from antdsl.program.types.arguments import ArgumentSlot, arrange_arguments, place, type_arguments
 from antdsl.program.types.folding import constant_behind
 from antdsl.program.types.operators import condition, value_of_type
 from antdsl.syntax import nodes
 
-_NUMBERS, _NAMES, _CONDITIONS = ("speed", "weight"), ("on", "left", "right", "up", "down"), ("again", "add")
-_CLIP_SLOTS = tuple(
-    Slot(name, required=False) for name in ("speed", "weight", "on", "again", "add", "left", "right", "up", "down")
+_NUMBER_ARGUMENTS, _NAME_ARGUMENTS, _CONDITION_ARGUMENTS = (
+    ("speed", "weight"),
+    ("on", "left", "right", "up", "down"),
+    ("again", "add"),
 )
-_SLOTS = (Slot("at", required=True), Slot("within", required=False), Slot("over", required=False))
-_ANGLE = Type(Kind.NUMBER, Dim(angle=1))
-_WIDEST = 3.1415927  # rad
+_CLIP_SLOTS = tuple(
+    ArgumentSlot(name, required=False) for name in ("speed", "weight", "on", "again", "add", "left", "right", "up", "down")
+)
+_LOOK_SLOTS = (ArgumentSlot("at", required=True), ArgumentSlot("within", required=False), ArgumentSlot("over", required=False))
+_ANGLE_TYPE = ValueType(TypeKind.NUMBER, Dimension(angle=1))
+_MAX_ANGLE = 3.1415927  # rad
 
 
-def wear(scope: Scope, line: nodes.Ask, block: Block) -> model.Wear | None:
+def wear(scope: NameScope, line: nodes.Ask, block: StatementContext) -> model.Wear | None:
     """`wear helmet`, `wear load when load > 0`; None after a complaint."""
     assert line.name is not None
     when = None if line.when is None else condition(scope, line.when, "`when`")
-    if _is_misplaced(scope, line, block) or (when is not None and when.type.kind is Kind.BAD):
+    if _is_misplaced(scope, line, block) or (when is not None and when.type.kind is TypeKind.BAD):
         return None
     return model.Wear(line.name.text, when, line.span)
 
 
-def channel(scope: Scope, line: nodes.Ask, block: Block) -> model.Channel | None:
+def channel(scope: NameScope, line: nodes.Ask, block: StatementContext) -> model.Channel | None:
     """`channel jaw = load`; None after a complaint."""
     assert line.name is not None and line.amount is not None
-    value = value_of_type(scope, line.amount, NUMBER, f"`channel {line.name.text}`")
-    if _is_misplaced(scope, line, block) or value.type.kind is Kind.BAD:
+    value = value_of_type(scope, line.amount, NUMBER_TYPE, f"`channel {line.name.text}`")
+    if _is_misplaced(scope, line, block) or value.type.kind is TypeKind.BAD:
         return None
     return model.Channel(line.name.text, value, line.span)
 
 
-def look(scope: Scope, line: nodes.Ask, block: Block) -> model.Look | None:
+def look(scope: NameScope, line: nodes.Ask, block: StatementContext) -> model.Look | None:
     """`look head(at: meal, within: 60 deg, over: 0.2 s)`; None after a complaint."""
     assert line.name is not None
-    arguments_by_slot = arrange_arguments(scope, "look", _SLOTS, line, f"look {line.name.text}")
+    arguments_by_slot = arrange_arguments(scope, "look", _LOOK_SLOTS, line, f"look {line.name.text}")
     if arguments_by_slot is None:
         type_arguments(scope, line)
         return None
     argument_nodes = {name: arguments[0].value for name, arguments in arguments_by_slot.items()}
     at = place(scope, argument_nodes["at"], "`at` of `look`")
-    within = value_of_type(scope, argument_nodes["within"], _ANGLE, "`within` of `look`") if "within" in argument_nodes else None
-    over = value_of_type(scope, argument_nodes["over"], TIME, "`over` of `look`") if "over" in argument_nodes else None
+    within = (
+        value_of_type(scope, argument_nodes["within"], _ANGLE_TYPE, "`within` of `look`") if "within" in argument_nodes else None
+    )
+    over = value_of_type(scope, argument_nodes["over"], TIME_TYPE, "`over` of `look`") if "over" in argument_nodes else None
     said = [each for each in (at, within, over) if each is not None]
-    if _is_misplaced(scope, line, block) or any(each.type.kind is Kind.BAD for each in said):
+    if _is_misplaced(scope, line, block) or any(each.type.kind is TypeKind.BAD for each in said):
         return None
     widest = None if within is None else constant_behind(within)
-    if within is not None and widest is not None and not 0 < widest.number <= _WIDEST:
+    if within is not None and widest is not None and not 0 < widest.number <= _MAX_ANGLE:
         message = f"`{' '.join(within.span.text.split())}` is not an angle by which a body can turn its {line.name.text}"
         scope.report.error("out-of-range", message, within.span, "write an angle above `0 deg`, `180 deg` at most")
         return None
     return model.Look(line.name.text, at, within, over, line.span)
 
 
-def check_duplicates(scope: Scope, node: nodes.State) -> None:
+def check_duplicates(scope: NameScope, node: nodes.State) -> None:
     """Report a state that sets a channel twice, or turns one transform group to two places."""
     first: dict[tuple[str, str], nodes.Ask] = {}
     for line in node.body:
@@ -79,7 +85,7 @@ def check_duplicates(scope: Scope, node: nodes.State) -> None:
             scope.report.error("two-writers", words, line.span, advice, labels=(Label(first_line.span, "first here"),))
 
 
-def _is_misplaced(scope: Scope, line: nodes.Ask, block: Block) -> bool:
+def _is_misplaced(scope: NameScope, line: nodes.Ask, block: StatementContext) -> bool:
     """Whether a line stands in an action, after a complaint."""
     if not block.body:
         form = f"{line.verb} {line.name.text if line.name is not None else ''}"
@@ -88,7 +94,7 @@ def _is_misplaced(scope: Scope, line: nodes.Ask, block: Block) -> bool:
     return not block.body
 
 
-def play(scope: Scope, line: nodes.Ask, block: Block) -> model.Play | None:
+def play(scope: NameScope, line: nodes.Ask, block: StatementContext) -> model.Play | None:
     """`play walk`, `play walk(speed: 0.5)`, `play wave(on: arms, weight: 0.8)`; None after a complaint."""
     assert line.name is not None
     clip = line.name.text
@@ -102,17 +108,17 @@ def play(scope: Scope, line: nodes.Ask, block: Block) -> model.Play | None:
         return None
     argument_nodes = {name: arguments[0].value for name, arguments in arguments_by_slot.items()}
     said: dict[str, Expr] = {}
-    for name in (each for each in (*_NUMBERS, *_CONDITIONS) if each in argument_nodes):
+    for name in (each for each in (*_NUMBER_ARGUMENTS, *_CONDITION_ARGUMENTS) if each in argument_nodes):
         who = f"`{name}` of `play`"
         node = argument_nodes[name]
-        said[name] = value_of_type(scope, node, NUMBER, who) if name in _NUMBERS else condition(scope, node, who)
-    names = {name: _name_argument(scope, clip, name, argument_nodes[name]) for name in _NAMES if name in argument_nodes}
-    if any(each.type.kind is Kind.BAD for each in said.values()) or None in names.values():
+        said[name] = value_of_type(scope, node, NUMBER_TYPE, who) if name in _NUMBER_ARGUMENTS else condition(scope, node, who)
+    names = {name: _name_argument(scope, clip, name, argument_nodes[name]) for name in _NAME_ARGUMENTS if name in argument_nodes}
+    if any(each.type.kind is TypeKind.BAD for each in said.values()) or None in names.values():
         return None
     if not all([_is_valid_value(scope, clip, name, each) for name, each in said.items()]):
         return None
     add = constant_behind(said["add"]) if "add" in said else None
-    on, left, right, up, down = (names.get(name) or "" for name in _NAMES)
+    on, left, right, up, down = (names.get(name) or "" for name in _NAME_ARGUMENTS)
     return model.Play(
         clip, on, said.get("speed"), said.get("weight"), line.span, said.get("again"), add is not None and add.number != 0,
         (left, right, up, down),
@@ -121,11 +127,14 @@ def play(scope: Scope, line: nodes.Ask, block: Block) -> model.Play | None:
 
 def _without_names(line: nodes.Ask) -> nodes.Ask:
     """The line without the arguments that are names of the body's, which are no expressions."""
-    named = [isinstance(each, nodes.Argument) and each.name is not None and each.name.text in _NAMES for each in line.arguments]
+    named = [
+        isinstance(each, nodes.Argument) and each.name is not None and each.name.text in _NAME_ARGUMENTS
+        for each in line.arguments
+    ]
     return replace(line, arguments=tuple(each for each, of_body in zip(line.arguments, named, strict=True) if not of_body))
 
 
-def _name_argument(scope: Scope, clip: str, argument: str, node: nodes.Expr) -> str | None:
+def _name_argument(scope: NameScope, clip: str, argument: str, node: nodes.Expr) -> str | None:
     """Return a name of the body in an argument; None after an error."""
     if isinstance(node, nodes.NameRef):
         return node.name.text
@@ -135,7 +144,7 @@ def _name_argument(scope: Scope, clip: str, argument: str, node: nodes.Expr) -> 
     return None
 
 
-def _is_valid_value(scope: Scope, clip: str, argument: str, expr: Expr) -> bool:
+def _is_valid_value(scope: NameScope, clip: str, argument: str, expr: Expr) -> bool:
     """Return whether a value suits its argument; report an error for an unsuitable constant."""
     known = constant_behind(expr)
     text = " ".join(expr.span.text.split())
@@ -154,7 +163,7 @@ def _is_valid_value(scope: Scope, clip: str, argument: str, expr: Expr) -> bool:
     return not words
 
 
-def check_single_clip(scope: Scope, node: nodes.State) -> None:
+def check_single_clip(scope: NameScope, node: nodes.State) -> None:
     """Complain about a state that plays several clips."""
     lines = [line for line in node.body if isinstance(line, nodes.Ask) and line.verb == "play"]
     for line in lines[1:]:

@@ -3,28 +3,28 @@
 from __future__ import annotations
 
 from antdsl.program import model
-from antdsl.program.declarations.amounts import Block, amount_or_rate
-from antdsl.program.kinds import BAD, Kind, Type
-from antdsl.program.names.collect import EVENTS
-from antdsl.program.names.scope import Scope, bad_expression, did_you_mean, is_known_missing, type_from_words
+from antdsl.program.declarations.amounts import StatementContext, amount_or_rate
+from antdsl.program.kinds import BAD_TYPE, TypeKind, ValueType
+from antdsl.program.names.collect import BUILTIN_EVENTS
+from antdsl.program.names.scope import NameScope, bad_expression, did_you_mean, is_known_missing, type_from_words
 from antdsl.program.tables.defaults import default_values
-from antdsl.program.tables.effects import EFFECTS, Effect
-from antdsl.program.tables.rows import Arg
+from antdsl.program.tables.effects import EFFECT_BY_OPERATION, Effect
+from antdsl.program.tables.rows import ArgumentRow
 from antdsl.program.tables.things import replacements
 from antdsl.program.tables.units import default_unit, measure
 from antdsl.program.typed import Expr
-from antdsl.program.types.arguments import Slot, arrange_arguments, type_arguments
+from antdsl.program.types.arguments import ArgumentSlot, arrange_arguments, type_arguments
 from antdsl.program.types.calls import check_row_limits
 from antdsl.program.types.descriptions import quote_source, report_mismatch
 from antdsl.program.types.operators import value, value_of_type
 from antdsl.syntax import nodes
 
-Written = dict[str, nodes.Expr]
+WrittenArguments = dict[str, nodes.Expr]
 
 
-def ask(scope: Scope, line: nodes.Ask, block: Block) -> model.Ask | None:
+def ask(scope: NameScope, line: nodes.Ask, block: StatementContext) -> model.EffectRequest | None:
     """The statement, or None after a complaint."""
-    row = EFFECTS[line.verb]
+    row = EFFECT_BY_OPERATION[line.verb]
     of = line.name.text if line.name is not None else ""
     form = f"{row.op} {of}".rstrip()
     written = _written_arguments(scope, row, line, form)
@@ -48,29 +48,29 @@ def ask(scope: Scope, line: nodes.Ask, block: Block) -> model.Ask | None:
         if arg_value is not None:
             sample = f"{form}({arg.name}: {arg.sample})" if arg.sample else ""
             check_row_limits(scope, arg, f"`{arg.name}` of `{row.op}`", arg_value.span, arg_value, sample)
-    if any(arg_value is not None and arg_value.type.kind is Kind.BAD for arg_value in args):
+    if any(arg_value is not None and arg_value.type.kind is TypeKind.BAD for arg_value in args):
         return None
     per_second = block.body and line.amount is not None and args[0] is not None and args[0].type != argument_type(row.numbers[0])
     key = scope.keys.next(row.op) if row.draws else ""
-    return model.Ask(row.op, of, tuple(args), line.span, own, per_second, key)
+    return model.EffectRequest(row.op, of, tuple(args), line.span, own, per_second, key)
 
 
-def argument_type(arg: Arg) -> Type:
+def argument_type(arg: ArgumentRow) -> ValueType:
     """Return the type of an argument. For an added value or an attribute of the agent, it is the type after the first word."""
     first, _, rest = arg.type.partition(" ")
     if first == "own" and (unit := measure(rest)) is not None:
-        return Type(Kind.NUMBER, unit.dim)
-    return type_from_words(rest if first in ("added", "own") else arg.type) or BAD
+        return ValueType(TypeKind.NUMBER, unit.dim)
+    return type_from_words(rest if first in ("added", "own") else arg.type) or BAD_TYPE
 
 
-def _written_arguments(scope: Scope, row: Effect, line: nodes.Ask, form: str) -> Written | None:
+def _written_arguments(scope: NameScope, row: Effect, line: nodes.Ask, form: str) -> WrittenArguments | None:
     """Return the argument nodes by name; None after an error."""
     if line.amount is not None:
         return {row.args[0].name: line.amount}
     behind = {} if line.to is None else {"to": line.to}
     if not line.arguments:
         return behind
-    slots = [Slot(arg.name, required=arg.default is None and not arg.optional) for arg in row.args if arg.type != "agent"]
+    slots = [ArgumentSlot(arg.name, required=arg.default is None and not arg.optional) for arg in row.args if arg.type != "agent"]
     arguments_by_slot = arrange_arguments(scope, row.op, slots, line, form)
     if arguments_by_slot is None:
         type_arguments(scope, line)
@@ -79,7 +79,13 @@ def _written_arguments(scope: Scope, row: Effect, line: nodes.Ask, form: str) ->
 
 
 def _argument_value(
-    scope: Scope, row: Effect, line: nodes.Ask, arg: Arg, written: Written, block: Block, form: str
+    scope: NameScope,
+    row: Effect,
+    line: nodes.Ask,
+    arg: ArgumentRow,
+    written: WrittenArguments,
+    block: StatementContext,
+    form: str,
 ) -> Expr | None:
     """Return the value of an argument; None if it is absent, BAD after an error."""
     node = written.get(arg.name)
@@ -93,17 +99,17 @@ def _argument_value(
     return amount_or_rate(scope, node, argument_type(arg), block, f"{form} ", level=level) or bad_expression(node.span)
 
 
-def _recipient(scope: Scope, row: Effect, line: nodes.Ask, node: nodes.Expr) -> Expr:
+def _recipient(scope: NameScope, row: Effect, line: nodes.Ask, node: nodes.Expr) -> Expr:
     """Return the one agent that a line addresses, of a species that handles its event."""
     expr = value(scope, node)
-    if expr.type.kind is Kind.BAD:
+    if expr.type.kind is TypeKind.BAD:
         return expr
     text = " ".join(node.span.text.split())
-    if expr.type.kind is Kind.SPECIES:
+    if expr.type.kind is TypeKind.SPECIES:
         message = f"`{text}` is a whole species, but `{row.op} … to` needs one agent"
         return scope.reject("wrong-kind", message, node.span, f"name one: `to nearest({text})`")
-    if expr.type.kind is not Kind.AGENT:
-        return report_mismatch(scope.report, node, expr.type, Type(Kind.AGENT), f"`{row.op} … to`")
+    if expr.type.kind is not TypeKind.AGENT:
+        return report_mismatch(scope.report, node, expr.type, ValueType(TypeKind.AGENT), f"`{row.op} … to`")
     if expr.type.of is None:
         advice = "name the species where you search for the agent, such as `nearest(neighbours(20 mm, of: rabbit))`"
         return scope.reject("wrong-argument", f"it is not known of which species {quote_source(node.span)} is", node.span, advice)
@@ -112,7 +118,7 @@ def _recipient(scope: Scope, row: Effect, line: nodes.Ask, node: nodes.Expr) -> 
     return expr
 
 
-def _own_attribute(scope: Scope, row: Effect, arg: Arg, node: nodes.Expr) -> str | None:
+def _own_attribute(scope: NameScope, row: Effect, arg: ArgumentRow, node: nodes.Expr) -> str | None:
     """The attribute of the agent's that an argument names."""
     species, want = scope.species, argument_type(arg)
     assert species is not None
@@ -133,7 +139,7 @@ def _own_attribute(scope: Scope, row: Effect, arg: Arg, node: nodes.Expr) -> str
     return None
 
 
-def _reports_missing(scope: Scope, row: Effect, line: nodes.Ask, written: Written, form: str) -> bool:
+def _reports_missing(scope: NameScope, row: Effect, line: nodes.Ask, written: WrittenArguments, form: str) -> bool:
     """Report a line without brackets that needs them."""
     missing = [arg for arg in row.args if arg.default is None and not arg.optional and arg.name not in written]
     if missing:
@@ -143,7 +149,7 @@ def _reports_missing(scope: Scope, row: Effect, line: nodes.Ask, written: Writte
     return bool(missing)
 
 
-def _is_declared(scope: Scope, row: Effect, name: nodes.Name | None) -> bool:
+def _is_declared(scope: NameScope, row: Effect, name: nodes.Name | None) -> bool:
     """Return whether the thing that a line names is declared; report an error if not. An event is declared by being emitted."""
     if name is None:
         return True
@@ -151,10 +157,10 @@ def _is_declared(scope: Scope, row: Effect, name: nodes.Name | None) -> bool:
     scope.mark_used(row.op, text)
     match row.target:
         case "event":
-            if text in EVENTS:
+            if text in BUILTIN_EVENTS:
                 words = f"`{text}` is a computed event, so no agent can `{row.op}` it"
                 scope.report.error("wrong-argument", words, name.span, f"give the event another name, such as `{row.op} bump`")
-            return text not in EVENTS
+            return text not in BUILTIN_EVENTS
         case "field":
             known, otherwise = list(declared.fields), f"field {text} on … {{ cell 4 mm; half_life 8 s }}"
             kind, code, message = "field", "unknown-field", f"no field `{text}`"
@@ -172,7 +178,7 @@ def _is_declared(scope: Scope, row: Effect, name: nodes.Name | None) -> bool:
     return text in known
 
 
-def _combines_by_max(scope: Scope, name: str) -> bool:
+def _combines_by_max(scope: NameScope, name: str) -> bool:
     """Return whether a field has `combine max`. Nothing is added there, so a line of a state may set a lower bound for its
     cell."""
     field = scope.declared.fields.get(name)

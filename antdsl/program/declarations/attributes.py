@@ -7,11 +7,11 @@ from collections.abc import Mapping
 from antdsl.diagnostics.suggestion import nearest_name
 from antdsl.program import model
 from antdsl.program.declarations.behaviours import declared_type
-from antdsl.program.kinds import BAD
-from antdsl.program.model import Expr, Kind
+from antdsl.program.kinds import BAD_TYPE
+from antdsl.program.model import Expr, TypeKind
 from antdsl.program.names.ordering import order_declarations
 from antdsl.program.names.scope import (
-    Scope,
+    NameScope,
     StableKeys,
     bad_expression,
     did_you_mean,
@@ -20,26 +20,26 @@ from antdsl.program.names.scope import (
     type_from_words,
 )
 from antdsl.program.tables.defaults import parse_product
-from antdsl.program.tables.vocabulary import BUILTIN_ATTRIBUTES, BUILTINS, OTHER_SENSES, REDUCERS
+from antdsl.program.tables.vocabulary import BUILTIN_ATTRIBUTE_BY_NAME, BUILTINS_BY_NAME, REDUCER_HELP, SENSE_REPLACEMENTS
 from antdsl.program.types.descriptions import quote_source, type_words
 from antdsl.program.types.folding import constant_behind
 from antdsl.program.types.operators import value, value_of_type
 from antdsl.source import Span
 from antdsl.syntax import nodes
-from antdsl.syntax.words import WORDS
+from antdsl.syntax.words import LANGUAGE_WORDS
 
-_STORED = (Kind.NUMBER, Kind.VECTOR, Kind.BOOL, Kind.ITEM, Kind.AGENT, Kind.BAD)
-_MAY_BE_0 = ("radius", "clearance", "min_speed")
-_EARLY = "starting values are computed before the animal has sensed anything"
+_STORABLE_KINDS = (TypeKind.NUMBER, TypeKind.VECTOR, TypeKind.BOOL, TypeKind.ITEM, TypeKind.AGENT, TypeKind.BAD)
+_ZERO_ALLOWED_ATTRIBUTES = ("radius", "clearance", "min_speed")
+_TOO_EARLY_REASON = "starting values are computed before the animal has sensed anything"
 
 
 # --- attributes ------------------------------------------------------------------------------------------------------
 
 
-def attributes(scope: Scope, node: nodes.Species) -> list[model.AttributeDecl]:
+def attributes(scope: NameScope, node: nodes.Species) -> list[model.AttributeDecl]:
     """Return built-in and own attributes, ordered so that an attribute comes after those that it starts from."""
     declared: dict[str, nodes.Declaration | nodes.AnimalProperty] = {}
-    for name, row in BUILTIN_ATTRIBUTES.items():
+    for name, row in BUILTIN_ATTRIBUTE_BY_NAME.items():
         if row.settable and row.default is not None:
             declared[name] = nodes.AnimalProperty(
                 nodes.Name(name, node.name.span), parse_product(row.default, node.name.span), None, node.name.span
@@ -52,7 +52,7 @@ def attributes(scope: Scope, node: nodes.Species) -> list[model.AttributeDecl]:
             if _is_settable(scope, member):
                 declared[member.name.text] = member
             written.setdefault(member.name.text, member.name.span)
-        elif isinstance(member, nodes.Declaration) and member.name.text not in BUILTIN_ATTRIBUTES:
+        elif isinstance(member, nodes.Declaration) and member.name.text not in BUILTIN_ATTRIBUTE_BY_NAME:
             declared.setdefault(member.name.text, member)
     order, circular = order_declarations(scope.report, "starting values", declared, lambda d: [d.value], lambda d: d.name)
     declarations = [_attribute(scope, each, each.name.text in circular) for each in order]
@@ -61,7 +61,7 @@ def attributes(scope: Scope, node: nodes.Species) -> list[model.AttributeDecl]:
 
 
 def _check_speeds(
-    scope: Scope, declarations: list[model.AttributeDecl], declared: Mapping[str, nodes.Declaration | nodes.AnimalProperty]
+    scope: NameScope, declarations: list[model.AttributeDecl], declared: Mapping[str, nodes.Declaration | nodes.AnimalProperty]
 ) -> None:
     """Check that the lowest speed of a species is not above the highest, if both are known."""
     known = {each.name: constant_behind(each.default) for each in declarations if each.name in ("min_speed", "max_speed")}
@@ -70,15 +70,15 @@ def _check_speeds(
         return
     place, fastest = declared["min_speed"].value.span, declared["max_speed"]
     usual = fastest.span == fastest.name.span  # it is what it is where nothing is written
-    text = f"`{BUILTIN_ATTRIBUTES['max_speed'].default}`" if usual else quote_source(fastest.value.span)
+    text = f"`{BUILTIN_ATTRIBUTE_BY_NAME['max_speed'].default}`" if usual else quote_source(fastest.value.span)
     scope.report.error("out-of-range", f"`min_speed` is more than `max_speed`, which is {text}", place, f"write {text} or less")
 
 
-def _is_settable(scope: Scope, member: nodes.AnimalProperty) -> bool:
-    row, name = BUILTIN_ATTRIBUTES.get(member.name.text), member.name
+def _is_settable(scope: NameScope, member: nodes.AnimalProperty) -> bool:
+    row, name = BUILTIN_ATTRIBUTE_BY_NAME.get(member.name.text), member.name
     if row is not None and row.settable:
         return True
-    known = [n for n, g in BUILTIN_ATTRIBUTES.items() if g.settable]
+    known = [n for n, g in BUILTIN_ATTRIBUTE_BY_NAME.items() if g.settable]
     if row is None and scope.species and isinstance(member.value, nodes.NameRef) and is_state_name(scope, member.value.name.text):
         known = ["start"]  # `strat search`: only that word is followed by a state
         if nearest_name(name.text, known):
@@ -103,38 +103,38 @@ def _is_settable(scope: Scope, member: nodes.AnimalProperty) -> bool:
 
 def _correct_place(word: str) -> str | None:
     """Return where a line belongs that begins with a sense or another word of the language; no attribute can have such a name."""
-    if word in OTHER_SENSES:
-        return f"write the sense where its value is needed: {OTHER_SENSES[word].replace('X', 'food')}"
-    if word in BUILTINS or word in REDUCERS:
+    if word in SENSE_REPLACEMENTS:
+        return f"write the sense where its value is needed: {SENSE_REPLACEMENTS[word].replace('X', 'food')}"
+    if word in BUILTINS_BY_NAME or word in REDUCER_HELP:
         return f"`{word}` belongs where its value is needed: `let x = {word}(…)`"
-    return f"`{word}` is a word of the language and begins no line here" if word in WORDS else None
+    return f"`{word}` is a word of the language and begins no line here" if word in LANGUAGE_WORDS else None
 
 
-def is_state_name(scope: Scope, word: str) -> bool:
+def is_state_name(scope: NameScope, word: str) -> bool:
     return scope.species is not None and any(word in machine.states for machine in scope.species.machines.values())
 
 
-def _attribute(scope: Scope, node: nodes.Declaration | nodes.AnimalProperty, circular: bool) -> model.AttributeDecl:
+def _attribute(scope: NameScope, node: nodes.Declaration | nodes.AnimalProperty, circular: bool) -> model.AttributeDecl:
     names, name = scope.species, node.name.text
     assert names is not None
-    inner = scope.with_changes(keys=StableKeys(f"{names.name}.{name}"), no_let=_EARLY, runs_once=True)
+    inner = scope.with_changes(keys=StableKeys(f"{names.name}.{name}"), no_let=_TOO_EARLY_REASON, runs_once=True)
     help = node.help.text if node.help else ""
     if isinstance(node, nodes.AnimalProperty):
-        type = type_from_words(BUILTIN_ATTRIBUTES[name].type) or BAD
+        type = type_from_words(BUILTIN_ATTRIBUTE_BY_NAME[name].type) or BAD_TYPE
         default = bad_expression(node.value.span) if circular else value_of_type(inner, node.value, type, f"`{name}`")
         _check_positive(scope, node, default)
         return model.AttributeDecl(name, type, default, True, help, node.name.span)
     stated = declared_type(scope, node.type) if node.type is not None else None
-    stated = None if stated == BAD else stated
+    stated = None if stated == BAD_TYPE else stated
     if circular:
         default = bad_expression(node.value.span)
     else:
         default = value(inner, node.value) if stated is None else value_of_type(inner, node.value, stated, f"`{name}`")
     type = stated or default.type
-    if type.kind not in _STORED:
+    if type.kind not in _STORABLE_KINDS:
         advice = "an attribute is a number, a vector, a yes or no, an item or an agent"
         scope.report.error("wrong-kind", f"{type_words(type)} cannot be an attribute", node.value.span, advice)
-        type = BAD
+        type = BAD_TYPE
     names.attributes[name] = type
     if node.each is not None:
         names.each[name] = node.each.species.text
@@ -144,8 +144,10 @@ def _attribute(scope: Scope, node: nodes.Declaration | nodes.AnimalProperty, cir
     return model.AttributeDecl(name, type, default, False, help, node.name.span)
 
 
-def _check_positive(scope: Scope, node: nodes.AnimalProperty, default: Expr) -> None:
+def _check_positive(scope: NameScope, node: nodes.AnimalProperty, default: Expr) -> None:
     constant = constant_behind(default)
-    if constant is not None and (constant.number < 0 or (constant.number == 0 and node.name.text not in _MAY_BE_0)):
-        help = "write 0 or more" if node.name.text in _MAY_BE_0 else "write more than 0"
+    if constant is not None and (
+        constant.number < 0 or (constant.number == 0 and node.name.text not in _ZERO_ALLOWED_ATTRIBUTES)
+    ):
+        help = "write 0 or more" if node.name.text in _ZERO_ALLOWED_ATTRIBUTES else "write more than 0"
         scope.report.error("out-of-range", f"`{node.name.text}` cannot be {quote_source(node.value.span)}", node.value.span, help)

@@ -6,12 +6,12 @@ from collections.abc import Mapping
 
 from antdsl import limits
 from antdsl.diagnostics import Label, Report
-from antdsl.program.kinds import BAD
-from antdsl.program.model import Binding, Expr, InlinedBehaviour, Kind, Op, Rate, Type
+from antdsl.program.kinds import BAD_TYPE
+from antdsl.program.model import Binding, ChangeRate, Expr, InlinedBehaviour, OperationExpr, TypeKind, ValueType
 from antdsl.program.names.scope import (
     BehaviourInfo,
-    Declared,
-    Scope,
+    Declarations,
+    NameScope,
     StableKeys,
     bad_expression,
     did_you_mean,
@@ -19,17 +19,17 @@ from antdsl.program.names.scope import (
     report_duplicate,
     type_from_words,
 )
-from antdsl.program.tables.vocabulary import BUILTINS, TYPE_WORDS
+from antdsl.program.tables.vocabulary import BUILTINS_BY_NAME, TYPE_BY_WORD
 from antdsl.program.traverse import written_nodes
-from antdsl.program.types.arguments import Slot, arrange_arguments, place, type_arguments
+from antdsl.program.types.arguments import ArgumentSlot, arrange_arguments, place, type_arguments
 from antdsl.program.types.descriptions import is_compatible, quote_source, report_mismatch, type_words
-from antdsl.program.types.expressions import THINGS
+from antdsl.program.types.expressions import THING_KINDS
 from antdsl.program.types.operators import value, value_of_type
 from antdsl.syntax import nodes
 
-_STORED = frozenset({Kind.NUMBER, Kind.VECTOR, Kind.BOOL, Kind.ITEM, Kind.AGENT, Kind.BAD})
-_DRAWING = frozenset({"uniform", "normal", "pick", "random"})
-_DEEPEST = 100  # of behaviours inside behaviours, counted in operations
+_STORABLE_KINDS = frozenset({TypeKind.NUMBER, TypeKind.VECTOR, TypeKind.BOOL, TypeKind.ITEM, TypeKind.AGENT, TypeKind.BAD})
+_DRAWING_FUNCTIONS = frozenset({"uniform", "normal", "pick", "random"})
+_MAX_NESTED_OPERATIONS = 100  # of behaviours inside behaviours, counted in operations
 
 
 # --- what a behaviour costs ------------------------------------------------------------------------------------------
@@ -69,7 +69,7 @@ def _measure(info: BehaviourInfo) -> None:
         elif isinstance(part, nodes.Unary) and part.op == "chance":
             info.draws = True
         elif isinstance(part, nodes.Call):
-            if isinstance(part.function, nodes.NameRef) and part.function.name.text in _DRAWING:
+            if isinstance(part.function, nodes.NameRef) and part.function.name.text in _DRAWING_FUNCTIONS:
                 info.draws = True
             called = _find_behaviour(info, part)
             if called is not None:
@@ -79,7 +79,7 @@ def _measure(info: BehaviourInfo) -> None:
 def _find_behaviour(info: BehaviourInfo, call: nodes.Call) -> BehaviourInfo | None:
     function = call.function
     if isinstance(function, nodes.NameRef):
-        return None if function.name.text in BUILTINS else info.file.behaviour(function.name.text)
+        return None if function.name.text in BUILTINS_BY_NAME else info.file.behaviour(function.name.text)
     if isinstance(function, nodes.Member) and isinstance(function.owner, nodes.NameRef):
         module = info.file.aliases.get(function.owner.name.text)
         return module.own.get(function.name.text) if module else None
@@ -89,12 +89,12 @@ def _find_behaviour(info: BehaviourInfo, call: nodes.Call) -> BehaviourInfo | No
 def _add_up(report: Report, info: BehaviourInfo) -> None:
     if info.state == "circular":
         return
-    info.size = min(limits.NODES * 2, info.size + sum(called.size for called in info.calls))
+    info.size = min(limits.MAX_TREE_NODES * 2, info.size + sum(called.size for called in info.calls))
     info.depth += max((called.depth for called in info.calls), default=0)
     info.keeps = info.keeps or any(called.keeps for called in info.calls)
     info.draws = info.draws or any(called.draws for called in info.calls)
     info.state = "circular" if any(called.state == "circular" for called in info.calls) else "sized"
-    if info.state == "sized" and info.depth > _DEEPEST + limits.EXPRESSION_DEPTH:
+    if info.state == "sized" and info.depth > _MAX_NESTED_OPERATIONS + limits.MAX_EXPRESSION_DEPTH:
         message = f"behaviour `{info.node.name.text}` calls others too many levels deep"
         report.error("too-deep", message, info.node.name.span, "put some of them together")
         info.state = "circular"
@@ -111,7 +111,7 @@ def _report_circle(report: Report, circle: list[BehaviourInfo]) -> None:
 # --- a behaviour alone -----------------------------------------------------------------------------------------------
 
 
-def check_behaviour(declared: Declared, info: BehaviourInfo, complain: bool = True) -> bool:
+def check_behaviour(declared: Declarations, info: BehaviourInfo, complain: bool = True) -> bool:
     """Check a behaviour once, with the declared types of its arguments; return whether it has no errors."""
     if info.state in ("ok", "broken"):
         return info.state == "ok"
@@ -131,9 +131,9 @@ def check_behaviour(declared: Declared, info: BehaviourInfo, complain: bool = Tr
     return sound
 
 
-def _check_parts(declared: Declared, info: BehaviourInfo, report: Report) -> None:
+def _check_parts(declared: Declarations, info: BehaviourInfo, report: Report) -> None:
     node, name = info.node, info.node.name.text
-    scope = Scope(declared, info.file, StableKeys(name), report, behaviour=name, generic=True)
+    scope = NameScope(declared, info.file, StableKeys(name), report, behaviour=name, generic=True)
     local: dict[str, Binding | Expr] = {}
     for argument in node.arguments:
         if argument.name.text in local:
@@ -143,7 +143,7 @@ def _check_parts(declared: Declared, info: BehaviourInfo, report: Report) -> Non
         type = argument_type(scope, argument)
         if argument.default is not None:
             _argument_value(scope.with_changes(locals=dict(local)), name, argument, argument.default, type)
-        local[argument.name.text] = Binding(argument.name.text, "argument", type, Rate.AGENT, argument.name.span)
+        local[argument.name.text] = Binding(argument.name.text, "argument", type, ChangeRate.AGENT, argument.name.span)
     body, result = _body(scope.with_changes(locals=local), info)
     returns = returned_type(scope, node)
     if not is_compatible(result.type, returns):
@@ -159,15 +159,15 @@ def _check_parts(declared: Declared, info: BehaviourInfo, report: Report) -> Non
             report.warning("unused-let", f"`{binding.name}` is never used", binding.span, "use it, or delete it")
 
 
-def argument_type(scope: Scope, argument: nodes.BehaviourArgument) -> Type:
+def argument_type(scope: NameScope, argument: nodes.BehaviourArgument) -> ValueType:
     return declared_type(scope, argument.type)
 
 
-def returned_type(scope: Scope, node: nodes.Behaviour) -> Type:
+def returned_type(scope: NameScope, node: nodes.Behaviour) -> ValueType:
     return declared_type(scope, node.returns)
 
 
-def declared_type(scope: Scope, written_type: nodes.TypeName) -> Type:
+def declared_type(scope: NameScope, written_type: nodes.TypeName) -> ValueType:
     name = written_type.name
     if written_type.of is not None:
         scope.bind_thing(written_type.of)
@@ -177,13 +177,13 @@ def declared_type(scope: Scope, written_type: nodes.TypeName) -> Type:
             "unknown-type",
             f"no type `{name.text}`",
             name.span,
-            did_you_mean(name.text, TYPE_WORDS, f"types are {', '.join(f'`{w}`' for w in TYPE_WORDS)}"),
+            did_you_mean(name.text, TYPE_BY_WORD, f"types are {', '.join(f'`{w}`' for w in TYPE_BY_WORD)}"),
         )
-        return BAD
+        return BAD_TYPE
     return type
 
 
-def _body(scope: Scope, info: BehaviourInfo) -> tuple[list[Binding], Expr]:
+def _body(scope: NameScope, info: BehaviourInfo) -> tuple[list[Binding], Expr]:
     """The lets and keeps of a behaviour in text order, then its result."""
     bindings: list[Binding] = []
     local = dict(scope.locals)
@@ -198,21 +198,21 @@ def _body(scope: Scope, info: BehaviourInfo) -> tuple[list[Binding], Expr]:
     return bindings, value(scope.with_changes(locals=local), info.node.result, returned_type(scope, info.node))
 
 
-def _let(scope: Scope, line: nodes.Let) -> Binding:
+def _let(scope: NameScope, line: nodes.Let) -> Binding:
     expr = scope.type_expression(line.value)
     return Binding(line.name.text, "let", expr.type, expr.rate, line.name.span, expr)
 
 
-def _keep(scope: Scope, line: nodes.Keep) -> Binding:
+def _keep(scope: NameScope, line: nodes.Keep) -> Binding:
     expected_type = declared_type(scope, line.type) if line.type else None
     who = f"`keep {line.name.text}`"
     first = value(scope, line.first) if expected_type is None else value_of_type(scope, line.first, expected_type, who)
     type = expected_type or first.type
-    if type.kind not in _STORED:
+    if type.kind not in _STORABLE_KINDS:
         message = f"{type_words(type)} cannot be stored"
         scope.report.error("wrong-kind", message, line.first.span, "store a number, a vector, a yes or no, an item or an agent")
     key = f"{scope.keys.path}.{line.name.text}"
-    binding = Binding(line.name.text, "keep", type, Rate.AGENT, line.name.span, first, None, key)
+    binding = Binding(line.name.text, "keep", type, ChangeRate.AGENT, line.name.span, first, None, key)
     inner = scope.with_changes(locals={**scope.locals, line.name.text: binding})
     # the next value may read the one before, so the binding is there first and is closed here, still inside this function
     object.__setattr__(binding, "then", value_of_type(inner, line.then, type, who))
@@ -222,7 +222,7 @@ def _keep(scope: Scope, line: nodes.Keep) -> Binding:
 # --- a call ----------------------------------------------------------------------------------------------------------
 
 
-def call_behaviour(scope: Scope, node: nodes.Call, want: Type | None) -> Expr:
+def call_behaviour(scope: NameScope, node: nodes.Call, want: ValueType | None) -> Expr:
     """The behaviour put in place of its call."""
     info = _called_behaviour(scope, node.function)
     if info is None:
@@ -234,7 +234,7 @@ def call_behaviour(scope: Scope, node: nodes.Call, want: Type | None) -> Expr:
     if not check_behaviour(scope.declared, info):
         type_arguments(scope, node)
         return bad_expression(node.span)
-    slots = [Slot(a.name.text, a.default is None) for a in info.node.arguments]
+    slots = [ArgumentSlot(a.name.text, a.default is None) for a in info.node.arguments]
     arguments_by_slot = arrange_arguments(scope, name, slots, node)
     if arguments_by_slot is None:
         type_arguments(scope, node)
@@ -246,14 +246,14 @@ def call_behaviour(scope: Scope, node: nodes.Call, want: Type | None) -> Expr:
     return _expand_call(scope, info, node, {slot: arguments[0].value for slot, arguments in arguments_by_slot.items()})
 
 
-def call_implicitly(scope: Scope, info: BehaviourInfo, node: nodes.Call) -> Expr:
+def call_implicitly(scope: NameScope, info: BehaviourInfo, node: nodes.Call) -> Expr:
     """Return a behaviour without arguments, expanded for a call that the language itself makes; `node` gives the place."""
     if not check_behaviour(scope.declared, info) or not _is_allowed(scope, info, node):
         return bad_expression(node.span)
     return _expand_call(scope, info, node, {})
 
 
-def _bind_names(scope: Scope, info: BehaviourInfo, node: nodes.Call) -> None:
+def _bind_names(scope: NameScope, info: BehaviourInfo, node: nodes.Call) -> None:
     """Bind the names in a call: a module, the behaviour, and its arguments."""
     path, name, function = info.file.node.source.path, info.node.name.text, node.function
     if isinstance(function, nodes.Member) and isinstance(function.owner, nodes.NameRef):
@@ -264,7 +264,7 @@ def _bind_names(scope: Scope, info: BehaviourInfo, node: nodes.Call) -> None:
             scope.bind(argument.name.span, "inner", path, name, argument.name.text)
 
 
-def _called_behaviour(scope: Scope, function: nodes.Expr) -> BehaviourInfo | None:
+def _called_behaviour(scope: NameScope, function: nodes.Expr) -> BehaviourInfo | None:
     if isinstance(function, nodes.NameRef):
         return scope.file.behaviour(function.name.text)
     assert isinstance(function, nodes.Member)
@@ -284,7 +284,7 @@ def _called_behaviour(scope: Scope, function: nodes.Expr) -> BehaviourInfo | Non
     return info
 
 
-def _is_allowed(scope: Scope, info: BehaviourInfo, node: nodes.Call) -> bool:
+def _is_allowed(scope: NameScope, info: BehaviourInfo, node: nodes.Call) -> bool:
     """Return whether the call may appear here. Memory and draws are not allowed everywhere, and the expanded size is limited."""
     name, declared = info.node.name.text, scope.declared
     if info.keeps and scope.no_keep:
@@ -298,25 +298,27 @@ def _is_allowed(scope: Scope, info: BehaviourInfo, node: nodes.Call) -> bool:
     if scope.behaviour is not None:
         return True  # its size was counted with the behaviour that calls it
     previous_size, declared.expanded = declared.expanded, declared.expanded + info.size
-    if declared.expanded > limits.NODES:
-        if previous_size <= limits.NODES:
-            message = f"with `{name}` put in place this is more than {limits.NODES:,} operations"
+    if declared.expanded > limits.MAX_TREE_NODES:
+        if previous_size <= limits.MAX_TREE_NODES:
+            message = f"with `{name}` put in place this is more than {limits.MAX_TREE_NODES:,} operations"
             scope.report.error("too-large", message, node.span, "call fewer or smaller behaviours")
         return False
     return True
 
 
-def _check_call(scope: Scope, info: BehaviourInfo, node: nodes.Call, argument_nodes: Mapping[str, nodes.Expr]) -> Expr:
+def _check_call(scope: NameScope, info: BehaviourInfo, node: nodes.Call, argument_nodes: Mapping[str, nodes.Expr]) -> Expr:
     """Type a call inside a behaviour that is checked alone: the arguments count, its body was checked separately."""
     quiet = scope.with_changes(report=Report())
     for argument in info.node.arguments:
         if argument.name.text in argument_nodes:
             given, type = argument_nodes[argument.name.text], argument_type(quiet, argument)
             _argument_value(scope, info.node.name.text, argument, given, type)
-    return Op(returned_type(quiet, info.node), Rate.ELEMENT if scope.sets else Rate.AGENT, node.span, "call", ())
+    return OperationExpr(
+        returned_type(quiet, info.node), ChangeRate.ELEMENT if scope.sets else ChangeRate.AGENT, node.span, "call", ()
+    )
 
 
-def _expand_call(scope: Scope, info: BehaviourInfo, node: nodes.Call, argument_nodes: Mapping[str, nodes.Expr]) -> Expr:
+def _expand_call(scope: NameScope, info: BehaviourInfo, node: nodes.Call, argument_nodes: Mapping[str, nodes.Expr]) -> Expr:
     name = info.node.name.text
     key = scope.keys.next(name)
     report = Report()
@@ -331,10 +333,10 @@ def _expand_call(scope: Scope, info: BehaviourInfo, node: nodes.Call, argument_n
         else:
             assert argument.default is not None
             expr = _argument_value(inner.with_changes(locals=dict(local)), name, argument, argument.default, type)
-        if expr.type.kind is Kind.BAD:
+        if expr.type.kind is TypeKind.BAD:
             type_arguments(scope, node)
             return bad_expression(node.span)
-        if expr.type.kind in THINGS:
+        if expr.type.kind in THING_KINDS:
             local[argument.name.text] = expr
             continue
         binding = Binding(argument.name.text, "argument", expr.type, expr.rate, argument.name.span, expr)
@@ -352,13 +354,13 @@ def _expand_call(scope: Scope, info: BehaviourInfo, node: nodes.Call, argument_n
     )
 
 
-def _argument_value(scope: Scope, called: str, argument: nodes.BehaviourArgument, node: nodes.Expr, type: Type) -> Expr:
+def _argument_value(scope: NameScope, called: str, argument: nodes.BehaviourArgument, node: nodes.Expr, type: ValueType) -> Expr:
     who = f"`{argument.name.text}` of `{called}`"
-    if type.kind is Kind.PLACE:
+    if type.kind is TypeKind.PLACE:
         return place(scope, node, who)
-    if type.kind is Kind.BAD:
+    if type.kind is TypeKind.BAD:
         return value(scope, node)
-    if type.kind in THINGS:
+    if type.kind in THING_KINDS:
         expr = scope.type_expression(node, type)
         if is_compatible(expr.type, type):
             return expr

@@ -8,14 +8,22 @@ from functools import partial
 from antdsl import limits
 from antdsl.diagnostics import Fix, Label
 from antdsl.program import model
-from antdsl.program.declarations.amounts import ACTION, BODY
+from antdsl.program.declarations.amounts import ACTION_CONTEXT, BODY_CONTEXT
 from antdsl.program.declarations.appearance import check_duplicates, check_single_clip
 from antdsl.program.declarations.statements import check_statements, take
-from antdsl.program.kinds import NUMBER, TIME
+from antdsl.program.kinds import NUMBER_TYPE, TIME_TYPE
 from antdsl.program.memo import cached_part
 from antdsl.program.model import Binding, Expr
-from antdsl.program.names.scope import MachineNames, Scope, StableKeys, bad_expression, did_you_mean, list_names, report_duplicate
-from antdsl.program.tables.colours import COLOURS, default_rgb, rgb
+from antdsl.program.names.scope import (
+    MachineNames,
+    NameScope,
+    StableKeys,
+    bad_expression,
+    did_you_mean,
+    list_names,
+    report_duplicate,
+)
+from antdsl.program.tables.colours import COLOUR_BY_NAME, default_rgb, rgb
 from antdsl.program.types.descriptions import quote_source
 from antdsl.program.types.folding import constant_behind
 from antdsl.program.types.operators import condition, value_of_type
@@ -23,10 +31,10 @@ from antdsl.program.types.states import report_unknown_state
 from antdsl.source import Span
 from antdsl.syntax import nodes
 
-Member = nodes.State | nodes.Start | nodes.Change | nodes.Let | nodes.Latch
+MachineMember = nodes.State | nodes.Start | nodes.Change | nodes.Let | nodes.Latch
 
 
-def machine(scope: Scope, names: MachineNames, members: Sequence[object], span: Span) -> model.Machine:
+def machine(scope: NameScope, names: MachineNames, members: Sequence[object], span: Span) -> model.Machine:
     """A machine with its states; `span` is where it is named."""
     scope = scope.with_changes(machine=names)
     states = [m for m in members if isinstance(m, nodes.State)]
@@ -44,10 +52,10 @@ def machine(scope: Scope, names: MachineNames, members: Sequence[object], span: 
 
 
 def _changes_from_any(
-    scope: Scope, names: MachineNames, changes: Sequence[nodes.Change]
+    scope: NameScope, names: MachineNames, changes: Sequence[nodes.Change]
 ) -> list[tuple[nodes.Change, model.Transition | None]]:
     """The changes `from any`."""
-    scope = scope.with_changes(keys=StableKeys(f"{names.key}.{model.ANYWHERE}"))
+    scope = scope.with_changes(keys=StableKeys(f"{names.key}.{model.FROM_ANY_KEY}"))
     return [(node, _general_transition(scope, names, node)) for node in changes]
 
 
@@ -55,7 +63,7 @@ def _unique_states(states: Sequence[nodes.State]) -> list[nodes.State]:
     return list({state.name.text: state for state in reversed(states)}.values())[::-1]
 
 
-def _start(scope: Scope, names: MachineNames, members: Sequence[object], span: Span) -> int:
+def _start(scope: NameScope, names: MachineNames, members: Sequence[object], span: Span) -> int:
     starts = [m for m in members if isinstance(m, nodes.Start)]
     for extra in starts[1:]:
         message = "a second `start`"
@@ -69,7 +77,7 @@ def _start(scope: Scope, names: MachineNames, members: Sequence[object], span: S
     return 0
 
 
-def _state_index(scope: Scope, names: MachineNames, state: nodes.Name) -> int | None:
+def _state_index(scope: NameScope, names: MachineNames, state: nodes.Name) -> int | None:
     """The index of a state, or of the one that was probably meant."""
     species, _, machine = names.key.partition(".")
     if state.text in names.states:
@@ -81,7 +89,7 @@ def _state_index(scope: Scope, names: MachineNames, state: nodes.Name) -> int | 
 # --- one state -------------------------------------------------------------------------------------------------------
 
 
-def _state(scope: Scope, names: MachineNames, node: nodes.State, index: int, general: list[model.Transition]) -> model.State:
+def _state(scope: NameScope, names: MachineNames, node: nodes.State, index: int, general: list[model.Transition]) -> model.State:
     path = f"{names.key}.{node.name.text}"
     scope = scope.with_changes(keys=StableKeys(path))
     scope = scope.with_changes(locals=_lets(scope, node))
@@ -93,14 +101,14 @@ def _state(scope: Scope, names: MachineNames, node: nodes.State, index: int, gen
     return model.State(
         node.name.text, index, node.label.text if node.label else "", _colour(scope, node, index),
         _duration(scope, node.at_least, "`for at least`"), tuple(order),
-        check_statements(scope.with_changes(keys=StableKeys(f"{path}.enter")), node.enter, ACTION),
-        check_statements(scope.with_changes(keys=StableKeys(f"{path}.exit")), node.exit, ACTION),
-        check_statements(scope, [line for line in node.body if not isinstance(line, (nodes.Change, nodes.Let))], BODY),
+        check_statements(scope.with_changes(keys=StableKeys(f"{path}.enter")), node.enter, ACTION_CONTEXT),
+        check_statements(scope.with_changes(keys=StableKeys(f"{path}.exit")), node.exit, ACTION_CONTEXT),
+        check_statements(scope, [line for line in node.body if not isinstance(line, (nodes.Change, nodes.Let))], BODY_CONTEXT),
         node.name.span,
     )  # fmt: skip
 
 
-def _lets(scope: Scope, node: nodes.State) -> dict[str, Binding | Expr]:
+def _lets(scope: NameScope, node: nodes.State) -> dict[str, Binding | Expr]:
     """Return the lets of a state in text order. They are snapshots of the start of the step, like those of the species."""
     local: dict[str, Binding | Expr] = dict(scope.locals)
     assert scope.species is not None
@@ -116,7 +124,7 @@ def _lets(scope: Scope, node: nodes.State) -> dict[str, Binding | Expr]:
     return local
 
 
-def _first_span(node: nodes.State, scope: Scope, name: nodes.Name) -> Span:
+def _first_span(node: nodes.State, scope: NameScope, name: nodes.Name) -> Span:
     assert scope.species is not None
     own = scope.species.bindings.get(name.text)
     earlier = [
@@ -127,7 +135,7 @@ def _first_span(node: nodes.State, scope: Scope, name: nodes.Name) -> Span:
     return own.span if own else earlier[0] if earlier else node.name.span
 
 
-def _colour(scope: Scope, node: nodes.State, index: int) -> tuple[float, float, float]:
+def _colour(scope: NameScope, node: nodes.State, index: int) -> tuple[float, float, float]:
     colour = rgb(node.colour.text) if node.colour else default_rgb(index)
     if colour is None and node.colour is not None:
         examples = ("red", "orange", "yellow", "green", "blue", "violet", "brown", "grey")
@@ -135,24 +143,24 @@ def _colour(scope: Scope, node: nodes.State, index: int) -> tuple[float, float, 
             "unknown-colour",
             f"no colour `{node.colour.text}`",
             node.colour.span,
-            did_you_mean(node.colour.text, COLOURS, f"there is {list_names(examples)} and more"),
+            did_you_mean(node.colour.text, COLOUR_BY_NAME, f"there is {list_names(examples)} and more"),
         )
     red, green, blue = colour or default_rgb(index)
     return red / 255, green / 255, blue / 255
 
 
-def _duration(scope: Scope, node: nodes.Expr | None, who: str) -> Expr | None:
+def _duration(scope: NameScope, node: nodes.Expr | None, who: str) -> Expr | None:
     if node is None:
         return None
-    duration = value_of_type(scope, node, TIME, who)
+    duration = value_of_type(scope, node, TIME_TYPE, who)
     constant = constant_behind(duration)
     if constant is not None and constant.number < 0:
         message = f"{who} wants a time, and {quote_source(node.span)} is before now"
         scope.report.error("out-of-range", message, node.span, "write a time of `0 s` or more")
-    elif constant is not None and not constant.u and constant.number > limits.FRAMES:
-        advice = f"write a shorter time: a run has {limits.FRAMES:,} frames at most"
+    elif constant is not None and not constant.u and constant.number > limits.MAX_FRAMES:
+        advice = f"write a shorter time: a run has {limits.MAX_FRAMES:,} frames at most"
         scope.report.warning("never-fires", f"{quote_source(node.span)} is longer than any run", node.span, advice)
-    elif constant is not None and not constant.u and not constant.step and 0 < constant.number * limits.FPS < 1:
+    elif constant is not None and not constant.u and not constant.step and 0 < constant.number * limits.MAX_FPS < 1:
         message = f"{quote_source(node.span)} is shorter than a frame of any scene, so {who} takes one step"
         scope.report.warning("out-of-range", message, node.span, "write `1 step`, or a longer time")
     return duration
@@ -161,7 +169,7 @@ def _duration(scope: Scope, node: nodes.Expr | None, who: str) -> Expr | None:
 # --- one change ------------------------------------------------------------------------------------------------------
 
 
-def _general_transition(scope: Scope, names: MachineNames, node: nodes.Change) -> model.Transition | None:
+def _general_transition(scope: NameScope, names: MachineNames, node: nodes.Change) -> model.Transition | None:
     for name in node.any_except or ():
         _state_index(scope, names, name)
     return _change(scope, names, node, scope.keys.path)
@@ -173,7 +181,7 @@ def _applies_to(node: nodes.Change, change: model.Transition, state: str, index:
     return change.target != index and all(name.text != state for name in node.any_except or ())
 
 
-def _change(scope: Scope, names: MachineNames, node: nodes.Change, path: str) -> model.Transition | None:
+def _change(scope: NameScope, names: MachineNames, node: nodes.Change, path: str) -> model.Transition | None:
     key = scope.keys.next(_target_word(node.target), "->")
     scope = scope.with_changes(keys=StableKeys(key))
     delay = _delay(scope, node.delay)
@@ -182,7 +190,7 @@ def _change(scope: Scope, names: MachineNames, node: nodes.Change, path: str) ->
     claim = take(scope, node.take) if node.take is not None else None
     choices = _choices(scope, names, node.target)
     target = _target(scope, names, node.target)
-    actions = check_statements(scope, node.actions, ACTION)
+    actions = check_statements(scope, node.actions, ACTION_CONTEXT)
     if target is None and not choices and not node.target.previous:
         return None
     return model.Transition(
@@ -191,7 +199,7 @@ def _change(scope: Scope, names: MachineNames, node: nodes.Change, path: str) ->
     )  # fmt: skip
 
 
-def _delay(scope: Scope, node: nodes.Expr | None) -> Expr | None:
+def _delay(scope: NameScope, node: nodes.Expr | None) -> Expr | None:
     """Check that `after T` is the whole condition. In `after 1 s and meal` the time is read as part of the condition."""
     time = _leftmost(node)
     if node is None or time is None or time is node:
@@ -203,7 +211,7 @@ def _delay(scope: Scope, node: nodes.Expr | None) -> Expr | None:
     return bad_expression(node.span)
 
 
-def _hold_time(scope: Scope, node: nodes.Expr | None) -> Expr | None:
+def _hold_time(scope: NameScope, node: nodes.Expr | None) -> Expr | None:
     """`held T` ends a condition. In `meal held 1 s and scent > 1` it stands in the middle."""
     time = _leftmost(node)
     if node is None or time is None or time is node:
@@ -226,16 +234,18 @@ def _target_word(target: nodes.Target) -> str:
     return target.name.text if target.name is not None else "choose"
 
 
-def _target(scope: Scope, names: MachineNames, target: nodes.Target) -> int | None:
+def _target(scope: NameScope, names: MachineNames, target: nodes.Target) -> int | None:
     if target.name is None or target.previous:
         return None
     return _state_index(scope, names, target.name)
 
 
-def _choices(scope: Scope, names: MachineNames, target: nodes.Target) -> tuple[tuple[int, Expr], ...]:
+def _choices(scope: NameScope, names: MachineNames, target: nodes.Target) -> tuple[tuple[int, Expr], ...]:
     choices: list[tuple[int, Expr]] = []
     for choice in target.choices:
-        weight = value_of_type(scope.with_changes(runs_once=True), choice.weight, NUMBER, f"the weight of `{choice.target.text}`")
+        weight = value_of_type(
+            scope.with_changes(runs_once=True), choice.weight, NUMBER_TYPE, f"the weight of `{choice.target.text}`"
+        )
         constant = constant_behind(weight)
         if constant is not None and constant.number < 0:
             message = f"a weight below 0: {quote_source(choice.weight.span)}"

@@ -9,11 +9,11 @@ from dataclasses import dataclass, replace
 from antdsl.diagnostics import Fix, Label
 from antdsl.program import model
 from antdsl.program.declarations.behaviours import declared_type
-from antdsl.program.kinds import BAD
-from antdsl.program.model import Const, Kind, Type
-from antdsl.program.names.scope import Scope
+from antdsl.program.kinds import BAD_TYPE
+from antdsl.program.model import Constant, TypeKind, ValueType
+from antdsl.program.names.scope import NameScope
 from antdsl.program.tables.units import constant, default_unit, dimension_words, number, unit_spelling
-from antdsl.program.tables.vocabulary import UNITS
+from antdsl.program.tables.vocabulary import UNIT_BY_NAME
 from antdsl.program.types.descriptions import is_compatible, quote_source, report_mismatch, type_words
 from antdsl.program.types.folding import constant_behind
 from antdsl.program.types.operators import value
@@ -26,7 +26,7 @@ class _ParamNumber:
     """One of the three numbers: its text and its value."""
 
     node: nodes.Expr
-    const: Const
+    const: Constant
 
     @property
     def is_unitless(self) -> bool:
@@ -38,10 +38,10 @@ class _ParamNumber:
         return unit_spelling(self.node)
 
 
-def param(scope: Scope, node: nodes.Declaration) -> model.Param | None:
+def param(scope: NameScope, node: nodes.Declaration) -> model.Param | None:
     names, name = scope.species, node.name.text
     assert names is not None
-    names.params[name] = BAD
+    names.params[name] = BAD_TYPE
     for extra, word in ((node.relax, "relax"), (node.each, "for each")):
         if extra is not None:
             message = f"a param has one value for all agents, so it cannot have `{word}`"
@@ -64,17 +64,17 @@ def param(scope: Scope, node: nodes.Declaration) -> model.Param | None:
     return model.Param(f"{names.name}.{name}", default.type, default, low, high, unit_spelling(node.value), help, node.name.span)
 
 
-def _constant(scope: Scope, node: nodes.Expr, who: str) -> Const | None:
+def _constant(scope: NameScope, node: nodes.Expr, who: str) -> Constant | None:
     """A constant."""
     expr = value(scope, node)
     constant = constant_behind(expr)
-    if constant is None and expr.type.kind is not Kind.BAD:
+    if constant is None and expr.type.kind is not TypeKind.BAD:
         message = f"{quote_source(node.span)} is not a plain number, which {who} starts with"
         scope.report.error("wrong-rate", message, node.span, "write a number with its unit, such as `40 mm`")
     return constant
 
 
-def _unify_types(scope: Scope, node: nodes.Declaration, three: list[_ParamNumber]) -> list[_ParamNumber]:
+def _unify_types(scope: NameScope, node: nodes.Declaration, three: list[_ParamNumber]) -> list[_ParamNumber]:
     """Return the value and both ends, of one type. One of another type is reported, and taken as if it had the unit of the
     others."""
     types = [each.const.type for each in three]
@@ -99,16 +99,16 @@ def _unify_types(scope: Scope, node: nodes.Declaration, three: list[_ParamNumber
     return [replace(each, const=_with_type_of(each.const, reference)) for each in three]
 
 
-def _with_type_of(const: Const, reference: Const) -> Const:
+def _with_type_of(const: Constant, reference: Constant) -> Constant:
     if const.type == reference.type:
         return const
-    return Const(reference.type, const.rate, const.span, const.number, reference.u, reference.step)
+    return Constant(reference.type, const.rate, const.span, const.number, reference.u, reference.step)
 
 
-def _report_odd_type(scope: Scope, three: Sequence[_ParamNumber], odd: int, expected: Type, who: str) -> None:
+def _report_odd_type(scope: NameScope, three: Sequence[_ParamNumber], odd: int, expected: ValueType, who: str) -> None:
     """One of another type than the two others."""
     node, type = three[odd].node, three[odd].const.type
-    if (type.kind, expected.kind) != (Kind.NUMBER, Kind.NUMBER):
+    if (type.kind, expected.kind) != (TypeKind.NUMBER, TypeKind.NUMBER):
         report_mismatch(scope.report, node, type, expected, who)
         return
     want = dimension_words(expected.dim)
@@ -124,7 +124,7 @@ def _fitting_text(three: Sequence[_ParamNumber], odd: int) -> str | None:
     number."""
     others = [each for each in three if each is not three[odd]]
 
-    def fit(const: Const) -> bool:
+    def fit(const: Constant) -> bool:
         return _is_consistent([const if each is three[odd] else each.const for each in three])
 
     by_unit = _values_by_unit(three[odd].node, others)
@@ -136,12 +136,12 @@ def _fitting_text(three: Sequence[_ParamNumber], odd: int) -> str | None:
     return next((" ".join(each.node.span.text.split()) for each in near if fit(each.const)), None)
 
 
-def _values_by_unit(node: nodes.Expr, others: Sequence[_ParamNumber]) -> dict[str, Const]:
+def _values_by_unit(node: nodes.Expr, others: Sequence[_ParamNumber]) -> dict[str, Constant]:
     """Return the value of a number with each unit of the others, and with all units of their dimension."""
     if not isinstance(node, (nodes.Number, nodes.Quantity)):
         return {}
     type = others[0].const.type
-    alike = [name for name, unit in UNITS.items() if unit.dim == type.dim and not (unit.u or unit.step)]
+    alike = [name for name, unit in UNIT_BY_NAME.items() if unit.dim == type.dim and not (unit.u or unit.step)]
     units = dict.fromkeys([*(each.unit for each in others if each.unit), default_unit(type.dim), *alike])
     constants = {unit: constant(node.value, unit, node.span) if unit else number(node.value, node.span) for unit in units}
     return {unit: const for unit, const in constants.items() if const is not None and const.type == type}
@@ -153,7 +153,7 @@ def _number_text(node: nodes.Expr) -> str:
     return node.span.source.text[node.span.start : end].rstrip()
 
 
-def _is_consistent(consts: Sequence[Const]) -> bool:
+def _is_consistent(consts: Sequence[Constant]) -> bool:
     """Whether a value and both ends are of one type and in order, as far as that is known without a scene."""
     value, low, high = consts
     if not value.type == low.type == high.type:
@@ -161,7 +161,7 @@ def _is_consistent(consts: Sequence[Const]) -> bool:
     return len({(each.u, each.step) for each in consts}) > 1 or low.number <= value.number <= high.number
 
 
-def _report_missing_units(scope: Scope, three: Sequence[_ParamNumber], unit_numbers: Sequence[_ParamNumber]) -> None:
+def _report_missing_units(scope: NameScope, three: Sequence[_ParamNumber], unit_numbers: Sequence[_ParamNumber]) -> None:
     """Report numbers without a unit; one fix adds the unit to all of them."""
     bare = [each for each in three if each.is_unitless]
     unit = _common_unit(three, unit_numbers)
@@ -196,7 +196,7 @@ def _common_unit(three: Sequence[_ParamNumber], unit_numbers: Sequence[_ParamNum
 
 
 def _report_no_unit(
-    scope: Scope, three: Sequence[_ParamNumber], bare: Sequence[_ParamNumber], unit_numbers: Sequence[_ParamNumber]
+    scope: NameScope, three: Sequence[_ParamNumber], bare: Sequence[_ParamNumber], unit_numbers: Sequence[_ParamNumber]
 ) -> None:
     span = Span(bare[0].node.span.source, bare[0].node.span.start, bare[-1].node.span.end)
     instead = _fitting_text(three, three.index(bare[0])) if len(bare) == 1 else None
@@ -213,7 +213,7 @@ def _report_no_unit(
     )
 
 
-def _check_order(scope: Scope, node: nodes.Declaration, three: list[_ParamNumber]) -> None:
+def _check_order(scope: NameScope, node: nodes.Declaration, three: list[_ParamNumber]) -> None:
     """Whether the value lies between the ends, as far as that is known without a scene."""
     value, low, high = three
     if len({(each.const.u, each.const.step) for each in three}) > 1 or node.range is None:

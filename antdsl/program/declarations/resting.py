@@ -7,13 +7,13 @@ from collections.abc import Sequence
 
 from antdsl.program import model
 from antdsl.program.declarations.behaviours import call_implicitly
-from antdsl.program.names.scope import Scope
+from antdsl.program.names.scope import NameScope
 from antdsl.syntax import nodes
 
-LIBRARY, BEHAVIOUR = "steering", "halt"
+HALT_LIBRARY, HALT_BEHAVIOUR = "steering", "halt"
 
 
-def rest(scope: Scope, machines: Sequence[model.Machine], name: nodes.Name) -> model.Rest | None:
+def rest(scope: NameScope, machines: Sequence[model.Machine], name: nodes.Name) -> model.RestingPush | None:
     """Return the push of agents in states that steer nothing; None if every state steers, or none of any machine does.
 
     A machine that never steers, such as one of moods, says nothing about moving. If several steer, it is enough that one of them
@@ -25,11 +25,11 @@ def rest(scope: Scope, machines: Sequence[model.Machine], name: nodes.Name) -> m
             silent[machine.name] = quiet
     if not silent or not all(silent.values()):
         return None
-    halt = scope.declared.shipped(LIBRARY, BEHAVIOUR)
+    halt = scope.declared.shipped(HALT_LIBRARY, HALT_BEHAVIOUR)
     if halt is None:
         return None
     call = nodes.Call(nodes.NameRef(name, name.span), (), name.span)
-    return model.Rest(silent, call_implicitly(scope, halt, call), name.span)
+    return model.RestingPush(silent, call_implicitly(scope, halt, call), name.span)
 
 
 def is_steering(state: model.State) -> bool:

@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 from antdsl import limits
-from antdsl.program.kinds import BAD, BOOL, NUMBER
-from antdsl.program.model import Expr, Kind
-from antdsl.program.names.scope import Scope, bad_expression
+from antdsl.program.kinds import BAD_TYPE, BOOL_TYPE, NUMBER_TYPE
+from antdsl.program.model import Expr, TypeKind
+from antdsl.program.names.scope import NameScope, bad_expression
 from antdsl.program.types.descriptions import is_compatible, quote_source, report_mismatch, type_words
 from antdsl.program.types.folding import constant_behind
 from antdsl.program.types.operators import op, truth, value, value_of_type
 from antdsl.syntax import nodes
 
 
-def fuzzy_mean(scope: Scope, node: nodes.Fuzzy) -> Expr:
+def fuzzy_mean(scope: NameScope, node: nodes.Fuzzy) -> Expr:
     """Return the mean of the rules' outputs, each weighted by how true its rule is; 0 if none is true at all.
 
     This is a weighted mean of singletons: zero-order Sugeno (Takagi and Sugeno, Fuzzy identification of systems, IEEE Trans. SMC
@@ -21,9 +21,9 @@ def fuzzy_mean(scope: Scope, node: nodes.Fuzzy) -> Expr:
     if not node.rules:
         message = f"`fuzzy {node.name.text}` has no rules"
         return scope.reject("empty-fuzzy", message, node.span, "write rules such as `near and fast -> 0.8`")
-    if len(node.rules) > limits.RULES:
-        over = node.rules[limits.RULES].span
-        scope.report.error("too-many", f"more than {limits.RULES} rules in one `fuzzy`", over, "put some together")
+    if len(node.rules) > limits.MAX_FUZZY_RULES:
+        over = node.rules[limits.MAX_FUZZY_RULES].span
+        scope.report.error("too-many", f"more than {limits.MAX_FUZZY_RULES} rules in one `fuzzy`", over, "put some together")
         return bad_expression(node.span)
     inner = scope.with_changes(shades=True)
     parts: list[Expr] = []
@@ -32,22 +32,22 @@ def fuzzy_mean(scope: Scope, node: nodes.Fuzzy) -> Expr:
         parts.append(_degree(inner, rule.condition))
         who = f"`fuzzy {node.name.text}`"
         said = value(scope, rule.value) if first is None else value_of_type(scope, rule.value, first.type, who)
-        if said.type.kind not in (Kind.NUMBER, Kind.BAD):
-            report_mismatch(scope.report, rule.value, said.type, NUMBER, "a rule")
+        if said.type.kind not in (TypeKind.NUMBER, TypeKind.BAD):
+            report_mismatch(scope.report, rule.value, said.type, NUMBER_TYPE, "a rule")
             said = bad_expression(rule.value.span)
-        first = said if first is None or first.type.kind is Kind.BAD else first
+        first = said if first is None or first.type.kind is TypeKind.BAD else first
         parts.append(said)
     assert first is not None
-    known = all(part.type.kind is not Kind.BAD for part in parts)
-    return op("fuzzy", first.type if known else BAD, node.span, *parts)
+    known = all(part.type.kind is not TypeKind.BAD for part in parts)
+    return op("fuzzy", first.type if known else BAD_TYPE, node.span, *parts)
 
 
-def _degree(scope: Scope, node: nodes.Expr) -> Expr:
+def _degree(scope: NameScope, node: nodes.Expr) -> Expr:
     """How true a rule is: a shade from 0 to 1, or a yes or no, which is 1 or 0."""
-    expr = value(scope, node, BOOL)
-    if expr.type.kind is not Kind.NUMBER:
+    expr = value(scope, node, BOOL_TYPE)
+    if expr.type.kind is not TypeKind.NUMBER:
         return truth(scope, node, expr, "a rule")
-    if not is_compatible(expr.type, NUMBER):
+    if not is_compatible(expr.type, NUMBER_TYPE):
         text = " ".join(node.span.text.split())
         message = f"{quote_source(node.span)} is {type_words(expr.type)}, and a rule wants a share from 0 to 1"
         advice = f"say where it begins and where it is full: `rising({text if len(text) <= 30 else '…'}, a .. b)`"

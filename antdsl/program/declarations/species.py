@@ -8,7 +8,7 @@ from typing import Any
 from antdsl import limits
 from antdsl.diagnostics import Label
 from antdsl.program import model
-from antdsl.program.declarations.amounts import ACTION, HANDLER
+from antdsl.program.declarations.amounts import ACTION_CONTEXT, HANDLER_CONTEXT
 from antdsl.program.declarations.attributes import attributes as attributes_in
 from antdsl.program.declarations.attributes import is_state_name
 from antdsl.program.declarations.machines import machine
@@ -16,22 +16,22 @@ from antdsl.program.declarations.params import param
 from antdsl.program.declarations.resting import rest
 from antdsl.program.declarations.shades import fuzzy_mean
 from antdsl.program.declarations.statements import check_statements
-from antdsl.program.kinds import BAD, BOOL, PUSH, TIME
+from antdsl.program.kinds import BAD_TYPE, BOOL_TYPE, PUSH_TYPE, TIME_TYPE
 from antdsl.program.memo import cached_part
-from antdsl.program.model import Binding, Dim, Kind, Rate, Type
-from antdsl.program.names.collect import EVENTS, check_free_in_species
+from antdsl.program.model import Binding, ChangeRate, Dimension, TypeKind, ValueType
+from antdsl.program.names.collect import BUILTIN_EVENTS, check_free_in_species
 from antdsl.program.names.ordering import order_declarations
 from antdsl.program.names.scope import (
-    Declared,
+    Declarations,
     FileNames,
-    Scope,
+    NameScope,
     SpeciesNames,
     StableKeys,
     bad_expression,
     did_you_mean,
     report_duplicate,
 )
-from antdsl.program.tables.vocabulary import BUILTIN_ATTRIBUTES
+from antdsl.program.tables.vocabulary import BUILTIN_ATTRIBUTE_BY_NAME
 from antdsl.program.types.descriptions import quote_source, type_words
 from antdsl.program.types.expressions import reference_type
 from antdsl.program.types.folding import constant_behind
@@ -40,34 +40,36 @@ from antdsl.program.types.pair_values import check_pair_value
 from antdsl.source import Span
 from antdsl.syntax import nodes
 
-_PURE = "a `let` only names a value"
+_PURE_LET_REASON = "a `let` only names a value"
 
 
 @dataclass(slots=True)
-class Draft:
+class SpeciesDraft:
     """A species under construction: its own names first, so that others may refer to them; `complete` adds the rest."""
 
     names: SpeciesNames
     node: nodes.Species
-    scope: Scope
+    scope: NameScope
     params: list[model.Param]
     attributes: list[model.AttributeDecl]
 
 
-def draft(declared: Declared, file: FileNames, node: nodes.Species) -> Draft:
+def draft(declared: Declarations, file: FileNames, node: nodes.Species) -> SpeciesDraft:
     """Params and attributes of a species."""
     names = declared.species[node.name.text]
-    scope = Scope(declared, file, StableKeys(names.name), declared.report, species=names, no_keep=_PURE)
+    scope = NameScope(declared, file, StableKeys(names.name), declared.report, species=names, no_keep=_PURE_LET_REASON)
     _check_names(scope, node)
-    names.pending = {m.name.text for m in _members_of_kind(node, nodes.Let, nodes.Latch, nodes.Fuzzy)} - BUILTIN_ATTRIBUTES.keys()
+    names.pending = {
+        m.name.text for m in _members_of_kind(node, nodes.Let, nodes.Latch, nodes.Fuzzy)
+    } - BUILTIN_ATTRIBUTE_BY_NAME.keys()
     head = tuple(m for m in node.members if isinstance(m, (nodes.ParamDecl, nodes.Declaration, nodes.AnimalProperty)))
     params, attributes, known = cached_part(declared, ("draft", names.name, head, node.name), lambda: _drafted(scope, node))
     names.attributes, names.each, names.params = (dict(each) for each in known)
-    return Draft(names, node, scope, params, attributes)
+    return SpeciesDraft(names, node, scope, params, attributes)
 
 
 def _drafted(
-    scope: Scope, node: nodes.Species
+    scope: NameScope, node: nodes.Species
 ) -> tuple[list[model.Param], list[model.AttributeDecl], tuple[dict[str, Any], ...]]:
     names = scope.species
     assert names is not None
@@ -86,7 +88,7 @@ def _members_of_kind(node: nodes.Species, *kinds: type) -> list[Any]:
     return [m for m in members if isinstance(m, kinds)]
 
 
-def _check_names(scope: Scope, node: nodes.Species) -> None:
+def _check_names(scope: NameScope, node: nodes.Species) -> None:
     """Check that names are unique and not words of the language."""
     spans_by_name: dict[str, Span] = {}
     for member in _members_of_kind(node, nodes.Declaration, nodes.ParamDecl, nodes.Let, nodes.Latch, nodes.Fuzzy):
@@ -100,15 +102,15 @@ def _check_names(scope: Scope, node: nodes.Species) -> None:
         else:
             check_free_in_species(scope.report, each.name, value_span)
         spans_by_name.setdefault(each.name.text, each.name.span)
-    if len(spans_by_name) > limits.ATTRIBUTES:
-        message = f"species `{node.name.text}` declares more than {limits.ATTRIBUTES} names"
+    if len(spans_by_name) > limits.MAX_ATTRIBUTES:
+        message = f"species `{node.name.text}` declares more than {limits.MAX_ATTRIBUTES} names"
         scope.report.error("too-many", message, node.name.span, "split it")
 
 
 # --- the rest --------------------------------------------------------------------------------------------------------
 
 
-def complete(work: Draft) -> model.Species:
+def complete(work: SpeciesDraft) -> model.Species:
     """Lets, latches, handlers, machines and layers, now that the attributes of all species are known."""
     names, key = work.names, ("species", work.node.name, work.node.help, work.node.members, *work.attributes, *work.params)
     species, names.bindings = cached_part(work.scope.declared, key, lambda: (_completed(work), names.bindings))
@@ -116,7 +118,7 @@ def complete(work: Draft) -> model.Species:
     return species
 
 
-def _completed(work: Draft) -> model.Species:
+def _completed(work: SpeciesDraft) -> model.Species:
     scope, node, names = work.scope, work.node, work.names
     declarations: dict[str, nodes.Declaration] = {}
     for member in node.members:
@@ -145,21 +147,21 @@ def _completed(work: Draft) -> model.Species:
     )  # fmt: skip
 
 
-def _with_relaxation(scope: Scope, attribute: model.AttributeDecl, node: nodes.Declaration | None) -> model.AttributeDecl:
+def _with_relaxation(scope: NameScope, attribute: model.AttributeDecl, node: nodes.Declaration | None) -> model.AttributeDecl:
     """Return the attribute with the value that it returns to, and the species that it is stored about."""
     if node is None or (node.relax is None and node.each is None):
         return attribute
     to = over = None
     if node.relax is not None:
-        if attribute.type.kind not in (Kind.NUMBER, Kind.VECTOR, Kind.BAD):
+        if attribute.type.kind not in (TypeKind.NUMBER, TypeKind.VECTOR, TypeKind.BAD):
             message = f"`{attribute.name}` is {type_words(attribute.type)} and cannot relax"
             scope.report.error("wrong-kind", message, node.relax.span, "only numbers and vectors can change gradually")
         to = value_of_type(scope, node.relax.to, attribute.type, "`relax to`")
-        over = value_of_type(scope, node.relax.over, TIME, "`over`")
+        over = value_of_type(scope, node.relax.over, TIME_TYPE, "`over`")
     each, strongest = None, 0
     if node.each is not None:
         type = reference_type(scope, node.each.species)
-        if type is not None and type.kind is not Kind.AGENT:
+        if type is not None and type.kind is not TypeKind.AGENT:
             message = f"`{node.each.species.text}` is not a species"
             scope.report.error("wrong-kind", message, node.each.species.span, "`for each` stores values about other agents")
         each = node.each.species.text
@@ -168,12 +170,12 @@ def _with_relaxation(scope: Scope, attribute: model.AttributeDecl, node: nodes.D
             message = f"`{attribute.name}` does not say for how many others it is stored"
             scope.report.error("missing-bound", message, node.each.span, f"write `for each {each}, strongest 8`")
         else:
-            count = constant_behind(value_of_type(scope, node.each.strongest, Type(Kind.NUMBER), "`strongest`"))
+            count = constant_behind(value_of_type(scope, node.each.strongest, ValueType(TypeKind.NUMBER), "`strongest`"))
             strongest = int(count.number) if count is not None else 0
-            if count is None or not 1 <= count.number <= limits.STRONGEST or count.number != strongest:
+            if count is None or not 1 <= count.number <= limits.MAX_PAIR_VALUES or count.number != strongest:
                 scope.report.error(
                     "wrong-count",
-                    f"`strongest` wants a whole number from 1 to {limits.STRONGEST}, "
+                    f"`strongest` wants a whole number from 1 to {limits.MAX_PAIR_VALUES}, "
                     f"not {quote_source(node.each.strongest.span)}",
                     node.each.strongest.span,
                     "write `strongest 8`",
@@ -189,7 +191,7 @@ def _expressions_of(member: nodes.Let | nodes.Latch | nodes.Fuzzy) -> list[nodes
     return [member.value] if isinstance(member, nodes.Let) else [member.on, member.until]
 
 
-def _bindings(scope: Scope, node: nodes.Species) -> list[Binding]:
+def _bindings(scope: NameScope, node: nodes.Species) -> list[Binding]:
     """Return lets, latches and rules, each after those that it uses."""
     names = scope.species
     assert names is not None
@@ -202,20 +204,22 @@ def _bindings(scope: Scope, node: nodes.Species) -> list[Binding]:
         name = each.name.text
         inner = scope.with_changes(keys=StableKeys(f"{names.name}.{name}"))
         if name in circular:
-            binding = Binding(name, "let", BAD, Rate.CONST, each.name.span, bad_expression(each.name.span), snapshot=True)
+            binding = Binding(
+                name, "let", BAD_TYPE, ChangeRate.CONST, each.name.span, bad_expression(each.name.span), snapshot=True
+            )
         elif isinstance(each, (nodes.Let, nodes.Fuzzy)):
             expr = fuzzy_mean(inner, each) if isinstance(each, nodes.Fuzzy) else inner.type_expression(each.value)
             binding = Binding(name, "let", expr.type, expr.rate, each.name.span, expr, snapshot=True)
         else:
             on, until = condition(inner, each.on, "`latch`"), condition(inner, each.until, "`until`")
-            binding = Binding(name, "latch", BOOL, Rate.AGENT, each.name.span, on, until, f"{names.name}.{name}")
+            binding = Binding(name, "latch", BOOL_TYPE, ChangeRate.AGENT, each.name.span, on, until, f"{names.name}.{name}")
         names.bindings[name] = binding
         names.pending.discard(name)
         bindings.append(binding)
     return bindings
 
 
-def _machines(scope: Scope, node: nodes.Species) -> list[model.Machine]:
+def _machines(scope: NameScope, node: nodes.Species) -> list[model.Machine]:
     names = scope.species
     assert names is not None
     machines: list[model.Machine] = []
@@ -233,12 +237,12 @@ def _machines(scope: Scope, node: nodes.Species) -> list[model.Machine]:
     return machines
 
 
-def _handlers(scope: Scope, written: tuple[nodes.On, ...]) -> list[model.Handler]:
+def _handlers(scope: NameScope, written: tuple[nodes.On, ...]) -> list[model.Handler]:
     events: dict[str, StableKeys] = {}
     return [_handler(scope, each, events) for each in written]
 
 
-def _handler(scope: Scope, node: nodes.On, events: dict[str, StableKeys]) -> model.Handler:
+def _handler(scope: NameScope, node: nodes.On, events: dict[str, StableKeys]) -> model.Handler:
     """`events`: keys of the handlers so far, by event; two of one event must not share their draws."""
     names, event = scope.species, node.event.text
     assert names is not None
@@ -249,22 +253,30 @@ def _handler(scope: Scope, node: nodes.On, events: dict[str, StableKeys]) -> mod
         _check_distinct_name(scope, node.variable)
         if partner_species:
             other = Binding(
-                node.variable.text, "element", Type(Kind.AGENT, Dim(), partner_species), Rate.AGENT, node.variable.span
+                node.variable.text,
+                "element",
+                ValueType(TypeKind.AGENT, Dimension(), partner_species),
+                ChangeRate.AGENT,
+                node.variable.span,
             )
         scope = scope.with_changes(locals={node.variable.text: other or bad_expression(node.variable.span)})
     elif node.variable is not None:
         message = f"`on {event}` does not name an agent"
         scope.report.error("wrong-argument", message, node.variable.span, f"write `on {event} {{ … }}`")
         scope = scope.with_changes(locals={node.variable.text: bad_expression(node.variable.span)})
-    if event not in EVENTS:
+    if event not in BUILTIN_EVENTS:
         scope.mark_used("on", event)
         scope.mark_used("heard", f"{event} {scope.species.name if scope.species else ''}")
     return model.Handler(
-        event, other, check_statements(scope, node.actions, ACTION if event == "spawn" else HANDLER), node.span, partner_species
+        event,
+        other,
+        check_statements(scope, node.actions, ACTION_CONTEXT if event == "spawn" else HANDLER_CONTEXT),
+        node.span,
+        partner_species,
     )
 
 
-def _partner_species(scope: Scope, node: nodes.On) -> str:
+def _partner_species(scope: NameScope, node: nodes.On) -> str:
     """Return the species of the other agent in a collision: the agent's own, or the one that is named; "" after an error."""
     assert scope.species is not None
     if node.species is None:
@@ -284,7 +296,7 @@ def _partner_species(scope: Scope, node: nodes.On) -> str:
     return ""
 
 
-def _check_distinct_name(scope: Scope, variable: nodes.Name) -> None:
+def _check_distinct_name(scope: NameScope, variable: nodes.Name) -> None:
     """Report a name in the brackets of a collision that already has another meaning."""
     if variable.text in scope.declared.species:
         message = f"`{variable.text}` is a species, but the name in brackets is the other agent"
@@ -297,7 +309,7 @@ def _check_distinct_name(scope: Scope, variable: nodes.Name) -> None:
 # --- layers ----------------------------------------------------------------------------------------------------------
 
 
-def _layers(scope: Scope, node: nodes.Species) -> model.Layers:
+def _layers(scope: NameScope, node: nodes.Species) -> model.LayerStack:
     names = scope.species
     assert names is not None
     written = [m for m in node.members if isinstance(m, nodes.Layers)]
@@ -306,7 +318,7 @@ def _layers(scope: Scope, node: nodes.Species) -> model.Layers:
         advice = "merge them into one"
         scope.report.error("duplicate-name", message, extra.span, advice, labels=(Label(written[0].span, "first here"),))
     if not written:
-        return model.Layers("budget", (model.Layer(None, None, "state", node.name.span, "state"),), node.name.span)
+        return model.LayerStack("budget", (model.Layer(None, None, "state", node.name.span, "state"),), node.name.span)
     block = written[0]
     mode = block.mode.text if block.mode else "budget"
     if mode not in ("budget", "sum", "first"):
@@ -317,15 +329,17 @@ def _layers(scope: Scope, node: nodes.Species) -> model.Layers:
             block.mode.span,
             did_you_mean(mode, ("sum", "first"), "write `layers`, `layers sum` or `layers first`"),
         )
-    if len(block.layers) > limits.LAYERS:
-        message = f"more than {limits.LAYERS} layers"
-        scope.report.error("too-many", message, block.layers[limits.LAYERS].span, "combine some of them in a behaviour")
+    if len(block.layers) > limits.MAX_STEERING_LAYERS:
+        message = f"more than {limits.MAX_STEERING_LAYERS} layers"
+        scope.report.error(
+            "too-many", message, block.layers[limits.MAX_STEERING_LAYERS].span, "combine some of them in a behaviour"
+        )
     scope = scope.with_changes(keys=StableKeys(f"{names.name}.layers"))
     counts: dict[str, int] = {}
-    return model.Layers(mode, tuple(_layer(scope, each, counts) for each in block.layers), block.span)
+    return model.LayerStack(mode, tuple(_layer(scope, each, counts) for each in block.layers), block.span)
 
 
-def _layer(scope: Scope, node: nodes.Layer, counts: dict[str, int]) -> model.Layer:
+def _layer(scope: NameScope, node: nodes.Layer, counts: dict[str, int]) -> model.Layer:
     """Check a layer. Its name is its first word: `separate`, and `separate#2` for a second one."""
     text = " ".join(node.push.span.text.split())
     steered = isinstance(node.push, nodes.NameRef) and node.push.name.text == "state" and not node.faces
@@ -344,7 +358,7 @@ def _layer(scope: Scope, node: nodes.Layer, counts: dict[str, int]) -> model.Lay
         scope.report.error("state-as-value", message, node.push.span, "did you mean `state`?")  # whatever the state steers
         push = bad_expression(node.push.span)
     elif not steered:
-        push = value_of_type(scope, node.push, PUSH, "a layer")
+        push = value_of_type(scope, node.push, PUSH_TYPE, "a layer")
     test = condition(scope, node.condition, "`when`") if node.condition is not None else None
     return model.Layer(push, test, text, node.span, key, node.faces)
 

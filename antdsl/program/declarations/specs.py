@@ -5,43 +5,43 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 
-from antdsl.program.declarations.world import SETTINGS, is_run_constant, outer_scope
+from antdsl.program.declarations.world import SETTING_RULES, is_run_constant, outer_scope
 from antdsl.program.expectations import (
-    Aggregate,
+    AggregateExpr,
     AtStart,
     BodyMeasure,
     ComparisonRun,
     Expectation,
+    ExpectationReading,
     MotionMeasure,
     OtherRun,
-    Reading,
     Spec,
     SpecChange,
 )
-from antdsl.program.kinds import NUMBER, TIME
-from antdsl.program.model import Expr, Field, Kind, Op, Param, Rate
-from antdsl.program.names.scope import Declared, FileNames, Scope, StableKeys, did_you_mean, list_names
+from antdsl.program.kinds import NUMBER_TYPE, TIME_TYPE
+from antdsl.program.model import ChangeRate, Expr, Field, OperationExpr, Param, TypeKind
+from antdsl.program.names.scope import Declarations, FileNames, NameScope, StableKeys, did_you_mean, list_names
 from antdsl.program.tables.units import default_unit, measure
-from antdsl.program.tables.vocabulary import DRAWS
+from antdsl.program.tables.vocabulary import DRAWING_OPERATIONS
 from antdsl.program.traverse import parts, written_nodes
 from antdsl.program.types.aggregates import SpecRules
 from antdsl.program.types.descriptions import quote_source
 from antdsl.program.types.folding import constant_behind
 from antdsl.program.types.operators import condition, value_of_type
 from antdsl.syntax import nodes
-from antdsl.syntax.words import FIXED_SETTINGS
+from antdsl.syntax.words import FIXED_FIELD_SETTINGS
 
-MOST_SEEDS = 1000
-_COMPARED = ("lt", "le", "gt", "ge", "eq", "ne")
-_REFERENCES = (Kind.ITEM, Kind.AGENT)
-_HOW = ("seeds", "pass", "set", "until")  # what is expected is another matter
+MAX_SEEDS = 1000
+_COMPARISON_OPERATIONS = ("lt", "le", "gt", "ge", "eq", "ne")
+_REFERENCE_KINDS = (TypeKind.ITEM, TypeKind.AGENT)
+_SETTING_WORDS = ("seeds", "pass", "set", "until")  # what is expected is another matter
 
 
 @dataclass(slots=True)
 class _SpecCheck:
     """One spec on its way."""
 
-    declared: Declared
+    declared: Declarations
     names: FileNames
     params: Mapping[str, Param]
     fields: Mapping[str, Field]
@@ -56,7 +56,7 @@ class _SpecCheck:
 
 
 def check_spec(
-    declared: Declared, names: FileNames, spec: nodes.Spec, params: Mapping[str, Param], fields: Mapping[str, Field]
+    declared: Declarations, names: FileNames, spec: nodes.Spec, params: Mapping[str, Param], fields: Mapping[str, Field]
 ) -> Spec:
     """Return a spec with the types of all its expressions. Reports names that cannot be used in a spec."""
     if spec.scene is not None and not spec.scene.text.endswith((".yaml", ".yml")):
@@ -65,7 +65,7 @@ def check_spec(
     work = _SpecCheck(declared, names, params, fields, compares=any(line.kind == "against" for line in spec.lines))
     for line in spec.lines:
         _line(work, line)
-    if not any((line.condition is not None and line.kind not in _HOW) or line.kind == "each" for line in spec.lines):
+    if not any((line.condition is not None and line.kind not in _SETTING_WORDS) or line.kind == "each" for line in spec.lines):
         message = f"the spec {quote_source(spec.name.span)} expects nothing"
         declared.report.warning("empty-spec", message, spec.name.span, "write `always: …` or `within 20 s: …`")
     return Spec(
@@ -100,11 +100,13 @@ def _check_repeat(work: _SpecCheck, line: nodes.SpecLine, again: bool) -> None:
         work.declared.report.error("duplicate-name", words, line.span, "keep one of them")
 
 
-def _time(work: _SpecCheck, line: nodes.SpecLine, scope: Scope, node: nodes.Expr | None = None, word: str = "") -> Expr | None:
+def _time(
+    work: _SpecCheck, line: nodes.SpecLine, scope: NameScope, node: nodes.Expr | None = None, word: str = ""
+) -> Expr | None:
     node, word = node or line.time, word or line.kind
     assert node is not None
-    expr = value_of_type(scope, node, TIME, f"`{word}`")
-    if expr.type.kind is Kind.BAD or not is_run_constant(work.declared.report, expr, f"`{word}`"):
+    expr = value_of_type(scope, node, TIME_TYPE, f"`{word}`")
+    if expr.type.kind is TypeKind.BAD or not is_run_constant(work.declared.report, expr, f"`{word}`"):
         return None
     known = constant_behind(expr)
     if known is not None and known.number <= 0:
@@ -117,11 +119,11 @@ def _time(work: _SpecCheck, line: nodes.SpecLine, scope: Scope, node: nodes.Expr
 def _pass_share(work: _SpecCheck, line: nodes.SpecLine) -> float | None:
     """The share of the seeds that must pass."""
     assert line.condition is not None
-    expr = value_of_type(outer_scope(work.declared, work.names, "spec"), line.condition, NUMBER, "`pass`")
+    expr = value_of_type(outer_scope(work.declared, work.names, "spec"), line.condition, NUMBER_TYPE, "`pass`")
     known = constant_behind(expr)
     if known is not None and 0 < known.number <= 1:
         return known.number
-    if expr.type.kind is not Kind.BAD:
+    if expr.type.kind is not TypeKind.BAD:
         words = f"`pass` wants a share of the seeds, not {quote_source(line.condition.span)}"
         work.declared.report.error("out-of-range", words, line.condition.span, "write a share up to `100 %`, such as `pass 80 %`")
     return None
@@ -158,19 +160,19 @@ def _read_seeds(work: _SpecCheck, line: nodes.SpecLine) -> None:
     low, high = numbers[0], numbers[-1]
     if high < low:
         work.declared.report.error("empty-range", "the seeds end before they begin", node.span, "write the lower one first")
-    elif high - low >= MOST_SEEDS:
+    elif high - low >= MAX_SEEDS:
         advice = "a spec that holds for ten seeds will probably hold for a thousand"
-        work.declared.report.error("too-many", f"more than {MOST_SEEDS:,} seeds", node.span, advice)
+        work.declared.report.error("too-many", f"more than {MAX_SEEDS:,} seeds", node.span, advice)
     else:
         work.seeds += range(low, high + 1)
 
 
 def _whole_number(work: _SpecCheck, node: nodes.Expr) -> int | None:
-    expr = value_of_type(outer_scope(work.declared, work.names, "spec"), node, NUMBER, "`seeds`")
+    expr = value_of_type(outer_scope(work.declared, work.names, "spec"), node, NUMBER_TYPE, "`seeds`")
     known = constant_behind(expr)
     if known is not None and known.number == int(known.number) and 0 <= known.number < 2**53:
         return int(known.number)
-    if expr.type.kind is not Kind.BAD:
+    if expr.type.kind is not TypeKind.BAD:
         message = f"a seed is a whole number, not {quote_source(node.span)}"
         work.declared.report.error("wrong-count", message, node.span, "write `seeds 1 .. 5`")
     return None
@@ -186,26 +188,29 @@ def _add_change(work: _SpecCheck, line: nodes.SpecLine) -> None:
         declared.used.add(("param", text))
         _bind_target(scope, line.target, "species", "own")
         expr = value_of_type(scope, line.condition, param.type, f"`{text}`")
-        if expr.type.kind is Kind.BAD:
+        if expr.type.kind is TypeKind.BAD:
             return
         if constant_behind(expr) is None:
             is_run_constant(declared.report, expr, f"`{text}`")
             return
         _check_range(work, line.condition, param, expr)
         work.changes.append(SpecChange(text, expr, line.span))
-    elif thing in work.fields and word in SETTINGS and word not in FIXED_SETTINGS:
+    elif thing in work.fields and word in SETTING_RULES and word not in FIXED_FIELD_SETTINGS:
         declared.used.add(("field", thing))
         _bind_target(scope, line.target, "field", "setting")
-        value = SETTINGS[word](scope, nodes.Setting(nodes.Name(word, line.target.span), line.condition, line.span))
+        value = SETTING_RULES[word](scope, nodes.Setting(nodes.Name(word, line.target.span), line.condition, line.span))
         if value is not None:
             work.changes.append(SpecChange(text, value, line.span))
     else:
-        known = [*work.params, *(f"{name}.{word}" for name in work.fields for word in SETTINGS if word not in FIXED_SETTINGS)]
+        known = [
+            *work.params,
+            *(f"{name}.{word}" for name in work.fields for word in SETTING_RULES if word not in FIXED_FIELD_SETTINGS),
+        ]
         advice = did_you_mean(text, known, f"there is {list_names(work.params)}" if work.params else None)
         declared.report.error("unknown-name", f"no param `{text}` to set", line.target.span, advice)
 
 
-def _bind_target(scope: Scope, target: nodes.Expr | nodes.Text, owner: str, value: str) -> None:
+def _bind_target(scope: NameScope, target: nodes.Expr | nodes.Text, owner: str, value: str) -> None:
     """Bind the names in `forager.smell` or `trail.half_life`; `owner` and `value` are their kinds."""
     if isinstance(target, nodes.Member) and isinstance(target.owner, nodes.NameRef):
         name, word = target.owner.name.text, target.name.text
@@ -256,7 +261,7 @@ def _add_expectation(work: _SpecCheck, line: nodes.SpecLine, species: str | None
     since = None if line.since is None else condition(scope, line.since, "`when`")
     expr = condition(scope, line.condition, f"`{line.kind}`")
     conditions = [each for each in (since, expr) if each is not None]
-    if any(isinstance(p, Expr) and p.type.kind is Kind.BAD for each in conditions for p in parts(each)):
+    if any(isinstance(p, Expr) and p.type.kind is TypeKind.BAD for each in conditions for p in parts(each)):
         return
     at_end = any(isinstance(part, MotionMeasure) for each in conditions for part in parts(each))
     if all(_is_judgeable(work, line, species, each, at_end) for each in conditions) and _allows_time(work, line):
@@ -282,7 +287,7 @@ def _allows_time(work: _SpecCheck, line: nodes.SpecLine) -> bool:
 def _is_judgeable(work: _SpecCheck, line: nodes.SpecLine, species: str | None, expr: Expr, at_end: bool) -> bool:
     """Return whether the line can be judged; report an error if not."""
     report, text = work.declared.report, quote_source(expr.span)
-    if species is None and expr.rate > Rate.STEP:
+    if species is None and expr.rate > ChangeRate.STEP:
         names = [name for name, each in work.declared.species.items() if each.node is not None] or ["walker"]
         advice = f"write it in `each {names[0]} {{ … }}`, or use the `share`, `mean`, `min` or `max` of all"
         report.error("wrong-rate", f"{text} differs from agent to agent, but no agent is named", expr.span, advice)
@@ -292,7 +297,7 @@ def _is_judgeable(work: _SpecCheck, line: nodes.SpecLine, species: str | None, e
         advice = "limit it in a line of the spec itself: `always: motion.circling < 5 %`"
         report.error("wrong-argument", "`motion` is measured over the whole run and known only at its end", expr.span, advice)
         return False
-    draw = next((p for p in parts(expr) if isinstance(p, Op) and p.name in DRAWS), None)
+    draw = next((p for p in parts(expr) if isinstance(p, OperationExpr) and p.name in DRAWING_OPERATIONS), None)
     if draw is not None:
         message = f"{quote_source(draw.span)} draws a random number, and a spec only looks"
         report.error("draw-in-spec", message, draw.span, "leave it out")
@@ -300,23 +305,28 @@ def _is_judgeable(work: _SpecCheck, line: nodes.SpecLine, species: str | None, e
     return True
 
 
-def _readings(expr: Expr, node: nodes.Expr) -> Iterator[Reading]:
+def _readings(expr: Expr, node: nodes.Expr) -> Iterator[ExpectationReading]:
     """Yield the sides of all comparisons of a condition, and its other values, in text order."""
     units = [part.unit for part, _ in written_nodes(node) if isinstance(part, nodes.Quantity)]
     stack: list[Expr] = [expr]
     while stack:
         part = stack.pop()
-        if isinstance(part, Op) and part.name == "is_none" and part.args[0] is not None and part.args[0].type.kind in _REFERENCES:
-            yield Reading(part.args[0], "")  # who it is, or none
-        elif isinstance(part, Op) and part.name in ("and", "or", "not", *_COMPARED):
+        if (
+            isinstance(part, OperationExpr)
+            and part.name == "is_none"
+            and part.args[0] is not None
+            and part.args[0].type.kind in _REFERENCE_KINDS
+        ):
+            yield ExpectationReading(part.args[0], "")  # who it is, or none
+        elif isinstance(part, OperationExpr) and part.name in ("and", "or", "not", *_COMPARISON_OPERATIONS):
             stack += [arg for arg in reversed(part.args) if arg is not None]
-        elif part.rate > Rate.RUN or isinstance(part, Aggregate | AtStart | MotionMeasure | OtherRun | BodyMeasure):
-            yield Reading(part, _display_unit(part, units))
+        elif part.rate > ChangeRate.RUN or isinstance(part, AggregateExpr | AtStart | MotionMeasure | OtherRun | BodyMeasure):
+            yield ExpectationReading(part, _display_unit(part, units))
 
 
 def _display_unit(part: Expr, units: list[str]) -> str:
     """A unit for a number: the first that the author wrote of its dimension, or a usual one."""
-    if part.type.kind is not Kind.NUMBER:
+    if part.type.kind is not TypeKind.NUMBER:
         return ""
     for unit in units:
         known = measure(unit)

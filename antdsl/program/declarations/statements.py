@@ -7,13 +7,13 @@ from dataclasses import replace
 
 from antdsl.diagnostics import Label
 from antdsl.program import model
-from antdsl.program.declarations.amounts import Block, amount_or_rate
+from antdsl.program.declarations.amounts import StatementContext, amount_or_rate
 from antdsl.program.declarations.appearance import channel, look, play, wear
 from antdsl.program.declarations.asks import ask
-from antdsl.program.kinds import NUMBER, PUSH
-from antdsl.program.model import Expr, Kind, Type
-from antdsl.program.names.scope import Scope, did_you_mean, list_names, type_from_words
-from antdsl.program.tables.vocabulary import BUILTIN_ATTRIBUTES
+from antdsl.program.kinds import NUMBER_TYPE, PUSH_TYPE
+from antdsl.program.model import Expr, TypeKind, ValueType
+from antdsl.program.names.scope import NameScope, did_you_mean, list_names, type_from_words
+from antdsl.program.tables.vocabulary import BUILTIN_ATTRIBUTE_BY_NAME
 from antdsl.program.types.arguments import place
 from antdsl.program.types.descriptions import is_compatible, quote_source, report_disagreement, report_mismatch, type_words
 from antdsl.program.types.operators import facing_direction, value, value_of_type
@@ -22,13 +22,13 @@ from antdsl.source import Span
 from antdsl.syntax import nodes
 
 
-def check_statements(scope: Scope, lines: Iterable[object], block: Block) -> tuple[model.Statement, ...]:
+def check_statements(scope: NameScope, lines: Iterable[object], block: StatementContext) -> tuple[model.Statement, ...]:
     """Return the statements of a block in text order, without those that have errors."""
     scope = scope.with_changes(runs_once=not block.body)
     checked_statements: list[model.Statement] = []
     assigned: dict[str, Span] = {}
     for line in lines:
-        rule = _RULES.get(type(line))
+        rule = _CHECKER_BY_STATEMENT.get(type(line))
         statement = rule(scope, line, block) if rule is not None else None
         if statement is not None:
             checked_statements.append(statement)
@@ -37,7 +37,7 @@ def check_statements(scope: Scope, lines: Iterable[object], block: Block) -> tup
     return tuple(checked_statements)
 
 
-def _report_duplicates(scope: Scope, name: nodes.Name, assigned: dict[str, Span]) -> None:
+def _report_duplicates(scope: NameScope, name: nodes.Name, assigned: dict[str, Span]) -> None:
     if name.text in assigned:
         message = f"`{name.text}` is set twice in one block, and only the second counts"
         advice = f"keep one of them, or add: `{name.text} += …`"
@@ -48,22 +48,22 @@ def _report_duplicates(scope: Scope, name: nodes.Name, assigned: dict[str, Span]
 # --- one line each ---------------------------------------------------------------------------------------------------
 
 
-def _steer(scope: Scope, line: nodes.Steer, block: Block) -> model.Statement | None:
-    push = value(scope, line.push, PUSH)
-    if push.type.kind is Kind.BAD:
+def _steer(scope: NameScope, line: nodes.Steer, block: StatementContext) -> model.Statement | None:
+    push = value(scope, line.push, PUSH_TYPE)
+    if push.type.kind is TypeKind.BAD:
         return None
-    if not is_compatible(push.type, PUSH):
-        report_mismatch(scope.report, line.push, push.type, PUSH, "`steer`", push)
+    if not is_compatible(push.type, PUSH_TYPE):
+        report_mismatch(scope.report, line.push, push.type, PUSH_TYPE, "`steer`", push)
         return None
     return model.Steer(push, line.span)
 
 
-def _face(scope: Scope, line: nodes.Face, block: Block) -> model.Statement | None:
+def _face(scope: NameScope, line: nodes.Face, block: StatementContext) -> model.Statement | None:
     direction = facing_direction(scope, line.push)
-    return None if direction.type.kind is Kind.BAD else model.Face(direction, line.span)
+    return None if direction.type.kind is TypeKind.BAD else model.FaceLine(direction, line.span)
 
 
-def _assign(scope: Scope, line: nodes.Assign, block: Block) -> model.Statement | None:
+def _assign(scope: NameScope, line: nodes.Assign, block: StatementContext) -> model.Statement | None:
     species = scope.species
     assert species is not None
     target, of, over, element, inner = line.target, None, None, None, scope
@@ -75,7 +75,7 @@ def _assign(scope: Scope, line: nodes.Assign, block: Block) -> model.Statement |
         name, type = pair_attribute.name, pair_attribute.type
     elif isinstance(target, nodes.Index) and isinstance(target.owner, nodes.NameRef):
         checked = scope.type_expression(target)
-        if not isinstance(checked, model.Attribute):
+        if not isinstance(checked, model.AttributeRef):
             value(scope, line.value)
             return None
         name, type, of = checked.name, checked.type, checked.of
@@ -92,26 +92,28 @@ def _assign(scope: Scope, line: nodes.Assign, block: Block) -> model.Statement |
         return None
     scope.declared.written.add(f"{species.name}.{name}")
     if line.op != "=":
-        if type.kind is Kind.BAD:
+        if type.kind is TypeKind.BAD:
             value(scope, line.value)
             return None
-        if type.kind not in (Kind.NUMBER, Kind.VECTOR):
+        if type.kind not in (TypeKind.NUMBER, TypeKind.VECTOR):
             message = f"`{name}` is {type_words(type)}, but you can add only to numbers and vectors"
             scope.report.error("wrong-kind", message, line.span, f"set it: `{name} = …`")
             return None
         change = amount_or_rate(inner, line.value, type, block, f"{' '.join(target.span.text.split())} {line.op} ")
         return None if change is None else model.Assign(name, line.op, change, block.body, line.span, of, over, element)
-    if block.commuting and name not in ("heading", "velocity") and type.kind not in (Kind.AGENT, Kind.ITEM):
+    if block.commuting and name not in ("heading", "velocity") and type.kind not in (TypeKind.AGENT, TypeKind.ITEM):
         text, what = (" ".join(each.span.text.split()) for each in (line.value, target))
         words = f"`{what}` is set in a handler, where several events may come at once"
         advice = f"add to it: `{what} += {text}`, or set it in a change that asks for it: `when … -> … {{ {what} = {text} }}`"
         scope.report.error("not-commuting", words, line.span, advice)
         return None
     new = value_of_type(inner, line.value, type, f"`{name}`")
-    return None if new.type.kind is Kind.BAD else model.Assign(name, "=", new, False, line.span, of, over, element)
+    return None if new.type.kind is TypeKind.BAD else model.Assign(name, "=", new, False, line.span, of, over, element)
 
 
-def _assigned_attribute(scope: Scope, name: nodes.Name, block: Block, line: nodes.Assign) -> tuple[str, Type] | None:
+def _assigned_attribute(
+    scope: NameScope, name: nodes.Name, block: StatementContext, line: nodes.Assign
+) -> tuple[str, ValueType] | None:
     """The attribute that a bare name on the left stands for."""
     species, report, text = scope.species, scope.report, name.text
     assert species is not None
@@ -121,14 +123,14 @@ def _assigned_attribute(scope: Scope, name: nodes.Name, block: Block, line: node
         return None
     if text in species.attributes:
         return text, species.attributes[text]
-    builtin = BUILTIN_ATTRIBUTES.get(text)
+    builtin = BUILTIN_ATTRIBUTE_BY_NAME.get(text)
     if builtin is not None and (builtin.settable or text in ("velocity", "heading")):
         if not builtin.settable and block.body:
             example = f"`enter {{ {' '.join(line.span.text.split())} }}`"
             advice = f"steer instead, or set it once: {example}"
             report.error("set-in-body", f"`{text}` cannot be set in every step", line.span, advice)
             return None
-        return text, type_from_words(builtin.type) or Type(Kind.BAD)
+        return text, type_from_words(builtin.type) or ValueType(TypeKind.BAD)
     if text in species.params:
         message = f"`{text}` is a param, which has one value for all agents"
         report.error("not-settable", message, name.span, f"make it an attribute: `{text} = …` without `param`")
@@ -142,7 +144,7 @@ def _assigned_attribute(scope: Scope, name: nodes.Name, block: Block, line: node
         report.error("not-settable", f"`{text}` cannot be set", name.span, advice)
     else:
         known = [a for a in species.attributes if a not in species.each] + [
-            n for n, g in BUILTIN_ATTRIBUTES.items() if g.settable
+            n for n, g in BUILTIN_ATTRIBUTE_BY_NAME.items() if g.settable
         ]
         message = f"`{species.name}` has no attribute `{text}`"
         report.error(
@@ -151,11 +153,11 @@ def _assigned_attribute(scope: Scope, name: nodes.Name, block: Block, line: node
     return None
 
 
-def _ask(scope: Scope, line: nodes.Ask, block: Block) -> model.Statement | None:
-    return _DISPLAY_RULES.get(line.verb, ask)(scope, line, block)
+def _ask(scope: NameScope, line: nodes.Ask, block: StatementContext) -> model.Statement | None:
+    return _CHECKER_BY_DISPLAY_WORD.get(line.verb, ask)(scope, line, block)
 
 
-def _give(scope: Scope, line: nodes.Give, block: Block) -> model.Statement | None:
+def _give(scope: NameScope, line: nodes.Give, block: StatementContext) -> model.Statement | None:
     species = scope.species
     assert species is not None
     to = place(scope, line.to, "`to`")
@@ -163,7 +165,12 @@ def _give(scope: Scope, line: nodes.Give, block: Block) -> model.Statement | Non
     amount = None
     if line.amount is not None:
         amount = amount_or_rate(
-            scope, line.amount, own or NUMBER, block, "give ", f" {line.attribute.text} to {' '.join(line.to.span.text.split())}"
+            scope,
+            line.amount,
+            own or NUMBER_TYPE,
+            block,
+            "give ",
+            f" {line.attribute.text} to {' '.join(line.to.span.text.split())}",
         )
     if own is None or not _has_attribute(scope, line.to, to, line.attribute, own) or (line.amount is not None and amount is None):
         return None
@@ -171,20 +178,23 @@ def _give(scope: Scope, line: nodes.Give, block: Block) -> model.Statement | Non
     return model.Give(line.attribute.text, amount, to, block.body, line.span)
 
 
-def take(scope: Scope, line: nodes.Take) -> model.Take | None:
+def take(scope: NameScope, line: nodes.Take) -> model.Take | None:
     """Check `take 1 load from meal` or `take all load from grass`. It is the part of a transition that is settled among all
     agents that claim it."""
-    source = scope.type_expression(line.source, Type(Kind.PLACE)) if isinstance(line.source, nodes.NameRef) else None
-    if source is None or source.type.kind is not Kind.FIELD:
+    source = scope.type_expression(line.source, ValueType(TypeKind.PLACE)) if isinstance(line.source, nodes.NameRef) else None
+    if source is None or source.type.kind is not TypeKind.FIELD:
         source = place(scope, line.source, "`from`")
     own = None if line.attribute is None else _own_amount_type(scope, line.attribute, "to take it into")
     called = line.attribute.text if line.attribute is not None else ""
     amount = None
     if line.amount is not None:
         amount = value_of_type(
-            scope.with_changes(runs_once=True), line.amount, own or NUMBER, " ".join(("`take …", f"{called}`" if called else "`"))
+            scope.with_changes(runs_once=True),
+            line.amount,
+            own or NUMBER_TYPE,
+            " ".join(("`take …", f"{called}`" if called else "`")),
         )
-        if amount.type.kind is Kind.BAD:
+        if amount.type.kind is TypeKind.BAD:
             return None
     if line.attribute is not None and own is None:
         return None
@@ -193,7 +203,7 @@ def take(scope: Scope, line: nodes.Take) -> model.Take | None:
         advice = f"write `take 1 {name} from {what}`, or `take all {name} from {what}`"
         scope.report.error("missing-argument", f"`take {name}` does not state an amount", line.amount.span, advice)
         return None
-    if source.type.kind is Kind.FIELD:
+    if source.type.kind is TypeKind.FIELD:
         if (
             line.attribute is not None
             and own is not None
@@ -201,7 +211,7 @@ def take(scope: Scope, line: nodes.Take) -> model.Take | None:
         ):
             return None
     elif line.attribute is None:
-        if source.type.kind is not Kind.BAD:
+        if source.type.kind is not TypeKind.BAD:
             message = f"`take` does not say what is taken from {quote_source(line.source.span)}"
             advice = f"name the attribute: `take 1 load from {' '.join(line.source.span.text.split())}`"
             scope.report.error("missing-argument", message, line.span, advice)
@@ -214,18 +224,22 @@ def take(scope: Scope, line: nodes.Take) -> model.Take | None:
     return model.Take(called or None, amount, source, line.span)
 
 
-def _is_field_amount(scope: Scope, node: nodes.Expr, expr: Expr, attribute: nodes.Name, own: Type) -> bool:
+def _is_field_amount(scope: NameScope, node: nodes.Expr, expr: Expr, attribute: nodes.Name, own: ValueType) -> bool:
     """Whether the agent's attribute is a plain number, as a field's cells hold."""
-    if own.kind is Kind.BAD or is_compatible(NUMBER, own):
-        return own.kind is not Kind.BAD
-    a = model.Attribute(own, model.Rate.AGENT, attribute.span, None, attribute.text)
+    if own.kind is TypeKind.BAD or is_compatible(NUMBER_TYPE, own):
+        return own.kind is not TypeKind.BAD
+    a = model.AttributeRef(own, model.ChangeRate.AGENT, attribute.span, None, attribute.text)
     report_disagreement(
-        scope.report, "take", attribute.span, (nodes.NameRef(attribute, attribute.span), a), (node, replace(expr, type=NUMBER))
+        scope.report,
+        "take",
+        attribute.span,
+        (nodes.NameRef(attribute, attribute.span), a),
+        (node, replace(expr, type=NUMBER_TYPE)),
     )
     return False
 
 
-def _own_amount_type(scope: Scope, name: nodes.Name, why: str) -> Type | None:
+def _own_amount_type(scope: NameScope, name: nodes.Name, why: str) -> ValueType | None:
     species = scope.species
     assert species is not None
     type = species.attributes.get(name.text)
@@ -240,18 +254,18 @@ def _own_amount_type(scope: Scope, name: nodes.Name, why: str) -> Type | None:
         )
         return None
     scope.mark_used("attribute", f"{species.name}.{name.text}")
-    if type.kind not in (Kind.NUMBER, Kind.BAD):
-        report_mismatch(scope.report, nodes.NameRef(name, name.span), type, NUMBER, "what is taken or given")
+    if type.kind not in (TypeKind.NUMBER, TypeKind.BAD):
+        report_mismatch(scope.report, nodes.NameRef(name, name.span), type, NUMBER_TYPE, "what is taken or given")
         return None
     return type
 
 
-def _has_attribute(scope: Scope, node: nodes.Expr, item_expr: Expr, attribute: nodes.Name, own: Type) -> bool:
+def _has_attribute(scope: NameScope, node: nodes.Expr, item_expr: Expr, attribute: nodes.Name, own: ValueType) -> bool:
     """Whether the item has the attribute, of the same dimension."""
-    if item_expr.type.kind is Kind.BAD:
+    if item_expr.type.kind is TypeKind.BAD:
         return False
-    if item_expr.type.kind is not Kind.ITEM:
-        report_mismatch(scope.report, node, item_expr.type, Type(Kind.ITEM), "`take` and `give`")
+    if item_expr.type.kind is not TypeKind.ITEM:
+        report_mismatch(scope.report, node, item_expr.type, ValueType(TypeKind.ITEM), "`take` and `give`")
         return False
     thing = scope.declared.things.get(item_expr.type.of or "")
     held = {a.name: a.type for a in thing.attributes} if thing else {}
@@ -271,8 +285,8 @@ def _has_attribute(scope: Scope, node: nodes.Expr, item_expr: Expr, attribute: n
         return False
     scope.bind_value(attribute.span, item_expr.type, attribute.text)
     if not is_compatible(held[attribute.text], own):
-        a = model.Attribute(own, model.Rate.AGENT, attribute.span, None, attribute.text)
-        b = model.Attribute(held[attribute.text], model.Rate.AGENT, node.span, item_expr, attribute.text)
+        a = model.AttributeRef(own, model.ChangeRate.AGENT, attribute.span, None, attribute.text)
+        b = model.AttributeRef(held[attribute.text], model.ChangeRate.AGENT, node.span, item_expr, attribute.text)
         report_disagreement(
             scope.report, "take and give", attribute.span, (nodes.NameRef(attribute, attribute.span), a), (node, b)
         )
@@ -280,7 +294,12 @@ def _has_attribute(scope: Scope, node: nodes.Expr, item_expr: Expr, attribute: n
     return True
 
 
-_DISPLAY_RULES: dict[str, Callable[..., model.Statement | None]] = {"play": play, "wear": wear, "channel": channel, "look": look}
-_RULES: dict[type, Callable[..., model.Statement | None]] = {
+_CHECKER_BY_DISPLAY_WORD: dict[str, Callable[..., model.Statement | None]] = {
+    "play": play,
+    "wear": wear,
+    "channel": channel,
+    "look": look,
+}
+_CHECKER_BY_STATEMENT: dict[type, Callable[..., model.Statement | None]] = {
     nodes.Steer: _steer, nodes.Face: _face, nodes.Assign: _assign, nodes.Ask: _ask, nodes.Give: _give,
 }  # fmt: skip

@@ -7,38 +7,38 @@ from collections.abc import Callable
 from antdsl import limits
 from antdsl.diagnostics import Label, Report
 from antdsl.program import model
-from antdsl.program.kinds import LENGTH, NUMBER, PER_SECOND, TIME
-from antdsl.program.model import Const, Dim, Expr, Kind, Rate, Type
+from antdsl.program.kinds import LENGTH_TYPE, NUMBER_TYPE, PER_SECOND_TYPE, TIME_TYPE
+from antdsl.program.model import ChangeRate, Constant, Dimension, Expr, TypeKind, ValueType
 from antdsl.program.names.collect import check_free
 from antdsl.program.names.scope import (
-    Declared,
+    Declarations,
     FileNames,
-    Scope,
+    NameScope,
     SpeciesNames,
     StableKeys,
     did_you_mean,
     list_names,
     report_duplicate,
 )
-from antdsl.program.tables.things import KINDS_OF_THINGS
+from antdsl.program.tables.things import KIND_BY_WORD
 from antdsl.program.tables.units import number
-from antdsl.program.tables.vocabulary import BUILTIN_ATTRIBUTES, ITEM_ATTRIBUTES
+from antdsl.program.tables.vocabulary import BUILTIN_ATTRIBUTE_BY_NAME, ITEM_ATTRIBUTE_TYPES
 from antdsl.program.types.descriptions import is_compatible, quote_source, report_mismatch
 from antdsl.program.types.folding import constant_behind
 from antdsl.program.types.operators import value, value_of_type
 from antdsl.syntax import nodes
-from antdsl.syntax.words import WORD_SETTINGS
+from antdsl.syntax.words import WORD_SETTING_VALUES
 
 
-def outer_scope(declared: Declared, names: FileNames, path: str) -> Scope:
+def outer_scope(declared: Declarations, names: FileNames, path: str) -> NameScope:
     """A place outside of every species."""
-    return Scope(declared, names, StableKeys(path), declared.report, no_keep="nothing is remembered outside a species")
+    return NameScope(declared, names, StableKeys(path), declared.report, no_keep="nothing is remembered outside a species")
 
 
 # --- things ----------------------------------------------------------------------------------------------------------
 
 
-def declare_world(declared: Declared, names: FileNames) -> None:
+def declare_world(declared: Declarations, names: FileNames) -> None:
     """Add a file's `world` to the declarations. Two files may declare the same thing if the declarations agree."""
     for item in names.node.items:
         if isinstance(item, nodes.World):
@@ -46,14 +46,14 @@ def declare_world(declared: Declared, names: FileNames) -> None:
                 _declare_thing(declared, names, thing)
 
 
-def _declare_thing(declared: Declared, names: FileNames, item: nodes.WorldItem) -> None:
+def _declare_thing(declared: Declarations, names: FileNames, item: nodes.WorldItem) -> None:
     report, kind, name = declared.report, item.kind.text, item.name.text
-    if kind not in KINDS_OF_THINGS:
+    if kind not in KIND_BY_WORD:
         report.error(
             "unknown-kind",
             f"no kind of thing `{kind}`",
             item.kind.span,
-            did_you_mean(kind, KINDS_OF_THINGS, f"kinds are {list_names(tuple(KINDS_OF_THINGS))}"),
+            did_you_mean(kind, KIND_BY_WORD, f"kinds are {list_names(tuple(KIND_BY_WORD))}"),
         )
         declared.unclear.add(name)
         return
@@ -61,7 +61,7 @@ def _declare_thing(declared: Declared, names: FileNames, item: nodes.WorldItem) 
     if known is not None and (known.kind != kind or known.span.source.path == item.span.source.path):
         report_duplicate(report, kind, item.name, known.span)
         return
-    if not KINDS_OF_THINGS[kind].has_values and item.attributes:
+    if not KIND_BY_WORD[kind].has_values and item.attributes:
         message = f"{kind} `{name}` has no values"
         report.error("wrong-kind", message, item.attributes[0].span, "only `items` and `species` can have attributes")
     if known is None and not check_free(report, item.name):
@@ -77,26 +77,26 @@ def _declare_thing(declared: Declared, names: FileNames, item: nodes.WorldItem) 
             species.attributes.update({a.name: a.type for a in attributes})
 
 
-def _attribute(declared: Declared, names: FileNames, item: nodes.WorldItem, node: nodes.Declaration) -> model.ItemAttribute:
+def _attribute(declared: Declarations, names: FileNames, item: nodes.WorldItem, node: nodes.Declaration) -> model.ItemAttribute:
     report, name = declared.report, node.name.text
     twice = [d for d in item.attributes if d.name.text == name]
     if twice[0] is not node:
         report_duplicate(report, "attribute", node.name, twice[0].name.span)
-    taken = ITEM_ATTRIBUTES if item.kind.text == "items" else BUILTIN_ATTRIBUTES
+    taken = ITEM_ATTRIBUTE_TYPES if item.kind.text == "items" else BUILTIN_ATTRIBUTE_BY_NAME
     if name in taken:
         message = f"every one of `{item.name.text}` has a `{name}` already"
         report.error("reserved-name", message, node.name.span, f"call it otherwise, such as `my_{name}`")
     expr = value(outer_scope(declared, names, f"world.{item.name.text}"), node.value)
     constant = constant_behind(expr)
-    if constant is None or constant.type.kind is not Kind.NUMBER:
-        if expr.type.kind is not Kind.BAD:
+    if constant is None or constant.type.kind is not TypeKind.NUMBER:
+        if expr.type.kind is not TypeKind.BAD:
             words = f"{quote_source(node.value.span)} is not a plain number, which an attribute of `{item.name.text}` starts with"
             report.error("wrong-rate", words, node.value.span, f"write a number: `{name} = 0`")
         constant = number(0, node.value.span)
     return model.ItemAttribute(name, constant.type, constant, node.help.text if node.help else "", node.name.span)
 
 
-def check_world_species(declared: Declared) -> None:
+def check_world_species(declared: Declarations) -> None:
     """`world { species rabbit { … } }` against the species itself, where both are checked together."""
     for thing in declared.things.values():
         species = declared.species.get(thing.name)
@@ -123,7 +123,7 @@ def check_world_species(declared: Declared) -> None:
 # --- fields ----------------------------------------------------------------------------------------------------------
 
 
-def declare_fields(declared: Declared, names: FileNames) -> list[nodes.FieldDecl]:
+def declare_fields(declared: Declarations, names: FileNames) -> list[nodes.FieldDecl]:
     """Add a file's fields; a field of two files must be written alike in both."""
     added: list[nodes.FieldDecl] = []
     for item in names.node.items:
@@ -139,13 +139,13 @@ def declare_fields(declared: Declared, names: FileNames) -> list[nodes.FieldDecl
                 added.append(item)
         elif known.span.source.path == item.span.source.path or known.span.text.split() != item.span.text.split():
             report_duplicate(declared.report, "field", item.name, known.name.span)
-    if len(declared.fields) > limits.FIELDS:
-        message = f"more than {limits.FIELDS} fields"
+    if len(declared.fields) > limits.MAX_FIELDS:
+        message = f"more than {limits.MAX_FIELDS} fields"
         declared.report.error("too-many", message, added[-1].name.span if added else None, "leave some out")
     return added
 
 
-def check_field(declared: Declared, names: FileNames, node: nodes.FieldDecl) -> model.Field | None:
+def check_field(declared: Declarations, names: FileNames, node: nodes.FieldDecl) -> model.Field | None:
     """A field with its settings; None when it has no cell size to speak of."""
     report = declared.report
     scope = outer_scope(declared, names, f"field.{node.name.text}")
@@ -153,12 +153,12 @@ def check_field(declared: Declared, names: FileNames, node: nodes.FieldDecl) -> 
     settings: dict[str, nodes.Setting] = {}
     for setting in node.settings:
         word = setting.name.text
-        if word not in SETTINGS:
+        if word not in SETTING_RULES:
             report.error(
                 "unknown-setting",
                 f"a field has no setting `{word}`",
                 setting.name.span,
-                did_you_mean(word, SETTINGS, f"settings are {list_names(SETTINGS)}"),
+                did_you_mean(word, SETTING_RULES, f"settings are {list_names(SETTING_RULES)}"),
             )
             if not isinstance(setting.value, nodes.NameRef):
                 scope.type_expression(setting.value)
@@ -167,7 +167,7 @@ def check_field(declared: Declared, names: FileNames, node: nodes.FieldDecl) -> 
         else:
             settings[word] = setting
     _check_single_decay(report, settings)
-    setting_values = {word: SETTINGS[word](scope, setting) for word, setting in settings.items()}
+    setting_values = {word: SETTING_RULES[word](scope, setting) for word, setting in settings.items()}
     if "cell" not in settings:
         message = f"field `{node.name.text}` does not say how large its cells are"
         report.error("missing-setting", message, node.name.span, "write `cell 4 mm` between its braces")
@@ -180,14 +180,14 @@ def check_field(declared: Declared, names: FileNames, node: nodes.FieldDecl) -> 
     )  # fmt: skip
 
 
-def _is_ground(declared: Declared, name: nodes.Name) -> bool:
+def _is_ground(declared: Declarations, name: nodes.Name) -> bool:
     thing = declared.things.get(name.text)
-    if thing is not None and KINDS_OF_THINGS[thing.kind].has_faces:
+    if thing is not None and KIND_BY_WORD[thing.kind].has_faces:
         declared.used.add(("thing", name.text))
         return True
     if thing is None and name.text in declared.unclear:
         return False
-    grounds = [t.name for t in declared.things.values() if KINDS_OF_THINGS[t.kind].is_ground]
+    grounds = [t.name for t in declared.things.values() if KIND_BY_WORD[t.kind].is_ground]
     if thing is None:
         message = f"no surface `{name.text}`"
         declared.report.error(
@@ -206,10 +206,12 @@ def _check_single_decay(report: Report, settings: dict[str, nodes.Setting]) -> N
         report.error("two-decays", message, extra.span, "keep one of them", labels=(Label(decays[0].span, "the other one"),))
 
 
-def _setting_rule(type: Type, least: float | None = None, above: bool = False) -> Callable[[Scope, nodes.Setting], Expr | None]:
-    def check(scope: Scope, node: nodes.Setting) -> Expr | None:
+def _setting_rule(
+    type: ValueType, least: float | None = None, above: bool = False
+) -> Callable[[NameScope, nodes.Setting], Expr | None]:
+    def check(scope: NameScope, node: nodes.Setting) -> Expr | None:
         expr = value_of_type(scope, node.value, type, f"`{node.name.text}`")
-        if expr.type.kind is Kind.BAD:
+        if expr.type.kind is TypeKind.BAD:
             return None
         if not is_run_constant(scope.report, expr, f"`{node.name.text}` of a field"):
             return None
@@ -226,23 +228,23 @@ def _setting_rule(type: Type, least: float | None = None, above: bool = False) -
 
 def is_run_constant(report: Report, expr: Expr, who: str) -> bool:
     """Return whether a value is equal for all agents and all steps; report an error otherwise."""
-    if expr.rate <= Rate.RUN:
+    if expr.rate <= ChangeRate.RUN:
         return True
-    differs = "changes from step to step" if expr.rate is Rate.STEP else "differs from agent to agent"
+    differs = "changes from step to step" if expr.rate is ChangeRate.STEP else "differs from agent to agent"
     message = f"{quote_source(expr.span)} {differs}, and {who} is one value for the whole run"
     report.error("wrong-rate", message, expr.span, "write a number")
     return False
 
 
-def _keep_factor(scope: Scope, node: nodes.Setting) -> Expr | None:
+def _keep_factor(scope: NameScope, node: nodes.Setting) -> Expr | None:
     """`keeps 90 %/step` is the factor 0.9 for each step."""
     expr = value(scope, node.value)
-    if expr.type.kind is Kind.BAD:
+    if expr.type.kind is TypeKind.BAD:
         return None
     constant = constant_behind(expr)
     text = " ".join(node.value.span.text.split())
-    if constant is None or expr.type != PER_SECOND or constant.step != -1 or constant.u:
-        better = f"`keeps {text}/step`" if expr.type == NUMBER else "`keeps 90 %/step`"
+    if constant is None or expr.type != PER_SECOND_TYPE or constant.step != -1 or constant.u:
+        better = f"`keeps {text}/step`" if expr.type == NUMBER_TYPE else "`keeps 90 %/step`"
         message = f"`keeps` is a share for each step, and {quote_source(node.value.span)} is not"
         scope.report.error("wrong-unit", message, node.value.span, f"write {better}, or `half_life 8 s`")
         return None
@@ -253,10 +255,10 @@ def _keep_factor(scope: Scope, node: nodes.Setting) -> Expr | None:
     return number(constant.number, node.value.span)
 
 
-def _word_number(scope: Scope, node: nodes.Setting) -> Expr | None:
+def _word_number(scope: NameScope, node: nodes.Setting) -> Expr | None:
     """Return the number of a setting's word among the allowed words."""
     setting = node.name.text
-    words = WORD_SETTINGS[setting]
+    words = WORD_SETTING_VALUES[setting]
     word = node.value.name.text if isinstance(node.value, nodes.NameRef) else ""
     if word not in words:
         message = f"`{setting}` is {' or '.join(f'`{each}`' for each in words)}, not {quote_source(node.value.span)}"
@@ -269,15 +271,15 @@ def _word_number(scope: Scope, node: nodes.Setting) -> Expr | None:
 def _chosen_word(setting: str, setting_values: dict[str, Expr | None]) -> str:
     """Return the word of a setting; the default if it is absent or wrong."""
     chosen_value = setting_values.get(setting)
-    return WORD_SETTINGS[setting][int(chosen_value.number) if isinstance(chosen_value, Const) else 0]
+    return WORD_SETTING_VALUES[setting][int(chosen_value.number) if isinstance(chosen_value, Constant) else 0]
 
 
-def _stencil(scope: Scope, node: nodes.Setting) -> Expr | None:
-    expr = value_of_type(scope, node.value, NUMBER, "`stencil`")
-    if expr.type.kind is Kind.BAD:
+def _stencil(scope: NameScope, node: nodes.Setting) -> Expr | None:
+    expr = value_of_type(scope, node.value, NUMBER_TYPE, "`stencil`")
+    if expr.type.kind is TypeKind.BAD:
         return None
     constant = constant_behind(expr)
-    if constant is None or constant.number not in STENCILS:
+    if constant is None or constant.number not in STENCIL_SIZES:
         advice = "write `stencil 4`, cells beside it, or `stencil 8`, those at its corners too"
         scope.report.error("out-of-range", f"`stencil` is 4 or 8, not {quote_source(node.value.span)}", node.value.span, advice)
         return None
@@ -286,20 +288,20 @@ def _stencil(scope: Scope, node: nodes.Setting) -> Expr | None:
 
 def _stencil_size(setting_values: dict[str, Expr | None]) -> int:
     chosen_value = setting_values.get("stencil")
-    return int(chosen_value.number) if isinstance(chosen_value, Const) else STENCILS[0]
+    return int(chosen_value.number) if isinstance(chosen_value, Constant) else STENCIL_SIZES[0]
 
 
-STENCILS = (4, 8)  # of how many cells round about, the usual one first
+STENCIL_SIZES = (4, 8)  # of how many cells round about, the usual one first
 
 
-SETTINGS: dict[str, Callable[[Scope, nodes.Setting], Expr | None]] = {
-    "cell": _setting_rule(LENGTH, 0, above=True),
-    "half_life": _setting_rule(TIME, 0, above=True),
-    "evaporate": _setting_rule(PER_SECOND, 0),
+SETTING_RULES: dict[str, Callable[[NameScope, nodes.Setting], Expr | None]] = {
+    "cell": _setting_rule(LENGTH_TYPE, 0, above=True),
+    "half_life": _setting_rule(TIME_TYPE, 0, above=True),
+    "evaporate": _setting_rule(PER_SECOND_TYPE, 0),
     "keeps": _keep_factor,
-    "diffuse": _setting_rule(Type(Kind.NUMBER, Dim(length=2, time=-1)), 0),
+    "diffuse": _setting_rule(ValueType(TypeKind.NUMBER, Dimension(length=2, time=-1)), 0),
     "stencil": _stencil,
     "combine": _word_number,
     "deposits": _word_number,
-    "limit": _setting_rule(NUMBER, 0, above=True),
+    "limit": _setting_rule(NUMBER_TYPE, 0, above=True),
 }

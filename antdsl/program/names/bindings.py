@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 from antdsl.source import Span
 
-Key = tuple[str, ...]
+NameKey = tuple[str, ...]
 
 
 class NameUse(NamedTuple):
@@ -22,11 +22,11 @@ class NameUse(NamedTuple):
     sees it, as the `n` of `sum(n in …)`. In `take 1 load from meal` one name has two uses."""
 
     span: Span
-    declared: Key | Span
+    declared: NameKey | Span
 
 
 @dataclass(frozen=True, slots=True)
-class Bindings:
+class NameBindings:
     """Every use of a name that could be resolved, in the order of checking; one may be listed again."""
 
     uses: tuple[NameUse, ...] = ()

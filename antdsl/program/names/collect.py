@@ -10,25 +10,32 @@ from antdsl.diagnostics import Fix, Report
 from antdsl.diagnostics.suggestion import nearest_name
 from antdsl.program.names.scope import (
     BehaviourInfo,
-    Declared,
+    Declarations,
     FileNames,
     MachineNames,
     SpeciesNames,
     did_you_mean,
     report_duplicate,
 )
-from antdsl.program.tables.effects import EFFECTS
-from antdsl.program.tables.vocabulary import BUILTIN_ATTRIBUTES, BUILTINS, REDUCERS, RESERVED, RUN_NAMES, SENSED_NAMES
+from antdsl.program.tables.effects import EFFECT_BY_OPERATION
+from antdsl.program.tables.vocabulary import (
+    BUILTIN_ATTRIBUTE_BY_NAME,
+    BUILTINS_BY_NAME,
+    REDUCER_HELP,
+    RESERVED_WORDS,
+    RUN_VALUE_TYPES,
+    SENSE_TYPE_BY_NAME,
+)
 from antdsl.source import Span
 from antdsl.syntax import nodes
 
-Library = Callable[[str], "nodes.File | None"]
+LibraryFinder = Callable[[str], "nodes.File | None"]
 
-_TAKEN = frozenset(
+_RESERVED_NAMES = frozenset(
     {
-        *RUN_NAMES,
-        *SENSED_NAMES,
-        *RESERVED,
+        *RUN_VALUE_TYPES,
+        *SENSE_TYPE_BY_NAME,
+        *RESERVED_WORDS,
         "state",
         "previous",
         "next",
@@ -41,8 +48,8 @@ _TAKEN = frozenset(
         "clip",
     }
 )
-EVENTS = ("spawn", "collision")
-LIBRARIES = ("steering",)
+BUILTIN_EVENTS = ("spawn", "collision")
+LIBRARY_NAMES = ("steering",)
 
 
 def module_key(using: nodes.File, written: str) -> str:
@@ -51,10 +58,10 @@ def module_key(using: nodes.File, written: str) -> str:
     return posixpath.normpath(posixpath.join(posixpath.dirname(using.source.path.replace("\\", "/")), written))
 
 
-class Loader:
+class FileLoader:
     """Finds the behaviours that files use; each library and module is looked at once."""
 
-    def __init__(self, report: Report, library: Library, modules: Mapping[str, nodes.File] | None) -> None:
+    def __init__(self, report: Report, library: LibraryFinder, modules: Mapping[str, nodes.File] | None) -> None:
         self.report = report
         self.library = library
         self.modules = modules or {}
@@ -76,7 +83,7 @@ class Loader:
 
     def library_of(self, behaviour: str) -> str | None:
         """The library that has a behaviour of that name, whether it is used or not."""
-        for name in LIBRARIES:
+        for name in LIBRARY_NAMES:
             node = self.library(name)
             if node is not None and any(isinstance(item, nodes.Behaviour) and item.name.text == behaviour for item in node.items):
                 return name
@@ -93,7 +100,7 @@ class Loader:
         name = node.name.text
         if name in names.own:
             report_duplicate(self.report, "behaviour", node.name, names.own[name].node.name.span)
-        elif name in BUILTINS or name in REDUCERS or name in RESERVED:
+        elif name in BUILTINS_BY_NAME or name in REDUCER_HELP or name in RESERVED_WORDS:
             message = f"`{name}` is a word of the language"
             self.report.error("reserved-name", message, node.name.span, f"call it otherwise, such as `my_{name}`")
         else:
@@ -111,12 +118,12 @@ class Loader:
             self.libraries[name.text] = None if node is None else self.file(node, above)
         file_names = self.libraries[name.text]
         if file_names is None:
-            names.wanting.add(nearest_name(name.text, LIBRARIES) or "")  # this covers all that is missing from there
+            names.wanting.add(nearest_name(name.text, LIBRARY_NAMES) or "")  # this covers all that is missing from there
             self.report.error(
                 "unknown-library",
                 f"no library `{name.text}`",
                 name.span,
-                did_you_mean(name.text, LIBRARIES, "the library that comes with antdsl is `steering`"),
+                did_you_mean(name.text, LIBRARY_NAMES, "the library that comes with antdsl is `steering`"),
             )
             return
         names.libraries.append(name.text)
@@ -134,8 +141,8 @@ class Loader:
             circle = " → ".join(f"`{each.source.path}`" for each in [*above[[id(e) for e in above].index(id(node)) :], node])
             message = f"files use each other in a circle: {circle}"
             self.report.error("circle", message, path.span, "put what both need into a third file")
-        elif len(above) >= limits.USE_DEPTH:
-            message = f"files use files more than {limits.USE_DEPTH} levels deep"
+        elif len(above) >= limits.MAX_USE_DEPTH:
+            message = f"files use files more than {limits.MAX_USE_DEPTH} levels deep"
             self.report.error("too-deep", message, path.span, "use the file directly")
         elif alias.text in names.aliases:
             message = f"two files are both named `{alias.text}`"
@@ -147,7 +154,7 @@ class Loader:
 # --- names of all files together -------------------------------------------------------------------------------------
 
 
-def declare(declared: Declared, names: FileNames) -> None:
+def declare(declared: Declarations, names: FileNames) -> None:
     """Names of a file's fields, species, machines, states and events. The world's things are declared by `world.py`."""
     report = declared.report
     for item in names.node.items:
@@ -168,7 +175,7 @@ def declare(declared: Declared, names: FileNames) -> None:
 
 def check_free(report: Report, name: nodes.Name) -> bool:
     """Whether a name may be declared; complains when it is a word of the language."""
-    if name.text in _TAKEN:
+    if name.text in _RESERVED_NAMES:
         message = f"`{name.text}` is a word of the language"
         report.error("reserved-name", message, name.span, f"call it otherwise, such as `my_{name.text}`")
         return False
@@ -177,7 +184,7 @@ def check_free(report: Report, name: nodes.Name) -> bool:
 
 def check_free_in_species(report: Report, name: nodes.Name, value: Span) -> bool:
     """Like `free`, for members of a species, where built-in names are taken too."""
-    builtin = BUILTIN_ATTRIBUTES.get(name.text)
+    builtin = BUILTIN_ATTRIBUTE_BY_NAME.get(name.text)
     if builtin is None:
         return check_free(report, name)
     if builtin.settable:
@@ -215,9 +222,9 @@ def _declare_machine(report: Report, species: SpeciesNames, name: str, states: t
         check_free(report, state.name)
         machine_names.states[state.name.text] = len(machine_names.states)
         spans[state.name.text] = state.name.span
-    if len(machine_names.states) > limits.STATES:
-        message = f"machine `{name}` has more than {limits.STATES} states"
-        report.error("too-many", message, states[limits.STATES].name.span, "split it into several machines")
+    if len(machine_names.states) > limits.MAX_MACHINE_STATES:
+        message = f"machine `{name}` has more than {limits.MAX_MACHINE_STATES} states"
+        report.error("too-many", message, states[limits.MAX_MACHINE_STATES].name.span, "split it into several machines")
     species.machines[name] = machine_names
 
 
@@ -228,13 +235,13 @@ def _events(species: nodes.Species) -> Iterator[tuple[str, Span]]:
             if (event := raised_event(action)) is not None:
                 yield event.text, event.span
     for member in species.members:
-        if isinstance(member, nodes.On) and member.event.text not in EVENTS:
+        if isinstance(member, nodes.On) and member.event.text not in BUILTIN_EVENTS:
             yield member.event.text, member.event.span
 
 
 def raised_event(part: object) -> nodes.Name | None:
     """The event that a line raises."""
-    row = EFFECTS.get(part.verb) if isinstance(part, nodes.Ask) else None
+    row = EFFECT_BY_OPERATION.get(part.verb) if isinstance(part, nodes.Ask) else None
     return part.name if isinstance(part, nodes.Ask) and row is not None and row.target == "event" else None
 
 

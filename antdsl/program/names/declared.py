@@ -6,28 +6,28 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Any
 
-from antdsl.program.names.bindings import Key
-from antdsl.program.names.collect import EVENTS, raised_event
+from antdsl.program.names.bindings import NameKey
+from antdsl.program.names.collect import BUILTIN_EVENTS, raised_event
 from antdsl.program.traverse import written_nodes
 from antdsl.syntax import nodes
 
-Declarations = Iterator["Declaration"]
+DeclarationIterator = Iterator["Declaration"]
 
 
 @dataclass(frozen=True, slots=True)
 class Declaration:
     """`key` is kind, owners and name; `name` the place to go to, `node` all of it."""
 
-    key: Key
+    key: NameKey
     name: nodes.Name
     node: Any
 
 
-def declarations(file: nodes.File) -> Declarations:
+def declarations(file: nodes.File) -> DeclarationIterator:
     """Return the declarations of a file. The first of equal keys counts, as in the checker: the `species` itself before its entry
     in `world`."""
     for item in sorted(file.items, key=lambda item: isinstance(item, nodes.World)):
-        yield from _TOP[type(item)](file.source.path, item)
+        yield from _LISTER_BY_ITEM[type(item)](file.source.path, item)
 
 
 def declaration(member: object) -> Any:
@@ -37,12 +37,12 @@ def declaration(member: object) -> Any:
     return member if isinstance(member, (nodes.Declaration, nodes.Let, nodes.Latch, nodes.Fuzzy)) else None
 
 
-def _use(path: str, item: nodes.Use) -> Declarations:
+def _use(path: str, item: nodes.Use) -> DeclarationIterator:
     if item.alias is not None:
         yield Declaration(("alias", path, item.alias.text), item.alias, item)
 
 
-def _world(path: str, item: nodes.World) -> Declarations:
+def _world(path: str, item: nodes.World) -> DeclarationIterator:
     for thing in item.items:
         name, species = thing.name.text, thing.kind.text == "species"
         yield Declaration(("species" if species else "thing", name), thing.name, thing)
@@ -50,28 +50,28 @@ def _world(path: str, item: nodes.World) -> Declarations:
             yield Declaration(("own" if species else "attribute", name, each.name.text), each.name, each)
 
 
-def _field(path: str, item: nodes.FieldDecl) -> Declarations:
+def _field(path: str, item: nodes.FieldDecl) -> DeclarationIterator:
     yield Declaration(("field", item.name.text), item.name, item)
 
 
-def _behaviour(path: str, item: nodes.Behaviour) -> Declarations:
+def _behaviour(path: str, item: nodes.Behaviour) -> DeclarationIterator:
     name = item.name.text
     yield Declaration(("behaviour", path, name), item.name, item)
     for each in (*item.arguments, *item.body):
         yield Declaration(("inner", path, name, each.name.text), each.name, each)
 
 
-def _species(path: str, item: nodes.Species) -> Declarations:
+def _species(path: str, item: nodes.Species) -> DeclarationIterator:
     name = item.name.text
     yield Declaration(("species", name), item.name, item)
     yield from _members(name, "main", item.members)
     for part, _ in written_nodes(item.members):
         event = part.event if isinstance(part, nodes.On) else raised_event(part)
-        if event is not None and event.text not in EVENTS:
+        if event is not None and event.text not in BUILTIN_EVENTS:
             yield Declaration(("event", event.text), event, event)
 
 
-def _members(species: str, machine: str, members: tuple[object, ...]) -> Declarations:
+def _members(species: str, machine: str, members: tuple[object, ...]) -> DeclarationIterator:
     for member in members:
         own = declaration(member)
         if own is not None:
@@ -86,12 +86,12 @@ def _members(species: str, machine: str, members: tuple[object, ...]) -> Declara
             yield from (Declaration(("let", species, machine, state, each.name.text), each.name, each) for each in lets)
 
 
-def _no_declarations(path: str, item: nodes.Spec) -> Declarations:
+def _no_declarations(path: str, item: nodes.Spec) -> DeclarationIterator:
     """A spec declares nothing."""
     return iter(())
 
 
-_TOP: dict[type, Callable[[str, Any], Declarations]] = {
+_LISTER_BY_ITEM: dict[type, Callable[[str, Any], DeclarationIterator]] = {
     nodes.Use: _use, nodes.World: _world, nodes.FieldDecl: _field, nodes.Behaviour: _behaviour, nodes.Species: _species,
     nodes.Spec: _no_declarations,
 }  # fmt: skip

@@ -4,27 +4,27 @@ from __future__ import annotations
 
 from antdsl.diagnostics import Fix
 from antdsl.diagnostics.suggestion import nearest_name
-from antdsl.program.model import Kind, Type
-from antdsl.program.names.scope import Scope
-from antdsl.program.tables.things import KINDS_OF_THINGS, replacements
+from antdsl.program.model import TypeKind, ValueType
+from antdsl.program.names.scope import NameScope
+from antdsl.program.tables.things import KIND_BY_WORD, replacements
 from antdsl.source import Span
 from antdsl.syntax import nodes
 
 # What the line begins with, by the kind that is needed, and the kinds of things that may be there.
-_LINES: dict[Kind, tuple[str, tuple[str, ...]]] = {
-    **{Kind(row.word): (row.word, replacements(row.word)) for row in KINDS_OF_THINGS.values() if row.scene},
-    Kind.PLACE: ("items", tuple(row.word for row in KINDS_OF_THINGS.values() if row.scene and row.nearest)),
+_DECLARATION_LINES: dict[TypeKind, tuple[str, tuple[str, ...]]] = {
+    **{TypeKind(row.word): (row.word, replacements(row.word)) for row in KIND_BY_WORD.values() if row.scene},
+    TypeKind.PLACE: ("items", tuple(row.word for row in KIND_BY_WORD.values() if row.scene and row.nearest)),
 }
 
 
-def missing_thing(scope: Scope, name: str, want: Type | None) -> tuple[str, Fix | None] | None:
+def missing_thing(scope: NameScope, name: str, want: ValueType | None) -> tuple[str, Fix | None] | None:
     """Return what to write for an unknown name in the place of a thing of the world: a declared one, or its declaration. None if
     the place needs no thing of the world."""
-    if want is None or want.kind not in _LINES:
+    if want is None or want.kind not in _DECLARATION_LINES:
         return None
-    word, kinds = _LINES[want.kind]
+    word, kinds = _DECLARATION_LINES[want.kind]
     known = [thing.name for thing in scope.declared.things.values() if thing.kind in kinds]
-    if want.kind is Kind.PLACE:  # also values that are places
+    if want.kind is TypeKind.PLACE:  # also values that are places
         own = scope.species if scope.behaviour is None else None
         known += [*scope.declared.species, *scope.locals, *(own.bindings if own else ()), *(own.attributes if own else ())]
     near = nearest_name(name, known)

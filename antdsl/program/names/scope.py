@@ -8,15 +8,15 @@ from typing import Any
 
 from antdsl.diagnostics import Label, Report
 from antdsl.diagnostics.suggestion import nearest_name
-from antdsl.program.kinds import BAD
-from antdsl.program.memo import Memo
-from antdsl.program.model import Binding, Dim, Expr, Kind, Rate, ThingRef, Type, WorldThing
+from antdsl.program.kinds import BAD_TYPE
+from antdsl.program.memo import CheckMemo
+from antdsl.program.model import Binding, ChangeRate, Dimension, Expr, ThingRef, TypeKind, ValueType, WorldThing
 from antdsl.program.names.bindings import NameUse
-from antdsl.program.tables.vocabulary import BUILTIN_ATTRIBUTES, HIT_ATTRIBUTES, ITEM_ATTRIBUTES, TYPE_WORDS
+from antdsl.program.tables.vocabulary import BUILTIN_ATTRIBUTE_BY_NAME, HIT_ATTRIBUTE_TYPES, ITEM_ATTRIBUTE_TYPES, TYPE_BY_WORD
 from antdsl.source import Span
 from antdsl.syntax import nodes
 
-Rules = Mapping[type, Callable[["Scope", object, "Type | None"], Expr]]
+TypingRules = Mapping[type, Callable[["NameScope", object, "ValueType | None"], Expr]]
 
 
 @dataclass(slots=True)
@@ -34,9 +34,9 @@ class SpeciesNames:
 
     name: str
     node: nodes.Species | None
-    attributes: dict[str, Type] = field(default_factory=dict)
+    attributes: dict[str, ValueType] = field(default_factory=dict)
     each: dict[str, str] = field(default_factory=dict)  # attributes with a value per pair, and the species of the other
-    params: dict[str, Type] = field(default_factory=dict)
+    params: dict[str, ValueType] = field(default_factory=dict)
     bindings: dict[str, Binding] = field(default_factory=dict)  # lets and latches, once they are checked
     pending: set[str] = field(default_factory=set)  # declared names without a known type yet
     machines: dict[str, MachineNames] = field(default_factory=dict)
@@ -73,10 +73,10 @@ class FileNames:
 
 
 @dataclass(slots=True)
-class Declared:
+class Declarations:
     """All declarations of the files of one program, the uses of them, and the findings so far."""
 
-    rules: Rules
+    rules: TypingRules
     report: Report
     strict: bool = False
     home: Callable[[str], str | None] = lambda name: None  # the library that has a behaviour of a name
@@ -91,11 +91,11 @@ class Declared:
     unclear: set[str] = field(default_factory=set)  # things of the world of unknown kind, reported already
     unknown: dict[tuple[str, ...], list[Span]] = field(default_factory=dict)  # names by where they are missing: all places
     expanded: int = 0  # operations of all behaviours that were put in place
-    memo: Memo | None = None  # what an earlier check found
+    memo: CheckMemo | None = None  # what an earlier check found
     outside: int = 0  # stands for all that a part of the program can see of the others, as far as it is known
 
 
-def is_known_missing(scope: Scope, kind: str, name: nodes.Name, owner: str = "") -> bool:
+def is_known_missing(scope: NameScope, kind: str, name: nodes.Name, owner: str = "") -> bool:
     """Return whether a name was reported as missing already; from now on it is. A missing name is missing everywhere: that is one
     mistake, and the places are noted. `kind` separates names of different kinds; `owner` is a species to which such a name
     belongs wherever it is used."""
@@ -123,10 +123,10 @@ class StableKeys:
 
 
 @dataclass(frozen=True, slots=True)
-class Scope:
+class NameScope:
     """One place of the text. `inside(…)` makes a new one wherever something about the place changes."""
 
-    declared: Declared
+    declared: Declarations
     file: FileNames
     keys: StableKeys
     report: Report
@@ -142,10 +142,10 @@ class Scope:
     shades: bool = False  # a rule of `fuzzy`: beside a shade of truth a yes or no counts as 1 or 0
     runs_once: bool = False  # happens once, not each step: shares and amounts instead of rates
 
-    def with_changes(self, **changes: Any) -> Scope:
+    def with_changes(self, **changes: Any) -> NameScope:
         return replace(self, **changes)
 
-    def type_expression(self, node: nodes.Expr, want: Type | None = None) -> Expr:
+    def type_expression(self, node: nodes.Expr, want: ValueType | None = None) -> Expr:
         """Return the expression with its type. `want` gives `none` and bare names their meaning; it is not enforced."""
         return self.declared.rules[type(node)](self, node, want)
 
@@ -178,23 +178,23 @@ class Scope:
         if own is not None and (name in own.attributes or name in own.params or name in own.bindings or name in own.pending):
             self.bind(span, "own", own.name, name)
 
-    def bind_value(self, span: Span, owner: Type, name: str) -> None:
+    def bind_value(self, span: Span, owner: ValueType, name: str) -> None:
         """Like `bind`, for an existing value of an item, agent or hit."""
-        if owner.kind is Kind.AGENT:
-            self.bind(span, *(("given", name) if name in BUILTIN_ATTRIBUTES else ("own", owner.of or "", name)))
-        elif owner.kind is Kind.HIT or owner.of == "hit":
+        if owner.kind is TypeKind.AGENT:
+            self.bind(span, *(("given", name) if name in BUILTIN_ATTRIBUTE_BY_NAME else ("own", owner.of or "", name)))
+        elif owner.kind is TypeKind.HIT or owner.of == "hit":
             self.bind(span, "hit-given", name)
         else:
             thing = self.declared.things.get(owner.of or "")
             own = thing is not None and any(each.name == name for each in thing.attributes)
             self.bind(span, *(("attribute", owner.of or "", name) if own else ("item-given", name)))
 
-    def bind_unreadable(self, name: nodes.Name, owner: Type) -> None:
+    def bind_unreadable(self, name: nodes.Name, owner: ValueType) -> None:
         """Like `bind`, for a declared value that cannot be read this way: a param of one agent, a value of all items."""
-        one = Type(Kind.ITEM, of=owner.of)
-        if owner.kind in (Kind.AGENT, Kind.SPECIES) and owner.of in self.declared.species:
+        one = ValueType(TypeKind.ITEM, of=owner.of)
+        if owner.kind in (TypeKind.AGENT, TypeKind.SPECIES) and owner.of in self.declared.species:
             self.bind_own(name.span, name.text, self.declared.species[owner.of])
-        elif owner.kind is Kind.ITEMS and name.text in attributes_of(self.declared, one):
+        elif owner.kind is TypeKind.ITEMS and name.text in attributes_of(self.declared, one):
             self.bind_value(name.span, one, name.text)
 
     def mark_used(self, kind: str, name: str) -> None:
@@ -203,47 +203,47 @@ class Scope:
 
 def bad_expression(span: Span) -> Expr:
     """Stands for what was complained about already."""
-    return ThingRef(BAD, Rate.CONST, span, "?")
+    return ThingRef(BAD_TYPE, ChangeRate.CONST, span, "?")
 
 
-def rate_of(parts: Iterable[Expr | None]) -> Rate:
-    return max((part.rate for part in parts if part is not None), default=Rate.CONST)
+def rate_of(parts: Iterable[Expr | None]) -> ChangeRate:
+    return max((part.rate for part in parts if part is not None), default=ChangeRate.CONST)
 
 
-def type_from_words(words: str, of: str | None = None) -> Type | None:
+def type_from_words(words: str, of: str | None = None) -> ValueType | None:
     """The type behind a word of `TYPE_WORDS`, or behind `angle / time` as the vocabulary writes it; None if there is none."""
     if "/" in words:
-        top, below = (TYPE_WORDS.get(part.strip()) for part in words.split("/"))
-        if not isinstance(top, Dim) or not isinstance(below, Dim):
+        top, below = (TYPE_BY_WORD.get(part.strip()) for part in words.split("/"))
+        if not isinstance(top, Dimension) or not isinstance(below, Dimension):
             return None
-        return Type(Kind.NUMBER, Dim(*(a - b for a, b in zip(top, below, strict=True))))
-    known = TYPE_WORDS.get(words)
+        return ValueType(TypeKind.NUMBER, Dimension(*(a - b for a, b in zip(top, below, strict=True))))
+    known = TYPE_BY_WORD.get(words)
     if known is None:
         return None
-    if isinstance(known, Dim):
-        return Type(Kind.NUMBER, known)
-    vectors = {"push": Dim(), "position": Dim(length=1), "velocity": Dim(length=1, time=-1)}
+    if isinstance(known, Dimension):
+        return ValueType(TypeKind.NUMBER, known)
+    vectors = {"push": Dimension(), "position": Dimension(length=1), "velocity": Dimension(length=1, time=-1)}
     if known in vectors:
-        return Type(Kind.VECTOR, vectors[known])
-    return BAD if known == "vector" else Type(Kind(known), Dim(), of)
+        return ValueType(TypeKind.VECTOR, vectors[known])
+    return BAD_TYPE if known == "vector" else ValueType(TypeKind(known), Dimension(), of)
 
 
-def attributes_of(declared: Declared, type: Type) -> dict[str, Type]:
+def attributes_of(declared: Declarations, type: ValueType) -> dict[str, ValueType]:
     """The values of an item, agent or hit that can be read by name; for an agent of any species, those that every animal has."""
-    if type.kind is Kind.HIT or (type.kind is Kind.ITEM and type.of == "hit"):
-        return _types_by_name(HIT_ATTRIBUTES)
-    if type.kind is Kind.ITEM:
+    if type.kind is TypeKind.HIT or (type.kind is TypeKind.ITEM and type.of == "hit"):
+        return _types_by_name(HIT_ATTRIBUTE_TYPES)
+    if type.kind is TypeKind.ITEM:
         thing = declared.things.get(type.of or "")
         own = {a.name: a.type for a in thing.attributes} if thing else {}
-        return _types_by_name(ITEM_ATTRIBUTES) | own
-    if type.kind is Kind.AGENT:
+        return _types_by_name(ITEM_ATTRIBUTE_TYPES) | own
+    if type.kind is TypeKind.AGENT:
         names = declared.species.get(type.of or "")
-        builtin_types = _types_by_name({name: row.type for name, row in BUILTIN_ATTRIBUTES.items()})
+        builtin_types = _types_by_name({name: row.type for name, row in BUILTIN_ATTRIBUTE_BY_NAME.items()})
         return builtin_types | (names.attributes if names else {})
     return {}
 
 
-def _types_by_name(table: Mapping[str, str]) -> dict[str, Type]:
+def _types_by_name(table: Mapping[str, str]) -> dict[str, ValueType]:
     return {name: word_type for name, words in table.items() if (word_type := type_from_words(words))}
 
 

@@ -6,10 +6,10 @@ the numbers."""
 from collections.abc import Mapping
 from types import MappingProxyType
 
-RGB = tuple[int, int, int]
+RgbTriple = tuple[int, int, int]
 
 # Chosen to stay apart from each other on sunlit soil: a shade darker and less pure than the web's colours of the same name.
-COLOURS: Mapping[str, RGB] = MappingProxyType(
+COLOUR_BY_NAME: Mapping[str, RgbTriple] = MappingProxyType(
     {
         "amber": (242, 163, 31),
         "aqua": (70, 214, 214),
@@ -74,7 +74,7 @@ COLOURS: Mapping[str, RGB] = MappingProxyType(
 )
 
 # Machines and states without a colour of their own take these in turn, so that neighbours in the text differ plainly.
-DEFAULT_TURN: tuple[str, ...] = (
+DEFAULT_COLOUR_NAMES: tuple[str, ...] = (
     "amber",
     "blue",
     "green",
@@ -90,11 +90,11 @@ DEFAULT_TURN: tuple[str, ...] = (
 )
 
 
-def rgb(name: str) -> RGB | None:
+def rgb(name: str) -> RgbTriple | None:
     """Display values 0..255 of the colour called `name`; None when no colour has that name."""
-    return COLOURS.get(name)
+    return COLOUR_BY_NAME.get(name)
 
 
-def default_rgb(index: int) -> RGB:
+def default_rgb(index: int) -> RgbTriple:
     """Return the colour of the `index`-th state (from 0) without a declared colour."""
-    return COLOURS[DEFAULT_TURN[index % len(DEFAULT_TURN)]]
+    return COLOUR_BY_NAME[DEFAULT_COLOUR_NAMES[index % len(DEFAULT_COLOUR_NAMES)]]

@@ -5,15 +5,15 @@ from __future__ import annotations
 import re
 
 from antdsl.program.model import Expr
-from antdsl.program.names.scope import Scope
+from antdsl.program.names.scope import NameScope
 from antdsl.source import Span
 from antdsl.syntax import nodes
-from antdsl.syntax.words import QUANTITY
+from antdsl.syntax.words import QUANTITY_PATTERN
 
-_NAME = re.compile("[a-z_]+")
+_NAME_PATTERN = re.compile("[a-z_]+")
 
 
-def default_values(scope: Scope, text: str, span: Span) -> tuple[Expr, ...]:
+def default_values(scope: NameScope, text: str, span: Span) -> tuple[Expr, ...]:
     """The value of a default, two for a range; `span` is the place that it stands for."""
     return tuple(scope.type_expression(parse_product(part.strip(), span)) for part in text.split(".."))
 
@@ -28,9 +28,9 @@ def parse_product(text: str, span: Span) -> nodes.Expr:
 
 
 def parse_term(text: str, span: Span) -> nodes.Expr:
-    if _NAME.fullmatch(text):
+    if _NAME_PATTERN.fullmatch(text):
         return nodes.NameRef(nodes.Name(text, span), span)
-    match = QUANTITY.fullmatch(text)
+    match = QUANTITY_PATTERN.fullmatch(text)
     if match is None:
         raise ValueError(f"a default that cannot be read: {text!r}")
     value = float(match[1])

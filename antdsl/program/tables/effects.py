@@ -11,7 +11,7 @@ import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from antdsl.program.tables.rows import Arg, Cost
+from antdsl.program.tables.rows import ArgumentRow, UseCost
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,7 +31,7 @@ class Effect:
 
     op: str
     target: str
-    args: tuple[Arg, ...]
+    args: tuple[ArgumentRow, ...]
     phase: str
     help: str
     meaning: str
@@ -45,10 +45,10 @@ class Effect:
     refused: str = ""
     above_0: bool = False
     quiet_at_0: bool = False
-    cost: Cost | None = None
+    cost: UseCost | None = None
 
     @property
-    def numbers(self) -> tuple[Arg, ...]:
+    def numbers(self) -> tuple[ArgumentRow, ...]:
         """Return the arguments that are computed; the others name an attribute."""
         return tuple(arg for arg in self.args if not arg.type.startswith("own "))
 
@@ -68,11 +68,11 @@ class Effect:
         return frozenset() if self.computed else frozenset(arg.name for arg in self.numbers if arg.optional)
 
 
-_ROWS = (
+_EFFECT_ROWS = (
     Effect(
         "deposit",
         "field",
-        (Arg("amount", "added number"),),
+        (ArgumentRow("amount", "added number"),),
         "effects",
         "lays scent into a field",
         "lands in the agent's own cell at t+1; the amount of a step (already multiplied by dt)",
@@ -81,15 +81,15 @@ _ROWS = (
         feeds=True,
         refused="deposit {of}",
         quiet_at_0=True,
-        cost=Cost(25, "lays {thing}", "fields"),
+        cost=UseCost(25, "lays {thing}", "fields"),
     ),
     Effect(
         "carve",
         "solid",
         (
-            Arg("radius", "length", above=0, called="radius of a ball to dig", sample="size / 2"),
-            Arg("toward", "push", optional=True),
-            Arg("into", "own mm^3", optional=True, called="a volume", sample="soil"),
+            ArgumentRow("radius", "length", above=0, called="radius of a ball to dig", sample="size / 2"),
+            ArgumentRow("toward", "push", optional=True),
+            ArgumentRow("into", "own mm^3", optional=True, called="a volume", sample="soil"),
         ),
         "solids",
         "digs a ball out of a solid",
@@ -100,12 +100,12 @@ _ROWS = (
         computed=("radius", "x", "y", "z"),
         refused="carve {of}",
         above_0=True,
-        cost=Cost(1000, "digs {thing}"),
+        cost=UseCost(1000, "digs {thing}"),
     ),
     Effect(
         "emit",
         "event",
-        (Arg("within", "length", optional=True), Arg("to", "agent", optional=True)),
+        (ArgumentRow("within", "length", optional=True), ArgumentRow("to", "agent", optional=True)),
         "effects",
         "raises an event",
         "raises an event for all agents that handle it within a distance (mm; none: only for itself), or for one agent "
@@ -113,7 +113,7 @@ _ROWS = (
         "emit {of}[ within {within}][ to {to}]",
         "emit {of}[ within {within} mm][ to {receiver} {to}]",
         feeds=True,
-        cost=Cost(50, "raises {thing}"),
+        cost=UseCost(50, "raises {thing}"),
     ),
     Effect(
         "spawn",
@@ -129,17 +129,17 @@ _ROWS = (
     ),
     Effect("die", "", (), "births", "removes this agent", "the agent is removed at t+1", "die", "die", last=True),
 )
-EFFECTS: dict[str, Effect] = {row.op: row for row in _ROWS}
+EFFECT_BY_OPERATION: dict[str, Effect] = {row.op: row for row in _EFFECT_ROWS}
 
 
 def effects_of_phase(phase: str) -> tuple[str, ...]:
     """The effects that a phase of a step settles, in the order of the table."""
-    return tuple(row.op for row in EFFECTS.values() if row.phase == phase)
+    return tuple(row.op for row in EFFECT_BY_OPERATION.values() if row.phase == phase)
 
 
 def feeding_effects(kind: str) -> frozenset[str]:
     """Return the effects that add to the thing they name, a `field` or an `event`."""
-    return frozenset(row.op for row in EFFECTS.values() if row.feeds and row.target == kind)
+    return frozenset(row.op for row in EFFECT_BY_OPERATION.values() if row.feeds and row.target == kind)
 
 
 def fill_template(template: str, values: Mapping[str, str | None]) -> str:
@@ -147,10 +147,10 @@ def fill_template(template: str, values: Mapping[str, str | None]) -> str:
 
     def part(match: re.Match[str]) -> str:
         inner = match.group(1)
-        return "" if any(values[name] is None for name in _NAME.findall(inner)) else inner
+        return "" if any(values[name] is None for name in _PLACEHOLDER_PATTERN.findall(inner)) else inner
 
-    return _PART.sub(part, template).format_map(values)
+    return _OPTIONAL_PART_PATTERN.sub(part, template).format_map(values)
 
 
-_PART = re.compile(r"\[([^\]]*)\]")
-_NAME = re.compile(r"\{(\w+)\}")
+_OPTIONAL_PART_PATTERN = re.compile(r"\[([^\]]*)\]")
+_PLACEHOLDER_PATTERN = re.compile(r"\{(\w+)\}")

@@ -7,7 +7,7 @@ import re
 from antdsl.syntax import nodes
 
 # `{a}` stands for the first argument as written, `{A}` for the same in brackets where it is made of several.
-_CALLS = (
+_FOREIGN_CALLS = (
     ("lerp interpolate interp blend tween", "mix({a}, {b}, {c})"),
     ("saturate clamp01 sat", "clamp({a}, 0 .. 1)"),
     ("constrain bound bounded", "clamp({a}, {b} .. {c})"),
@@ -44,37 +44,37 @@ _CALLS = (
     ("degrees rad", "{A} * 1 rad"),
     ("snoise perlin simplex turbulence", "noise(20 mm)"),
 )
-_NAMES = (
+_FOREIGN_NAMES = (
     ("step delta_time deltatime time_step timestep", "dt"),
     ("pi", "0.5 turn"),
     ("tau two_pi", "1 turn"),
     ("now clock elapsed", "time"),
     ("tick ticks frame_number framecount frame_count", "frame"),
 )
-CALLS: dict[str, str] = {word: text for words, text in _CALLS for word in words.split()}
-NAMES: dict[str, str] = {word: text for words, text in _NAMES for word in words.split()}
+CALL_REPLACEMENTS: dict[str, str] = {word: text for words, text in _FOREIGN_CALLS for word in words.split()}
+NAME_REPLACEMENTS: dict[str, str] = {word: text for words, text in _FOREIGN_NAMES for word in words.split()}
 
-_LETTER = re.compile(r"\{([a-e])\}", re.IGNORECASE)
-_UNBRACKETED = (nodes.Number, nodes.Quantity, nodes.NameRef, nodes.Call, nodes.Member, nodes.Index)
+_LETTER_PATTERN = re.compile(r"\{([a-e])\}", re.IGNORECASE)
+_UNBRACKETED_NODES = (nodes.Number, nodes.Quantity, nodes.NameRef, nodes.Call, nodes.Member, nodes.Index)
 
 
 def call_replacement(node: nodes.Call, word: str) -> tuple[str, bool] | None:
     """Return the replacement for a call of such a word, and whether it uses the arguments as in the source. If their number does
     not match, letters stand for them."""
-    if word in NAMES and not node.arguments:
-        return NAMES[word], True
-    form = CALLS.get(word)
+    if word in NAME_REPLACEMENTS and not node.arguments:
+        return NAME_REPLACEMENTS[word], True
+    form = CALL_REPLACEMENTS.get(word)
     if form is None:
         return None
-    letters = sorted({letter.lower() for letter in _LETTER.findall(form)})
+    letters = sorted({letter.lower() for letter in _LETTER_PATTERN.findall(form)})
     positional = [each for each in node.arguments if isinstance(each, nodes.Argument) and each.name is None]
     if not letters or len(positional) != len(node.arguments) or len(positional) != len(letters):
-        return _LETTER.sub(lambda match: match[1].lower(), form), False
+        return _LETTER_PATTERN.sub(lambda match: match[1].lower(), form), False
     texts = {letter: each for letter, each in zip(letters, positional, strict=True)}
 
     def written(match: re.Match[str]) -> str:
         each = texts[match[1].lower()]
         text = " ".join(each.span.text.split())
-        return f"({text})" if match[1].isupper() and not isinstance(each.value, _UNBRACKETED) else text
+        return f"({text})" if match[1].isupper() and not isinstance(each.value, _UNBRACKETED_NODES) else text
 
-    return _LETTER.sub(written, form), True
+    return _LETTER_PATTERN.sub(written, form), True

@@ -10,7 +10,7 @@ from typing import Any
 
 
 @dataclass(frozen=True, slots=True)
-class Arg:
+class ArgumentRow:
     """One argument.
 
     - `type`: a type word, or one of the following. `number A`: a number of any dimension, equal for every A of the call;
@@ -34,7 +34,7 @@ class Arg:
 
 
 @dataclass(frozen=True, slots=True)
-class Cost:
+class UseCost:
     """The cost of a use for `antdsl check --cost`: a rough weight (one addition is 1), a text with `{thing}` (the named thing)
     and `{count}`, and the heading. `times`: the index of the argument that multiplies the weight; `often` is used if that is not
     a constant. `within`: the index of the argument with the distance. `named`: counts only if a thing of the world is named."""
@@ -49,14 +49,14 @@ class Cost:
 
 
 @dataclass(frozen=True, slots=True)
-class Builtin:
+class BuiltinRow:
     """A word of the language for an operation of the typed tree, `op`.
 
     `form`: by a `call`, by the bare `name`, or as the `value` of a thing, if its name is in the place of a value. `called`: its
     name, if that is not `op`. `part`: which result of its sense it is. `sense`: it depends on the agent, whatever the arguments.
     `draws`: it takes a random number. `interval`: the range of its values. `sample`: how it looks in a line."""
 
-    args: tuple[Arg, ...]
+    args: tuple[ArgumentRow, ...]
     result: str
     help: str
     op: str
@@ -66,7 +66,7 @@ class Builtin:
     sense: bool = False
     draws: bool = False
     interval: tuple[float, float] | None = None
-    cost: Cost | None = None
+    cost: UseCost | None = None
     sample: str = ""
 
     @property
@@ -81,7 +81,7 @@ _ARG = re.compile(
 )
 
 
-def word(signature: str, help: str, op: str = "", **details: Any) -> Builtin:
+def word(signature: str, help: str, op: str = "", **details: Any) -> BuiltinRow:
     """Return the row of a word by its signature, as an editor shows it: `clamp(x: number A, to: range A) -> number A`.
 
     `a…: any A` may be given several times, `to: place?` may be absent, and `most: whole number > 0 = 10` must be whole and above
@@ -89,19 +89,19 @@ def word(signature: str, help: str, op: str = "", **details: Any) -> Builtin:
     parts = _SIGNATURE.fullmatch(signature)
     assert parts is not None, signature
     args = tuple(_argument(each) for each in parts["args"].split(", ") if each)
-    return Builtin(args, parts["result"], help, op or parts["name"], called=parts["name"] if op else "", **details)
+    return BuiltinRow(args, parts["result"], help, op or parts["name"], called=parts["name"] if op else "", **details)
 
 
-def _argument(text: str) -> Arg:
+def _argument(text: str) -> ArgumentRow:
     parts = _ARG.fullmatch(text)
     assert parts is not None, text
     above = None if parts["above"] is None else float(parts["above"])
     optional, variadic, is_integer = (bool(parts[each]) for each in ("optional", "variadic", "whole"))
-    return Arg(parts["name"], parts["type"], parts["default"], optional, variadic, above, is_integer)
+    return ArgumentRow(parts["name"], parts["type"], parts["default"], optional, variadic, above, is_integer)
 
 
 @dataclass(frozen=True, slots=True)
-class Part:
+class ResultPart:
     """A result of a sense: its kind as a letter of the plan's table (f, b, i, l); a vector has size 3."""
 
     name: str
@@ -110,7 +110,7 @@ class Part:
 
 
 @dataclass(frozen=True, slots=True)
-class Sense:
+class SenseRow:
     """An operation of the plan that reads the world from the agent's position, and the words for it.
 
     `of`: the kind of thing that its first attribute names, "" for none. `attrs`: further attributes. `operands`: kinds, one
@@ -119,9 +119,9 @@ class Sense:
 
     op: str
     of: str
-    results: tuple[Part, ...]
+    results: tuple[ResultPart, ...]
     meaning: str
-    words: tuple[Builtin, ...] = ()
+    words: tuple[BuiltinRow, ...] = ()
     operands: str = ""
     attrs: tuple[str, ...] = ()
     trace: str = ""
@@ -157,7 +157,7 @@ class SetSense:
     become. `rows` is what it takes, distinguished by the kind of the first argument."""
 
     op: str
-    rows: tuple[Builtin, ...]
+    rows: tuple[BuiltinRow, ...]
     sets: tuple[str, ...]
-    cost: Cost | None
+    cost: UseCost | None
     sample: str

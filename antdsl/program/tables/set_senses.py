@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from antdsl.program.tables.rows import Cost, SetSense, word
+from antdsl.program.tables.rows import SetSense, UseCost, word
 
 _SET_ROWS = (
     SetSense(
@@ -14,7 +14,7 @@ _SET_ROWS = (
             ),
         ),
         ("set.agents",),
-        Cost(600, "{thing}", within=0),
+        UseCost(600, "{thing}", within=0),
         "count(neighbours(radius: 20 mm, fov: 270 deg))",
     ),
     SetSense(
@@ -24,7 +24,7 @@ _SET_ROWS = (
             word("all(of: species, within: length?, with: condition?, most: number?) -> set", "agents"),
         ),
         ("set.items", "set.every", "set.agents"),
-        Cost(100, "all {thing}", within=0),
+        UseCost(100, "all {thing}", within=0),
         "count(all(food, within: 40 mm))",
     ),
     SetSense(
@@ -36,7 +36,7 @@ _SET_ROWS = (
             ),
         ),
         ("ray",),
-        Cost(400, "{count} rays on {thing}", times=0, often=3),
+        UseCost(400, "{count} rays on {thing}", times=0, often=3),
         "any(feelers(stones, count: 3, spread: 35 deg, reach: 6 mm))",
     ),
     SetSense(
@@ -51,5 +51,5 @@ _SET_ROWS = (
         "nearest(food, within: 40 mm)",
     ),
 )
-SET_SENSES: dict[str, SetSense] = {row.op: row for row in _SET_ROWS}
-GIVES_SET = frozenset(row.op for row in _SET_ROWS if row.rows[0].result == "set")  # the others give one of a set
+SET_SENSE_BY_OPERATION: dict[str, SetSense] = {row.op: row for row in _SET_ROWS}
+SET_RESULT_OPERATIONS = frozenset(row.op for row in _SET_ROWS if row.rows[0].result == "set")  # the others give one of a set

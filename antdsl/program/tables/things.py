@@ -41,7 +41,7 @@ class KindOfThing:
         return self.nearest == "obstacle.near"
 
 
-_ROWS = (
+_THING_ROWS = (
     KindOfThing(
         "surface", "ground that agents walk on", "world { surface floor }", called="a surface", typed="the name of a surface",
         replaces=("obstacle",), nearest="obstacle.near", touching="surface.touching", is_ground=True,
@@ -80,11 +80,11 @@ _ROWS = (
         typed="the name of a species", nearest="set.every", has_values=True,
     ),
 )  # fmt: skip
-KINDS_OF_THINGS: dict[str, KindOfThing] = {row.word: row for row in _ROWS}
-WITH_FACES = tuple(row.word for row in _ROWS if row.has_faces)
-BLOCKING = tuple(row.word for row in _ROWS if row.blocks)
+KIND_BY_WORD: dict[str, KindOfThing] = {row.word: row for row in _THING_ROWS}
+WITH_FACES = tuple(row.word for row in _THING_ROWS if row.has_faces)
+BLOCKING = tuple(row.word for row in _THING_ROWS if row.blocks)
 
 
 def replacements(kind: str) -> tuple[str, ...]:
     """Return the kinds of things that can be an argument of a kind: the kind itself first."""
-    return (kind, *(row.word for row in _ROWS if kind in row.replaces))
+    return (kind, *(row.word for row in _THING_ROWS if kind in row.replaces))

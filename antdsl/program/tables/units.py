@@ -5,39 +5,39 @@ from __future__ import annotations
 import re
 from dataclasses import dataclass
 
-from antdsl.program.model import Const, Dim, Kind, Rate, Type
-from antdsl.program.tables.vocabulary import FORCE, UNITS
+from antdsl.program.model import ChangeRate, Constant, Dimension, TypeKind, ValueType
+from antdsl.program.tables.vocabulary import FORCE_DIMENSION, UNIT_BY_NAME
 from antdsl.source import Span
 from antdsl.syntax import nodes
 
-_PART = re.compile(r"([*/]?)([A-Za-z]+|%)(?:\^(\d+))?")
+_UNIT_PART_PATTERN = re.compile(r"([*/]?)([A-Za-z]+|%)(?:\^(\d+))?")
 
 
 @dataclass(frozen=True, slots=True)
-class Measure:
+class UnitMeasure:
     """The value of one unit: `factor` base units times `unit ** u` (mm per scene unit) and `dt ** step`."""
 
-    dim: Dim
+    dim: Dimension
     factor: float
     u: float
     step: float
 
 
-def scale_dimension(dim: Dim, power: float) -> Dim:
-    return Dim(dim.length * power, dim.time * power, dim.mass * power, dim.angle * power)
+def scale_dimension(dim: Dimension, power: float) -> Dimension:
+    return Dimension(dim.length * power, dim.time * power, dim.mass * power, dim.angle * power)
 
 
-def combine_dimensions(a: Dim, b: Dim, power: float = 1) -> Dim:
+def combine_dimensions(a: Dimension, b: Dimension, power: float = 1) -> Dimension:
     """The dimension of `a * b ** power`."""
-    return Dim(a.length + b.length * power, a.time + b.time * power, a.mass + b.mass * power, a.angle + b.angle * power)
+    return Dimension(a.length + b.length * power, a.time + b.time * power, a.mass + b.mass * power, a.angle + b.angle * power)
 
 
-def measure(unit: str) -> Measure | None:
+def measure(unit: str) -> UnitMeasure | None:
     """Return the value of `mm/s`, `%/s`, `/step` or `mm^2/s`; None for an unknown unit."""
-    dim, factor, u, step, position = Dim(), 1.0, 0.0, 0.0, 0
+    dim, factor, u, step, position = Dimension(), 1.0, 0.0, 0.0, 0
     text = unit.replace(" ", "")
-    for part in _PART.finditer(text):
-        known = UNITS.get(part[2])
+    for part in _UNIT_PART_PATTERN.finditer(text):
+        known = UNIT_BY_NAME.get(part[2])
         if part.start() != position or known is None:
             return None
         position = part.end()
@@ -46,41 +46,41 @@ def measure(unit: str) -> Measure | None:
         factor *= known.factor**power
         u += known.u * power
         step += known.step * power
-    return Measure(dim, factor, u, step) if position == len(text) and text else None
+    return UnitMeasure(dim, factor, u, step) if position == len(text) and text else None
 
 
-def constant(value: float, unit: str, span: Span) -> Const | None:
+def constant(value: float, unit: str, span: Span) -> Constant | None:
     """Return the constant for a quantity; None if its unit is unknown."""
     known = measure(unit)
     if known is None:
         return None
-    rate = Rate.RUN if known.u or known.step else Rate.CONST
-    return Const(Type(Kind.NUMBER, known.dim), rate, span, value * known.factor, known.u, known.step)
+    rate = ChangeRate.RUN if known.u or known.step else ChangeRate.CONST
+    return Constant(ValueType(TypeKind.NUMBER, known.dim), rate, span, value * known.factor, known.u, known.step)
 
 
-def number(value: float, span: Span) -> Const:
-    return Const(Type(Kind.NUMBER), Rate.CONST, span, value)
+def number(value: float, span: Span) -> Constant:
+    return Constant(ValueType(TypeKind.NUMBER), ChangeRate.CONST, span, value)
 
 
-_NAMES: dict[Dim, str] = {
-    Dim(): "number without a unit",
-    Dim(length=1): "length",
-    Dim(time=1): "time",
-    Dim(mass=1): "mass",
-    Dim(angle=1): "angle",
-    Dim(length=1, time=-1): "speed",
-    Dim(time=-1): "rate (amount per second)",
-    Dim(length=2): "area",
-    Dim(angle=1, time=-1): "turning speed",
-    Dim(length=1, time=-2): "acceleration",
-    Dim(length=2, time=-1): "spreading (area per second)",
-    FORCE: "force",
+_DIMENSION_NAMES: dict[Dimension, str] = {
+    Dimension(): "number without a unit",
+    Dimension(length=1): "length",
+    Dimension(time=1): "time",
+    Dimension(mass=1): "mass",
+    Dimension(angle=1): "angle",
+    Dimension(length=1, time=-1): "speed",
+    Dimension(time=-1): "rate (amount per second)",
+    Dimension(length=2): "area",
+    Dimension(angle=1, time=-1): "turning speed",
+    Dimension(length=1, time=-2): "acceleration",
+    Dimension(length=2, time=-1): "spreading (area per second)",
+    FORCE_DIMENSION: "force",
 }
 
 
-def default_unit(dim: Dim) -> str:
+def default_unit(dim: Dimension) -> str:
     """A unit one may write for a dimension: `mm`, `deg/s`, `/s`; empty for a plain number."""
-    if dim == FORCE:
+    if dim == FORCE_DIMENSION:
         return "uN"
     top: list[str] = []
     below: list[str] = []
@@ -95,9 +95,9 @@ def with_article(words: str) -> str:
     return ("an " if words[0] in "aeiou" else "a ") + words
 
 
-def dimension_words(dim: Dim) -> str:
+def dimension_words(dim: Dimension) -> str:
     """`a length`, `a number without a unit`, `a value in mm*g`."""
-    name = _NAMES.get(dim)
+    name = _DIMENSION_NAMES.get(dim)
     return with_article(name) if name else f"a value in `{default_unit(dim)}`"
 
 
@@ -106,7 +106,7 @@ def format_number(value: float) -> str:
     return f"{value:.12g}"
 
 
-def with_unit(value: float, dim: Dim) -> str:
+def with_unit(value: float, dim: Dimension) -> str:
     """Return `30 mm` for 30 and a length: the author's number with a unit of the given dimension."""
     unit = default_unit(dim)
     return f"{format_number(value)} {unit}".strip()

@@ -9,55 +9,60 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from math import pi
 
-from antdsl.program.model import Dim, Kind
+from antdsl.program.model import Dimension, TypeKind
 from antdsl.program.tables import senses, set_senses
-from antdsl.program.tables.rows import Builtin, Cost, word
-from antdsl.program.tables.things import KINDS_OF_THINGS
+from antdsl.program.tables.rows import BuiltinRow, UseCost, word
+from antdsl.program.tables.things import KIND_BY_WORD
 
-LENGTH, TIME, MASS, ANGLE = Dim(length=1), Dim(time=1), Dim(mass=1), Dim(angle=1)
-SPEED = Dim(length=1, time=-1)
-FORCE = Dim(length=1, time=-2, mass=1)
+LENGTH_DIMENSION, TIME_DIMENSION, MASS_DIMENSION, ANGLE_DIMENSION = (
+    Dimension(length=1),
+    Dimension(time=1),
+    Dimension(mass=1),
+    Dimension(angle=1),
+)
+SPEED_DIMENSION = Dimension(length=1, time=-1)
+FORCE_DIMENSION = Dimension(length=1, time=-2, mass=1)
 
 
 @dataclass(frozen=True, slots=True)
-class Unit:
+class UnitRow:
     """`factor` to base units (mm, s, g, rad); `u` and `step` are powers of the scene's unit and of dt."""
 
-    dim: Dim
+    dim: Dimension
     factor: float
     u: int = 0
     step: int = 0
 
 
-UNITS: dict[str, Unit] = {
-    "mm": Unit(LENGTH, 1.0),
-    "cm": Unit(LENGTH, 10.0),
-    "m": Unit(LENGTH, 1000.0),
-    "u": Unit(LENGTH, 1.0, u=1),
-    "s": Unit(TIME, 1.0),
-    "min": Unit(TIME, 60.0),
-    "step": Unit(TIME, 1.0, step=1),
-    "rad": Unit(ANGLE, 1.0),
-    "deg": Unit(ANGLE, pi / 180.0),
-    "turn": Unit(ANGLE, 2.0 * pi),
-    "mg": Unit(MASS, 0.001),
-    "g": Unit(MASS, 1.0),
-    "kg": Unit(MASS, 1000.0),
-    "N": Unit(FORCE, 1e6),
-    "uN": Unit(FORCE, 1.0),
-    "%": Unit(Dim(), 0.01),
+UNIT_BY_NAME: dict[str, UnitRow] = {
+    "mm": UnitRow(LENGTH_DIMENSION, 1.0),
+    "cm": UnitRow(LENGTH_DIMENSION, 10.0),
+    "m": UnitRow(LENGTH_DIMENSION, 1000.0),
+    "u": UnitRow(LENGTH_DIMENSION, 1.0, u=1),
+    "s": UnitRow(TIME_DIMENSION, 1.0),
+    "min": UnitRow(TIME_DIMENSION, 60.0),
+    "step": UnitRow(TIME_DIMENSION, 1.0, step=1),
+    "rad": UnitRow(ANGLE_DIMENSION, 1.0),
+    "deg": UnitRow(ANGLE_DIMENSION, pi / 180.0),
+    "turn": UnitRow(ANGLE_DIMENSION, 2.0 * pi),
+    "mg": UnitRow(MASS_DIMENSION, 0.001),
+    "g": UnitRow(MASS_DIMENSION, 1.0),
+    "kg": UnitRow(MASS_DIMENSION, 1000.0),
+    "N": UnitRow(FORCE_DIMENSION, 1e6),
+    "uN": UnitRow(FORCE_DIMENSION, 1.0),
+    "%": UnitRow(Dimension(), 0.01),
 }
 
 # Type words of `behaviour` arguments, results and annotations. A word that is not a dimension is a Kind of the model.
-TYPE_WORDS: dict[str, Dim | str] = {
-    "number": Dim(),
-    "length": LENGTH,
-    "time": TIME,
-    "angle": ANGLE,
-    "mass": MASS,
-    "speed": SPEED,
-    "force": FORCE,
-    "area": Dim(length=2),
+TYPE_BY_WORD: dict[str, Dimension | str] = {
+    "number": Dimension(),
+    "length": LENGTH_DIMENSION,
+    "time": TIME_DIMENSION,
+    "angle": ANGLE_DIMENSION,
+    "mass": MASS_DIMENSION,
+    "speed": SPEED_DIMENSION,
+    "force": FORCE_DIMENSION,
+    "area": Dimension(length=2),
     "push": "push",  # a vector without dimension
     "vector": "vector",  # any dimension
     "position": "position",  # a vector of length
@@ -67,7 +72,7 @@ TYPE_WORDS: dict[str, Dim | str] = {
     "item": "item",
     "agent": "agent",
     "field": "field",
-    **{kind.value: kind.value for kind in Kind if kind.value in KINDS_OF_THINGS and KINDS_OF_THINGS[kind.value].typed},
+    **{kind.value: kind.value for kind in TypeKind if kind.value in KIND_BY_WORD and KIND_BY_WORD[kind.value].typed},
 }
 
 
@@ -81,7 +86,7 @@ class BuiltinAttribute:
     help: str
 
 
-BUILTIN_ATTRIBUTES: dict[str, BuiltinAttribute] = {
+BUILTIN_ATTRIBUTE_BY_NAME: dict[str, BuiltinAttribute] = {
     "position": BuiltinAttribute("position", False, None, "where it stands"),
     "velocity": BuiltinAttribute("velocity", False, None, "how it moves; may be set in `on` and `enter`"),
     "heading": BuiltinAttribute(
@@ -109,24 +114,24 @@ BUILTIN_ATTRIBUTES: dict[str, BuiltinAttribute] = {
 }
 
 # Values of the run, usable anywhere.
-RUN_NAMES: dict[str, str] = {"dt": "time", "time": "time", "frame": "number"}
+RUN_VALUE_TYPES: dict[str, str] = {"dt": "time", "time": "time", "frame": "number"}
 
-ITEM_ATTRIBUTES: dict[str, str] = {"position": "position", "radius": "length"}
-HIT_ATTRIBUTES: dict[str, str] = {"distance": "length", "normal": "push", "position": "position"}
+ITEM_ATTRIBUTE_TYPES: dict[str, str] = {"position": "position", "radius": "length"}
+HIT_ATTRIBUTE_TYPES: dict[str, str] = {"distance": "length", "normal": "push", "position": "position"}
 
 
-_DRAW = Cost(60, "{word}", "draws")
+_DRAW_COST = UseCost(60, "{word}", "draws")
 
 
 # What is no sense: a function of its arguments, or a draw.
-_PLAIN = (
+_PLAIN_BUILTINS = (
     word("abs(x: number A) -> number A", "absolute value"),
     word("clamp(x: number A, to: range A) -> number A", "limited to a range"),
     word("floor(x: number) -> number", "rounded down"),
-    word("sqrt(x: number A) -> number sqrt A", "square root; its dimension is halved", interval=senses.POSITIVE),
+    word("sqrt(x: number A) -> number sqrt A", "square root; its dimension is halved", interval=senses.POSITIVE_INTERVAL),
     word("sin(x: angle) -> number", "sine", interval=(-1, 1)),
     word("cos(x: angle) -> number", "cosine", interval=(-1, 1)),
-    word("exp(x: number) -> number", "e to the x", interval=senses.POSITIVE),
+    word("exp(x: number) -> number", "e to the x", interval=senses.POSITIVE_INTERVAL),
     word("log(x: number) -> number", "natural logarithm"),
     word(
         "ramp(x: number A, from: range A, to: range B = 0 .. 1) -> number B",
@@ -136,44 +141,54 @@ _PLAIN = (
     word("mix(a: vector A, b: vector A, t: number) -> vector A", "a at t = 0, b at t = 1"),
     word("min(a: number A, b: number A) -> number A", "the lesser"),
     word("max(a: number A, b: number A) -> number A", "the greater"),
-    word("length(v: vector A) -> number A", "length of a vector", interval=senses.POSITIVE),
+    word("length(v: vector A) -> number A", "length of a vector", interval=senses.POSITIVE_INTERVAL),
     word("unit(v: vector A) -> push", "the same direction, length 1; zero stays zero"),
     word("dot(a: vector A, b: vector B) -> number A*B", "scalar product"),
     word("cross(a: vector A, b: vector B) -> vector A*B", "vector product"),
-    word("angle(a: vector A, b: vector B) -> angle", "angle between two directions, 0 to half a turn", interval=senses.HALF_TURN),
+    word(
+        "angle(a: vector A, b: vector B) -> angle",
+        "angle between two directions, 0 to half a turn",
+        interval=senses.HALF_TURN_INTERVAL,
+    ),
     word("rotate(v: vector A, about: push, by: angle) -> vector A", "turned about an axis"),
     word("project(v: vector A, onto: push) -> vector A", "the component of v along a direction"),
     word("limit(v: vector A, max: number A) -> vector A", "shortened to a length if longer"),
     word("vector(x: number A, y: number A, z: number A) -> vector A", "from three numbers, in the scene's axes"),
     word("first(a…: any A) -> any A", "the first that is not none"),
-    word("uniform(low: number A, high: number A) -> number A", "a uniform random number between two", draws=True, cost=_DRAW),
-    word("normal(mean: number A, deviation: number A) -> number A", "a random number around a mean", draws=True, cost=_DRAW),
-    word("pick(a…: any A) -> any A", "one of these, equally likely", draws=True, cost=_DRAW),
+    word(
+        "uniform(low: number A, high: number A) -> number A", "a uniform random number between two", draws=True, cost=_DRAW_COST
+    ),
+    word("normal(mean: number A, deviation: number A) -> number A", "a random number around a mean", draws=True, cost=_DRAW_COST),
+    word("pick(a…: any A) -> any A", "one of these, equally likely", draws=True, cost=_DRAW_COST),
     word(
         "random(of: species) -> agent",
         "one living agent of a species, all equally likely",
         op="random_agent",
         draws=True,
-        cost=_DRAW,
+        cost=_DRAW_COST,
     ),
-    word("rising(x: number A, over: range A) -> number", "0 below, 1 above, linear between", interval=senses.SHARE),
-    word("falling(x: number A, over: range A) -> number", "1 below, 0 above, linear between", interval=senses.SHARE),
-    word("around(x: number A, over: range A) -> number", "1 in the middle of the range, 0 outside", interval=senses.SHARE),
+    word("rising(x: number A, over: range A) -> number", "0 below, 1 above, linear between", interval=senses.SHARE_INTERVAL),
+    word("falling(x: number A, over: range A) -> number", "1 below, 0 above, linear between", interval=senses.SHARE_INTERVAL),
+    word(
+        "around(x: number A, over: range A) -> number", "1 in the middle of the range, 0 outside", interval=senses.SHARE_INTERVAL
+    ),
 )
 
 
-def _by_name(rows: Iterable[Builtin]) -> dict[str, tuple[Builtin, ...]]:
-    table: dict[str, tuple[Builtin, ...]] = {}
+def _by_name(rows: Iterable[BuiltinRow]) -> dict[str, tuple[BuiltinRow, ...]]:
+    table: dict[str, tuple[BuiltinRow, ...]] = {}
     for row in rows:
         table[row.name] = (*table.get(row.name, ()), row)
     return table
 
 
 # Called as functions. Names with several rows are distinguished by the first argument's type; the first row that fits wins.
-BUILTINS = _by_name((*_PLAIN, *senses.find_words("call"))) | {row.op: row.rows for row in set_senses.SET_SENSES.values()}
+BUILTINS_BY_NAME = _by_name((*_PLAIN_BUILTINS, *senses.find_words("call"))) | {
+    row.op: row.rows for row in set_senses.SET_SENSE_BY_OPERATION.values()
+}
 
 # Senses as other tools and everyday words call them, and what to write here instead.
-_OTHER_SENSES = (
+_FOREIGN_SENSES = (
     ("smell smells smelling sniff scent odour", "`nearest(X, within: 40 mm)` for things, or the name of a field: `trail > 0.1`"),
     (
         "see sees look looks sight vision visible sense senses detect detects find near nearby is_near",
@@ -186,12 +201,12 @@ _OTHER_SENSES = (
     ("rand randf random_float random_number", "`uniform(0, 1)`"),
     ("agents others", "`neighbours(20 mm)`, and `count(n in neighbours(20 mm): true)` for how many"),
 )
-OTHER_SENSES: dict[str, str] = {word: instead for words, instead in _OTHER_SENSES for word in words.split()}
+SENSE_REPLACEMENTS: dict[str, str] = {word: instead for words, instead in _FOREIGN_SENSES for word in words.split()}
 
 # Names, not calls: `slope` is the angle between `up` and the world's up, `uphill` the world's up laid along the ground.
-SENSED_NAMES: dict[str, str] = {row.name: row.result for row in senses.find_words("name")}
+SENSE_TYPE_BY_NAME: dict[str, str] = {row.name: row.result for row in senses.find_words("name")}
 
-REDUCERS: dict[str, str] = {
+REDUCER_HELP: dict[str, str] = {
     "sum": "sum of the body; 0 or a zero vector for an empty set",
     "mean": "mean of the body; 0 for an empty set",
     "min": "lowest; infinite for an empty set",
@@ -203,30 +218,38 @@ REDUCERS: dict[str, str] = {
 }
 
 # Operations that signs and words stand for, in the typed tree: args as written, None for absent ones.
-SIGN_OPS = {
+OPERATION_BY_SIGN = {
     "+": "add", "-": "sub", "*": "mul", "/": "div", "^": "pow", "<": "lt", "<=": "le", ">": "gt", ">=": "ge", "==": "eq",
     "!=": "ne", "and": "and", "or": "or", "not": "not", "neg": "neg",
 }  # fmt: skip
 # Further ops of the typed tree, beside the words of senses:
 #   if(condition, then, else)      is_none(x)  (also `no x`; for a set: it is empty)      chance(rate or share)      is_some(x)
 #   run(dt | time | frame as Thing)      event(its name as Thing)      fuzzy(degree, output, degree, output, …)
-OTHER_OPS = (
+OTHER_OPERATIONS = (
     "if",
     "is_none",
     "is_some",
     "chance",
     *(row.op for row in senses.find_words("value")),
-    *SENSED_NAMES,
+    *SENSE_TYPE_BY_NAME,
     "run",
     "event",
     "fuzzy",
 )
 
 # Operations by what their rows say. A `chance` is a word before a number, and no call.
-_ROWS = (*(row for rows in BUILTINS.values() for row in rows), *senses.find_words("name"), *senses.find_words("value"))
-DRAWS = frozenset((*(row.op for row in _ROWS if row.draws), "chance"))
-INTERVALS: dict[str, tuple[float, float]] = {row.op: row.interval for row in _ROWS if row.interval is not None}
-COSTS: dict[str, Cost] = {row.op: row.cost for row in _ROWS if row.cost is not None} | {"chance": _DRAW}
+_OPERATION_ROWS = (
+    *(row for rows in BUILTINS_BY_NAME.values() for row in rows),
+    *senses.find_words("name"),
+    *senses.find_words("value"),
+)
+DRAWING_OPERATIONS = frozenset((*(row.op for row in _OPERATION_ROWS if row.draws), "chance"))
+INTERVAL_BY_OPERATION: dict[str, tuple[float, float]] = {
+    row.op: row.interval for row in _OPERATION_ROWS if row.interval is not None
+}
+COST_BY_OPERATION: dict[str, UseCost] = {row.op: row.cost for row in _OPERATION_ROWS if row.cost is not None} | {
+    "chance": _DRAW_COST
+}
 
 # Words with a meaning to come. Used as a name they are refused, used as a construct they get a placed "not yet".
-RESERVED = ("repeat", "import", "share", "total")
+RESERVED_WORDS = ("repeat", "import", "share", "total")

@@ -7,13 +7,41 @@ from collections.abc import Callable, Container
 from dataclasses import replace
 from typing import cast
 
-from antdsl.program.expectations import GEOMETRY, MOTION, Aggregate, AtStart, BodyMeasure, CellValue, MotionMeasure, OtherRun
-from antdsl.program.kinds import BOOL, NUMBER
-from antdsl.program.model import Binding, BindingRef, Dim, Expr, Kind, ParamRef, Rate, Reduce, ThingRef, Type
-from antdsl.program.names.scope import Declared, Scope, attributes_of, bad_expression, did_you_mean, list_names, type_from_words
-from antdsl.program.tables.set_senses import GIVES_SET
-from antdsl.program.tables.things import KINDS_OF_THINGS
-from antdsl.program.tables.vocabulary import BUILTIN_ATTRIBUTES, SENSED_NAMES
+from antdsl.program.expectations import (
+    GEOMETRY_MEASURES,
+    MOTION_MEASURES,
+    AggregateExpr,
+    AtStart,
+    BodyMeasure,
+    CellValue,
+    MotionMeasure,
+    OtherRun,
+)
+from antdsl.program.kinds import BOOL_TYPE, NUMBER_TYPE
+from antdsl.program.model import (
+    Binding,
+    BindingRef,
+    ChangeRate,
+    Dimension,
+    Expr,
+    ParamRef,
+    ReduceExpr,
+    ThingRef,
+    TypeKind,
+    ValueType,
+)
+from antdsl.program.names.scope import (
+    Declarations,
+    NameScope,
+    attributes_of,
+    bad_expression,
+    did_you_mean,
+    list_names,
+    type_from_words,
+)
+from antdsl.program.tables.set_senses import SET_RESULT_OPERATIONS
+from antdsl.program.tables.things import KIND_BY_WORD
+from antdsl.program.tables.vocabulary import BUILTIN_ATTRIBUTE_BY_NAME, SENSE_TYPE_BY_NAME
 from antdsl.program.traverse import written_nodes
 from antdsl.program.types import calls, expressions, operators
 from antdsl.program.types.arguments import type_arguments
@@ -24,17 +52,17 @@ from antdsl.program.types.sets import reduction_body
 from antdsl.source import Span
 from antdsl.syntax import nodes
 
-WHOLES = ("total", "share", "sum", "mean", "min", "max", "count", "any", "every")
-_OF_CELLS = ("total", "sum", "mean", "min", "max")
-_TRUTHS = ("share", "count", "any", "every")
-_COMPARED = ("<", "<=", ">", ">=", "==", "!=")
-_VOLUME = Type(Kind.NUMBER, Dim(length=3))
+AGGREGATE_WORDS = ("total", "share", "sum", "mean", "min", "max", "count", "any", "every")
+_CELL_AGGREGATES = ("total", "sum", "mean", "min", "max")
+_TRUTH_AGGREGATES = ("share", "count", "any", "every")
+_COMPARISON_SIGNS = ("<", "<=", ">", ">=", "==", "!=")
+_VOLUME_TYPE = ValueType(TypeKind.NUMBER, Dimension(length=3))
 
 
 class SpecRules:
     """The rules of specs, ahead of those of the language, while one condition is checked."""
 
-    def __init__(self, declared: Declared, compares: bool = False) -> None:
+    def __init__(self, declared: Declarations, compares: bool = False) -> None:
         self.plain = declared.rules
         self.compared: dict[str, Callable[..., Expr]] = {"at_start": self._at_start}
         if compares:
@@ -49,7 +77,7 @@ class SpecRules:
 
     # --- names -------------------------------------------------------------------------------------------------------
 
-    def _name(self, scope: Scope, node: nodes.NameRef, want: Type | None) -> Expr:
+    def _name(self, scope: NameScope, node: nodes.NameRef, want: ValueType | None) -> Expr:
         name = node.name.text
         if name in self.compared:
             if self.other is not None:
@@ -59,32 +87,36 @@ class SpecRules:
             advice = f"write `total(food.load) == {name}`, or `{name}(total(food.load))`"
             return scope.reject("at-start-alone", message, node.span, advice)
         species = scope.species
-        if name in GEOMETRY and species is not None and name not in {*species.attributes, *species.params, *species.bindings}:
-            return BodyMeasure(type_from_words(GEOMETRY[name]) or NUMBER, Rate.AGENT, node.span, name)
+        if (
+            name in GEOMETRY_MEASURES
+            and species is not None
+            and name not in {*species.attributes, *species.params, *species.bindings}
+        ):
+            return BodyMeasure(type_from_words(GEOMETRY_MEASURES[name]) or NUMBER_TYPE, ChangeRate.AGENT, node.span, name)
         return expressions.name_of(scope, node, want)
 
-    def _at_start(self, scope: Scope, expr: Expr, span: Span) -> Expr:
+    def _at_start(self, scope: NameScope, expr: Expr, span: Span) -> Expr:
         if self.inside:
             message = "`at_start` cannot be inside an expression that is computed for each agent"
             return scope.reject("set-in-set", message, span, "write `at_start(total(food.load))`")
-        if expr.type.kind is Kind.BAD:
+        if expr.type.kind is TypeKind.BAD:
             return bad_expression(span)
-        if expr.type.kind is not Kind.NUMBER:
+        if expr.type.kind is not TypeKind.NUMBER:
             words = f"`at_start` is for numbers, and this is {type_words(expr.type)}"
             return scope.reject("wrong-kind", words, span, "compare numbers")
         return AtStart(expr.type, expr.rate, span, expr)
 
-    def _other_run(self, scope: Scope, expr: Expr, span: Span) -> Expr:
+    def _other_run(self, scope: NameScope, expr: Expr, span: Span) -> Expr:
         """Return the value of a number about the whole in the reference run."""
-        if expr.type.kind is Kind.BAD:
+        if expr.type.kind is TypeKind.BAD:
             return bad_expression(span)
-        if self.inside or scope.species is not None or expr.type.kind is not Kind.NUMBER or expr.rate > Rate.STEP:
+        if self.inside or scope.species is not None or expr.type.kind is not TypeKind.NUMBER or expr.rate > ChangeRate.STEP:
             message = "`other` is a number of the whole in another run, where no agent is named"
             advice = "write it in a line of the spec itself: `always: total(nest.load) >= other`"
             return scope.reject("wrong-rate", message, span, advice)
-        return OtherRun(expr.type, Rate.STEP, span, expr)
+        return OtherRun(expr.type, ChangeRate.STEP, span, expr)
 
-    def _member(self, scope: Scope, node: nodes.Member, want: Type | None) -> Expr:
+    def _member(self, scope: NameScope, node: nodes.Member, want: ValueType | None) -> Expr:
         owner, name = node.owner, node.name.text
         if isinstance(owner, nodes.NameRef):
             if owner.name.text in scope.declared.fields and name == "value":
@@ -102,56 +134,59 @@ class SpecRules:
                 scope.mark_used("param", f"{species.name}.{name}")
                 scope.bind(owner.span, "species", species.name)
                 scope.bind(node.name.span, "own", species.name, name)
-                return ParamRef(species.params[name], Rate.RUN, node.span, f"{species.name}.{name}")
-            bodily = species is not None and name in GEOMETRY and name not in {*species.attributes, *species.params}
+                return ParamRef(species.params[name], ChangeRate.RUN, node.span, f"{species.name}.{name}")
+            bodily = species is not None and name in GEOMETRY_MEASURES and name not in {*species.attributes, *species.params}
             if bodily and isinstance(self_there, ThingRef):
                 scope.bind(owner.span, "species", owner.name.text)
-                return BodyMeasure(type_from_words(GEOMETRY[name]) or NUMBER, Rate.AGENT, node.span, name)
+                return BodyMeasure(type_from_words(GEOMETRY_MEASURES[name]) or NUMBER_TYPE, ChangeRate.AGENT, node.span, name)
             if self._reports_unnamed_agent(scope, owner.name.text, node):
                 return bad_expression(node.span)
         return expressions.member_of(scope, node, want)
 
-    def _cell(self, scope: Scope, node: nodes.Member, field: str) -> Expr:
+    def _cell(self, scope: NameScope, node: nodes.Member, field: str) -> Expr:
         scope.mark_used("field", field)
         scope.bind(node.owner.span, "field", field)
         if self.cells == field:
-            return CellValue(NUMBER, Rate.ELEMENT, node.span, field)
+            return CellValue(NUMBER_TYPE, ChangeRate.ELEMENT, node.span, field)
         return scope.reject(
             "wrong-rate", f"`{field}.value` needs a cell", node.span,
             f"use a value of all cells: `max({field}.value)`, `share({field}.value > 0)`; "
             f"at an agent's position, write `{field}` alone",
         )  # fmt: skip
 
-    def _reports_unnamed_agent(self, scope: Scope, owner: str, node: nodes.Member) -> bool:
+    def _reports_unnamed_agent(self, scope: NameScope, owner: str, node: nodes.Member) -> bool:
         """Return whether `forager.load` names no single forager; report an error then."""
         kind, name = _thing_kind(scope.declared, owner), node.name.text
-        type = Type(Kind.AGENT if kind is Kind.SPECIES else Kind.ITEM, of=owner)
-        params = scope.declared.species[owner].params if kind is Kind.SPECIES else {}
-        known = kind is not None and name in {*attributes_of(scope.declared, type), *(GEOMETRY if kind is Kind.SPECIES else ())}
+        type = ValueType(TypeKind.AGENT if kind is TypeKind.SPECIES else TypeKind.ITEM, of=owner)
+        params = scope.declared.species[owner].params if kind is TypeKind.SPECIES else {}
+        known = kind is not None and name in {
+            *attributes_of(scope.declared, type),
+            *(GEOMETRY_MEASURES if kind is TypeKind.SPECIES else ()),
+        }
         if not known or owner in scope.locals or name in params:
             return False
         if isinstance(node.owner, nodes.NameRef):
             scope.bind_thing(node.owner.name)
         scope.bind_value(node.name.span, type, name)
-        who = "agent" if kind is Kind.SPECIES else "item"
-        also = f", or test each agent: `each {owner} {{ always: {name} … }}`" if kind is Kind.SPECIES else ""
+        who = "agent" if kind is TypeKind.SPECIES else "item"
+        also = f", or test each agent: `each {owner} {{ always: {name} … }}`" if kind is TypeKind.SPECIES else ""
         advice = f"use a value of all: `total({owner}.{name})`, `share({owner}.{name} …)`{also}"
         scope.report.error("wrong-rate", f"`{name}` is a value of one {who}, but `{owner}` is all of them", node.span, advice)
         return True
 
-    def _motion(self, scope: Scope, node: nodes.Member) -> Expr:
-        words = MOTION.get(node.name.text)
+    def _motion(self, scope: NameScope, node: nodes.Member) -> Expr:
+        words = MOTION_MEASURES.get(node.name.text)
         if words is None:
-            help = did_you_mean(node.name.text, MOTION, f"there is {list_names(MOTION)}")
+            help = did_you_mean(node.name.text, MOTION_MEASURES, f"there is {list_names(MOTION_MEASURES)}")
             scope.report.error("unknown-name", f"`motion` has no `{node.name.text}`", node.name.span, help)
             return bad_expression(node.span)
-        return MotionMeasure(type_from_words(words) or NUMBER, Rate.STEP, node.span, node.name.text)
+        return MotionMeasure(type_from_words(words) or NUMBER_TYPE, ChangeRate.STEP, node.span, node.name.text)
 
     # --- the other side of a comparison ------------------------------------------------------------------------------
 
-    def _binary(self, scope: Scope, node: nodes.Binary, want: Type | None) -> Expr:
+    def _binary(self, scope: NameScope, node: nodes.Binary, want: ValueType | None) -> Expr:
         sides = [_uses_word(side, self.compared) for side in (node.left, node.right)]
-        if node.op not in _COMPARED or sides[0] == sides[1]:
+        if node.op not in _COMPARISON_SIGNS or sides[0] == sides[1]:
             return operators.binary(scope, node, want)
         other = node.right if sides[0] else node.left
         expr = value(scope, other)
@@ -165,56 +200,63 @@ class SpecRules:
 
     # --- wholes ------------------------------------------------------------------------------------------------------
 
-    def _call(self, scope: Scope, node: nodes.Call, want: Type | None) -> Expr:
+    def _call(self, scope: NameScope, node: nodes.Call, want: ValueType | None) -> Expr:
         name = node.function.name.text if isinstance(node.function, nodes.NameRef) else ""
         first = node.arguments[0] if len(node.arguments) == 1 else None
         if name in self.compared:
             if not isinstance(first, nodes.Argument) or first.name is not None:
                 return self._report_argument_count(scope, node, name)
             return self.compared[name](scope, value(scope, first.value), node.span)
-        if name in WHOLES and isinstance(first, nodes.Argument) and first.name is None and not _is_set(scope, first.value):
+        if (
+            name in AGGREGATE_WORDS
+            and isinstance(first, nodes.Argument)
+            and first.name is None
+            and not _is_set(scope, first.value)
+        ):
             return self._aggregate(scope, node, name, first.value)
         if name in ("total", "share"):
             return self._report_argument_count(scope, node, name)
         expr = calls.call(scope, node, want)
-        if isinstance(expr, Reduce) and scope.species is None and not scope.sets:
+        if isinstance(expr, ReduceExpr) and scope.species is None and not scope.sets:
             return self._set_aggregate(scope, expr)
         return expr
 
     @staticmethod
-    def _report_argument_count(scope: Scope, node: nodes.Call, name: str) -> Expr:
+    def _report_argument_count(scope: NameScope, node: nodes.Call, name: str) -> Expr:
         call_sample = f"{name}(total(food.load))" if name in ("at_start", "other") else f"{name}(food.load)"
         sample = "share(state == carry)" if name == "share" else call_sample
         scope.report.error("wrong-argument", f"`{name}` needs exactly one value of all", node.span, f"write `{sample}`")
         type_arguments(scope, node)
         return bad_expression(node.span)
 
-    def _reports_nesting(self, scope: Scope, span: Span) -> bool:
+    def _reports_nesting(self, scope: NameScope, span: Span) -> bool:
         if self.inside:
             message = f"{quote_source(span)} stands inside an expression for each agent"
             scope.report.error("set-in-set", message, span, "write one next to the other")
         return self.inside
 
-    def _aggregate(self, scope: Scope, node: nodes.Call, name: str, operand: nodes.Expr) -> Expr:
+    def _aggregate(self, scope: NameScope, node: nodes.Call, name: str, operand: nodes.Expr) -> Expr:
         if self._reports_nesting(scope, node.span):
             return bad_expression(node.span)
         bare = operand.name.text if isinstance(operand, nodes.NameRef) else ""
         how = "total" if name == "sum" else name
         field = _cell_field(scope.declared, operand)
         if field:
-            if name not in _TRUTHS and not (isinstance(operand, nodes.Member) and operand.name.text == "value"):
+            if name not in _TRUTH_AGGREGATES and not (isinstance(operand, nodes.Member) and operand.name.text == "value"):
                 return self._report_no_sum(scope, node, field)
-            bare = bare if name in _TRUTHS else field
-        if bare in scope.declared.fields and name in (*_OF_CELLS, "count"):
+            bare = bare if name in _TRUTH_AGGREGATES else field
+        if bare in scope.declared.fields and name in (*_CELL_AGGREGATES, "count"):
             scope.mark_used("field", bare)
             scope.bind(operand.owner.span if isinstance(operand, nodes.Member) else operand.span, "field", bare)
-            return Aggregate(NUMBER, Rate.STEP, node.span, how, Type(Kind.FIELD, of=bare), (), None, None)
+            return AggregateExpr(NUMBER_TYPE, ChangeRate.STEP, node.span, how, ValueType(TypeKind.FIELD, of=bare), (), None, None)
         thing = scope.declared.things.get(bare)
-        if thing is not None and KINDS_OF_THINGS[thing.kind].is_dug and name == "total":
+        if thing is not None and KIND_BY_WORD[thing.kind].is_dug and name == "total":
             scope.mark_used("thing", bare)
             scope.bind(operand.span, "thing", bare)
-            return Aggregate(_VOLUME, Rate.STEP, node.span, how, Type(Kind(thing.kind), of=bare), (), None, None)
-        over = Type(Kind.FIELD, of=field) if field else _subject(scope, node, operand)
+            return AggregateExpr(
+                _VOLUME_TYPE, ChangeRate.STEP, node.span, how, ValueType(TypeKind(thing.kind), of=bare), (), None, None
+            )
+        over = ValueType(TypeKind.FIELD, of=field) if field else _subject(scope, node, operand)
         if over is None:
             return bad_expression(node.span)
         inner, elements = (scope.with_changes(species=None), ()) if field else _element_scope(scope, over, node.span)
@@ -226,56 +268,64 @@ class SpecRules:
             if bare == over.of:
                 return self._report_no_value(scope, node, bare)
             self.inside = True
-            body = condition(inner, operand, f"`{name}`") if name in _TRUTHS else reduction_body(inner, name, operand)
+            body = condition(inner, operand, f"`{name}`") if name in _TRUTH_AGGREGATES else reduction_body(inner, name, operand)
             self.inside, self.cells = False, ""
-            if body.type.kind is Kind.BAD:
+            if body.type.kind is TypeKind.BAD:
                 return bad_expression(node.span)
-            if body.type.kind is Kind.VECTOR:
+            if body.type.kind is TypeKind.VECTOR:
                 return self._report_vector(scope, node, operand)
-        return Aggregate(_result_type(how, body), Rate.STEP, node.span, how, over, elements, None, body)
+        return AggregateExpr(_result_type(how, body), ChangeRate.STEP, node.span, how, over, elements, None, body)
 
     @staticmethod
-    def _report_no_sum(scope: Scope, node: nodes.Call, field: str) -> Expr:
+    def _report_no_sum(scope: NameScope, node: nodes.Call, field: str) -> Expr:
         words = f"{quote_source(node.span)} works something out for each cell of `{field}`"
         known = f"write `{node.function.span.text}({field}.value)`, or `count({field}.value > 0)` or similar"
         return scope.reject("wrong-argument", words, node.span, known)
 
     @staticmethod
-    def _report_no_value(scope: Scope, node: nodes.Call, who: str) -> Expr:
+    def _report_no_value(scope: NameScope, node: nodes.Call, who: str) -> Expr:
         value = f"{who}.{'size' if who in scope.declared.species else 'radius'}"
         advice = f"name one, such as `{value}`, or write `count({who})` for how many there are"
         return scope.reject("wrong-argument", f"{quote_source(node.span)} does not say which value of `{who}`", node.span, advice)
 
     @staticmethod
-    def _report_vector(scope: Scope, node: nodes.Call, operand: nodes.Expr) -> Expr:
+    def _report_vector(scope: NameScope, node: nodes.Call, operand: nodes.Expr) -> Expr:
         text = " ".join(operand.span.text.split())
         message = f"{quote_source(node.span)} would be a vector, and a spec bounds numbers"
         scope.report.error("wrong-kind", message, operand.span, f"write `length({text})`")
         return bad_expression(node.span)
 
-    def _set_aggregate(self, scope: Scope, reduction: Reduce) -> Expr:
+    def _set_aggregate(self, scope: NameScope, reduction: ReduceExpr) -> Expr:
         """Type `count(n in forager: n.load > 0)`: a set of all is a whole; anything nearer needs an agent as its owner."""
         over = reduction.over
         if self._reports_nesting(scope, reduction.span):
             return bad_expression(reduction.span)
         is_complete_set = over.source == "all" and all(arg is None for arg in over.args)
-        if not is_complete_set or reduction.how in ("best", "nearest") or reduction.type.kind not in (Kind.NUMBER, Kind.BOOL):
+        if (
+            not is_complete_set
+            or reduction.how in ("best", "nearest")
+            or reduction.type.kind not in (TypeKind.NUMBER, TypeKind.BOOL)
+        ):
             message = f"{quote_source(reduction.span)} needs an agent, but none is named"
             advice = "ask it in `each SPECIES { … }`, or ask for a `total`, `share`, `mean`, `min`, `max` or `count` of all"
             return scope.reject("wrong-rate", message, reduction.span, advice)
-        kind = Kind.ITEMS if over.element.type.kind is Kind.ITEM else Kind.SPECIES
-        body = reduction.body if reduction.how != "count" or reduction.body is None or reduction.body.rate > Rate.CONST else None
+        kind = TypeKind.ITEMS if over.element.type.kind is TypeKind.ITEM else TypeKind.SPECIES
+        body = (
+            reduction.body
+            if reduction.how != "count" or reduction.body is None or reduction.body.rate > ChangeRate.CONST
+            else None
+        )
         how = "total" if reduction.how == "sum" else reduction.how
         elements = (reduction.element, over.element)
-        return Aggregate(
-            _result_type(how, body), Rate.STEP, reduction.span, how, Type(kind, of=over.of), elements, over.where, body
+        return AggregateExpr(
+            _result_type(how, body), ChangeRate.STEP, reduction.span, how, ValueType(kind, of=over.of), elements, over.where, body
         )
 
 
-def _result_type(how: str, body: Expr | None) -> Type:
+def _result_type(how: str, body: Expr | None) -> ValueType:
     if how in ("any", "every"):
-        return BOOL
-    return NUMBER if body is None or how in ("share", "count") else body.type
+        return BOOL_TYPE
+    return NUMBER_TYPE if body is None or how in ("share", "count") else body.type
 
 
 def _uses_word(root: nodes.Expr, words: Container[str]) -> bool:
@@ -284,16 +334,16 @@ def _uses_word(root: nodes.Expr, words: Container[str]) -> bool:
     return any(isinstance(p, nodes.NameRef) and p.name.text in words and id(p) not in called for p, _ in written_nodes(root))
 
 
-def _is_set(scope: Scope, node: nodes.Expr) -> bool:
+def _is_set(scope: NameScope, node: nodes.Expr) -> bool:
     if isinstance(node, nodes.Call):
-        return isinstance(node.function, nodes.NameRef) and node.function.name.text in GIVES_SET
+        return isinstance(node.function, nodes.NameRef) and node.function.name.text in SET_RESULT_OPERATIONS
     if not isinstance(node, nodes.NameRef) or scope.species is None:
         return False
     binding = scope.species.bindings.get(node.name.text)
-    return binding is not None and binding.type.kind is Kind.SET
+    return binding is not None and binding.type.kind is TypeKind.SET
 
 
-def _cell_field(declared: Declared, operand: nodes.Expr) -> str:
+def _cell_field(declared: Declarations, operand: nodes.Expr) -> str:
     """Return the field with the cells that a question is about, `trail.value > 0.1`; empty if it is about none."""
     members = [part for part, _ in written_nodes(operand) if isinstance(part, nodes.Member) and part.name.text == "value"]
     owners = [part.owner.name.text for part in members if isinstance(part.owner, nodes.NameRef)]
@@ -303,7 +353,7 @@ def _cell_field(declared: Declared, operand: nodes.Expr) -> str:
 # --- subjects --------------------------------------------------------------------------------------------------------
 
 
-def _subject(scope: Scope, node: nodes.Call, operand: nodes.Expr) -> Type | None:
+def _subject(scope: NameScope, node: nodes.Call, operand: nodes.Expr) -> ValueType | None:
     """Return the species or items that a question is about: those with a value that it names, else the only ones with such
     values."""
     declared = scope.declared
@@ -313,19 +363,19 @@ def _subject(scope: Scope, node: nodes.Call, operand: nodes.Expr) -> Type | None
     if len(things) == 1:
         kind = _thing_kind(declared, things[0])
         assert kind is not None
-        scope.mark_used("species" if kind is Kind.SPECIES else "thing", things[0])
-        return Type(kind, of=things[0])
+        scope.mark_used("species" if kind is TypeKind.SPECIES else "thing", things[0])
+        return ValueType(kind, of=things[0])
     if len(things) > 1:
         parts = " and ".join(f"`{name}`" for name in things)
         message = f"{quote_source(node.span)} asks of {parts} at once"
         scope.report.error("wrong-argument", message, node.span, "use each one separately, and add the results")
         return None
     if scope.species is not None:
-        return Type(Kind.SPECIES, of=scope.species.name)
+        return ValueType(TypeKind.SPECIES, of=scope.species.name)
     written_here = [name for name, species in declared.species.items() if species.node is not None]
     able = written_here if len(written_here) == 1 else [name for name in written_here if _has_values(declared, name, operand)]
     if len(able) == 1:
-        return Type(Kind.SPECIES, of=able[0])
+        return ValueType(TypeKind.SPECIES, of=able[0])
     text, names = " ".join(operand.span.text.split()), sorted(able or declared.species)
     name = names[0] if names else "walker"
     if re.match(r"[a-z_][a-z0-9_]*\b(?!\s*\()", text):
@@ -336,31 +386,39 @@ def _subject(scope: Scope, node: nodes.Call, operand: nodes.Expr) -> Type | None
     return None
 
 
-def _thing_kind(declared: Declared, name: str) -> Kind | None:
+def _thing_kind(declared: Declarations, name: str) -> TypeKind | None:
     if name in declared.species:
-        return Kind.SPECIES
+        return TypeKind.SPECIES
     thing = declared.things.get(name)
-    return Kind.ITEMS if thing is not None and thing.kind == "items" else None
+    return TypeKind.ITEMS if thing is not None and thing.kind == "items" else None
 
 
-def _has_values(declared: Declared, species: str, operand: nodes.Expr) -> bool:
+def _has_values(declared: Declarations, species: str, operand: nodes.Expr) -> bool:
     """Return whether a species has every value that is named bare, judged by names alone."""
     names = declared.species[species]
     states = {state for machine in names.machines.values() for state in machine.states}
-    mine = {*names.attributes, *names.params, *names.bindings, *names.pending, *names.machines, *states, *BUILTIN_ATTRIBUTES}
+    mine = {
+        *names.attributes,
+        *names.params,
+        *names.bindings,
+        *names.pending,
+        *names.machines,
+        *states,
+        *BUILTIN_ATTRIBUTE_BY_NAME,
+    }
     everywhere = {*declared.things, *declared.fields, *declared.species, *declared.events, "state", "previous", "next"}
-    everywhere |= {*GEOMETRY, "time_in_state", "time", "frame", "dt", "true", "false", *SENSED_NAMES, "self"}
+    everywhere |= {*GEOMETRY_MEASURES, "time_in_state", "time", "frame", "dt", "true", "false", *SENSE_TYPE_BY_NAME, "self"}
     called = {id(part.function) for part, _ in written_nodes(operand) if isinstance(part, nodes.Call)}
     bare = {p.name.text for p, _ in written_nodes(operand) if isinstance(p, nodes.NameRef) and id(p) not in called}
     return bare <= mine | everywhere
 
 
-def _element_scope(scope: Scope, over: Type, span: Span) -> tuple[Scope, tuple[Binding, ...]]:
+def _element_scope(scope: NameScope, over: ValueType, span: Span) -> tuple[NameScope, tuple[Binding, ...]]:
     """Return the scope in which one of them is evaluated, and the name that stands for it if it is an item."""
     name = over.of or ""
-    if over.kind is Kind.SPECIES:
-        who = ThingRef(Type(Kind.AGENT, of=name), Rate.AGENT, span, "self")
+    if over.kind is TypeKind.SPECIES:
+        who = ThingRef(ValueType(TypeKind.AGENT, of=name), ChangeRate.AGENT, span, "self")
         return scope.with_changes(species=scope.declared.species[name], machine=None, locals={**scope.locals, name: who}), ()
-    element = Binding(name, "element", Type(Kind.ITEM, Dim(), name), Rate.ELEMENT, span)
-    element_value = BindingRef(element.type, Rate.ELEMENT, span, element)
+    element = Binding(name, "element", ValueType(TypeKind.ITEM, Dimension(), name), ChangeRate.ELEMENT, span)
+    element_value = BindingRef(element.type, ChangeRate.ELEMENT, span, element)
     return scope.with_changes(species=None, element=element, locals={**scope.locals, name: element_value}), (element,)

@@ -10,19 +10,19 @@ from itertools import pairwise
 
 from antdsl.diagnostics import Fix, Label
 from antdsl.diagnostics.suggestion import nearest_name
-from antdsl.program.model import Binding, Dim, Expr, Kind, Rate, Reduce, SetOf, Type
-from antdsl.program.names.scope import Scope, list_names
-from antdsl.program.types.descriptions import PLACE_KINDS, quote_source, report_mismatch
+from antdsl.program.model import Binding, ChangeRate, Dimension, Expr, ReduceExpr, SetExpr, TypeKind, ValueType
+from antdsl.program.names.scope import NameScope, list_names
+from antdsl.program.types.descriptions import KINDS_WITH_POSITION, quote_source, report_mismatch
 from antdsl.source import Span
 from antdsl.syntax import nodes
 from antdsl.syntax.mistakes.number_slips import comma_diagnostic, find_comma_number
 
-Called = nodes.Call | nodes.Ask
+CallNode = nodes.Call | nodes.Ask
 ArgumentsBySlot = dict[str, list[nodes.Argument]]
 
 
 @dataclass(frozen=True, slots=True)
-class Slot:
+class ArgumentSlot:
     """One parameter. `required` ones have no default and are not optional; `range`: two values with `..`."""
 
     name: str
@@ -31,7 +31,9 @@ class Slot:
     range: bool = False
 
 
-def arrange_arguments(scope: Scope, called: str, slots: Sequence[Slot], node: Called, form: str = "") -> ArgumentsBySlot | None:
+def arrange_arguments(
+    scope: NameScope, called: str, slots: Sequence[ArgumentSlot], node: CallNode, form: str = ""
+) -> ArgumentsBySlot | None:
     """Return the arguments by slot; None after an error that makes the call unusable. `form`: the text of the call up to its
     bracket, if that is not `called`."""
     form = form or called
@@ -73,7 +75,7 @@ def arrange_arguments(scope: Scope, called: str, slots: Sequence[Slot], node: Ca
 
 
 def _add_named(
-    scope: Scope, called: str, names: list[str], arguments_by_slot: dict[str, list[nodes.Argument]], argument: nodes.Argument
+    scope: NameScope, called: str, names: list[str], arguments_by_slot: dict[str, list[nodes.Argument]], argument: nodes.Argument
 ) -> bool:
     name = argument.name
     assert name is not None
@@ -94,16 +96,16 @@ def _add_named(
     return True
 
 
-def _count_text(slots: Sequence[Slot]) -> str:
+def _count_text(slots: Sequence[ArgumentSlot]) -> str:
     most = len(slots)
     return "no arguments" if most == 0 else "one argument" if most == 1 else f"at most {most} arguments"
 
 
-def _call_text(called: str, slots: Sequence[Slot]) -> str:
+def _call_text(called: str, slots: Sequence[ArgumentSlot]) -> str:
     return f"{called}({', '.join(slot.name if slot.required else slot.name + ': …' for slot in slots)})"
 
 
-def type_arguments(scope: Scope, node: Called) -> None:
+def type_arguments(scope: NameScope, node: CallNode) -> None:
     """Type the arguments of a call that makes no sense, so that what they use counts as used and their own mistakes are
     reported."""
     for argument in node.arguments:
@@ -119,7 +121,7 @@ def type_arguments(scope: Scope, node: Called) -> None:
                 del scope.declared.bound[known:]  # its names may be those of what is looked for
 
 
-def _report_late_positions(scope: Scope, first: nodes.Name, late: Sequence[tuple[nodes.Argument, str]]) -> None:
+def _report_late_positions(scope: NameScope, first: nodes.Name, late: Sequence[tuple[nodes.Argument, str]]) -> None:
     """Report arguments by place after `first`, an argument with a name. The fix adds the names for their places."""
     span = Span(late[0][0].span.source, late[0][0].span.start, late[-1][0].span.end)
     text, copied_end = "", span.start
@@ -132,7 +134,7 @@ def _report_late_positions(scope: Scope, first: nodes.Name, late: Sequence[tuple
     scope.report.error("argument-order", message, late[0][0].span, advice, fix=Fix(span, text))
 
 
-def _decimal_comma(slots: Sequence[Slot], arguments: Sequence[nodes.Argument]) -> Span | None:
+def _decimal_comma(slots: Sequence[ArgumentSlot], arguments: Sequence[nodes.Argument]) -> Span | None:
     """The first number with a comma that was read as two arguments. A comma parts two of them where the call would lack something
     with such numbers taken as one, and in a list such as `vector(1,2,3)`."""
     joints: dict[int, Span] = {}
@@ -171,7 +173,7 @@ def _argument_forms(arguments: Sequence[nodes.Argument]) -> list[_ArgumentForm]:
     return [_ArgumentForm(each.name, isinstance(each.value, nodes.RangeExpr)) for each in arguments]
 
 
-def _merge_range_pairs(slots: Sequence[Slot], forms: Sequence[_ArgumentForm]) -> list[_ArgumentForm] | None:
+def _merge_range_pairs(slots: Sequence[ArgumentSlot], forms: Sequence[_ArgumentForm]) -> list[_ArgumentForm] | None:
     """Return the arguments with two values by place, where a range is expected, as that range; None if a value has no second
     one."""
     paired: list[_ArgumentForm] = []
@@ -187,7 +189,7 @@ def _merge_range_pairs(slots: Sequence[Slot], forms: Sequence[_ArgumentForm]) ->
     return paired
 
 
-def _range_fix(slots: Sequence[Slot], arguments: Sequence[nodes.Argument]) -> tuple[str, Fix] | None:
+def _range_fix(slots: Sequence[ArgumentSlot], arguments: Sequence[nodes.Argument]) -> tuple[str, Fix] | None:
     """Return what to write for two values where a range is expected, if there is nothing else wrong with how many there are."""
     place = next((n for n, slot in enumerate(slots) if slot.range), len(arguments))
     if place + 1 >= len(arguments) or not _is_valid_count(slots, _merge_range_pairs(slots, _argument_forms(arguments))):
@@ -197,7 +199,7 @@ def _range_fix(slots: Sequence[Slot], arguments: Sequence[nodes.Argument]) -> tu
     return f"write the two ends as a range: `{text}`", Fix(Span(low.span.source, low.span.start, high.span.end), text)
 
 
-def _is_valid_count(slots: Sequence[Slot], forms: Sequence[_ArgumentForm] | None, least: int = 1) -> bool:
+def _is_valid_count(slots: Sequence[ArgumentSlot], forms: Sequence[_ArgumentForm] | None, least: int = 1) -> bool:
     """Return whether the arguments, by place and by name, match the slots. `least`: the minimum number for a variadic call."""
     if forms is None:
         return False
@@ -221,24 +223,30 @@ def _is_valid_count(slots: Sequence[Slot], forms: Sequence[_ArgumentForm] | None
     return all(slot.name in named or number < positional_count for number, slot in enumerate(slots) if slot.required)
 
 
-def place(scope: Scope, node: nodes.Expr, who: str) -> Expr:
+def place(scope: NameScope, node: nodes.Expr, who: str) -> Expr:
     """An expression as a place."""
-    expr = scope.type_expression(node, Type(Kind.PLACE))
-    if expr.type.kind in (Kind.ITEMS, Kind.SPECIES):
+    expr = scope.type_expression(node, ValueType(TypeKind.PLACE))
+    if expr.type.kind in (TypeKind.ITEMS, TypeKind.SPECIES):
         return nearest_of(expr, node.span)
-    if expr.type.kind in PLACE_KINDS or expr.type.kind is Kind.BAD or expr.type == Type(Kind.VECTOR, Dim(length=1)):
+    if (
+        expr.type.kind in KINDS_WITH_POSITION
+        or expr.type.kind is TypeKind.BAD
+        or expr.type == ValueType(TypeKind.VECTOR, Dimension(length=1))
+    ):
         return expr
-    return report_mismatch(scope.report, node, expr.type, Type(Kind.PLACE), who)
+    return report_mismatch(scope.report, node, expr.type, ValueType(TypeKind.PLACE), who)
 
 
-def element_type(things: Type) -> Type:
+def element_type(things: ValueType) -> ValueType:
     """The type of one element of all items of a name, or of a species."""
-    return Type(Kind.ITEM if things.kind is Kind.ITEMS else Kind.AGENT, Dim(), things.of)
+    return ValueType(TypeKind.ITEM if things.kind is TypeKind.ITEMS else TypeKind.AGENT, Dimension(), things.of)
 
 
-def nearest_of(things: Expr, span: Span) -> Reduce:
+def nearest_of(things: Expr, span: Span) -> ReduceExpr:
     """The nearest of all items of a name, or of a species."""
     type = element_type(things.type)
-    element = Binding("it", "element", type, Rate.ELEMENT, span)
-    over = SetOf(Type(Kind.SET, Dim(), type.of), Rate.AGENT, span, "all", type.of or "", (None,), element, None)
-    return Reduce(type, Rate.AGENT, span, "nearest", over, element, None)
+    element = Binding("it", "element", type, ChangeRate.ELEMENT, span)
+    over = SetExpr(
+        ValueType(TypeKind.SET, Dimension(), type.of), ChangeRate.AGENT, span, "all", type.of or "", (None,), element, None
+    )
+    return ReduceExpr(type, ChangeRate.AGENT, span, "nearest", over, element, None)

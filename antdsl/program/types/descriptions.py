@@ -5,43 +5,53 @@ from __future__ import annotations
 import re
 
 from antdsl.diagnostics import Diagnostic, Fix, Label, Report
-from antdsl.program.model import Dim, Expr, Kind, Op, Type
+from antdsl.program.model import Dimension, Expr, OperationExpr, TypeKind, ValueType
 from antdsl.program.names.scope import bad_expression
 from antdsl.program.tables.senses import find_words
-from antdsl.program.tables.things import KINDS_OF_THINGS, replacements
+from antdsl.program.tables.things import KIND_BY_WORD, replacements
 from antdsl.program.tables.units import dimension_words, with_article, with_unit
 from antdsl.source import Span
 from antdsl.syntax import nodes
 
-_KINDS: dict[Kind, str] = {
-    Kind.BOOL: "a yes or no",
-    Kind.STATE: "a state",
-    Kind.HIT: "what a ray hit",
-    Kind.PLACE: "a place",
-    Kind.SET: "a set",
-    Kind.RANGE: "a range",
-    **{Kind(row.word): row.called for row in KINDS_OF_THINGS.values() if row.called},
-    Kind.FIELD: "a field",
+_KIND_PHRASES: dict[TypeKind, str] = {
+    TypeKind.BOOL: "a yes or no",
+    TypeKind.STATE: "a state",
+    TypeKind.HIT: "what a ray hit",
+    TypeKind.PLACE: "a place",
+    TypeKind.SET: "a set",
+    TypeKind.RANGE: "a range",
+    **{TypeKind(row.word): row.called for row in KIND_BY_WORD.values() if row.called},
+    TypeKind.FIELD: "a field",
 }
 # Things that are named and are no value: an expression must read something of them.
-_THINGS = frozenset(Kind(word) for word in KINDS_OF_THINGS) - {Kind(each.args[0].type) for each in find_words("value")}
-PLACE_KINDS = {Kind.ITEM, Kind.AGENT, Kind.HIT, Kind.PLACE, *(Kind(row.word) for row in KINDS_OF_THINGS.values() if row.nearest)}
-_FLOW = Kind("flow")
-_VECTORS: dict[Dim, str] = {Dim(): "a push or direction", Dim(length=1): "a position", Dim(length=1, time=-1): "a velocity"}
+_THING_KINDS = frozenset(TypeKind(word) for word in KIND_BY_WORD) - {TypeKind(each.args[0].type) for each in find_words("value")}
+KINDS_WITH_POSITION = {
+    TypeKind.ITEM,
+    TypeKind.AGENT,
+    TypeKind.HIT,
+    TypeKind.PLACE,
+    *(TypeKind(row.word) for row in KIND_BY_WORD.values() if row.nearest),
+}
+_FLOW = TypeKind("flow")
+_VECTOR_PHRASES: dict[Dimension, str] = {
+    Dimension(): "a push or direction",
+    Dimension(length=1): "a position",
+    Dimension(length=1, time=-1): "a velocity",
+}
 
 
-def type_words(type: Type) -> str:
+def type_words(type: ValueType) -> str:
     """`a length`, `a push or direction`, `an item of food`, `an agent of rabbit`."""
-    if type.kind is Kind.NUMBER:
+    if type.kind is TypeKind.NUMBER:
         return dimension_words(type.dim)
-    if type.kind is Kind.VECTOR:
-        return _VECTORS.get(type.dim) or f"a vector of {dimension_words(type.dim).removeprefix('a ').removeprefix('an ')}"
-    if type.kind in (Kind.ITEM, Kind.AGENT):
-        word = "item" if type.kind is Kind.ITEM else "agent"
+    if type.kind is TypeKind.VECTOR:
+        return _VECTOR_PHRASES.get(type.dim) or f"a vector of {dimension_words(type.dim).removeprefix('a ').removeprefix('an ')}"
+    if type.kind in (TypeKind.ITEM, TypeKind.AGENT):
+        word = "item" if type.kind is TypeKind.ITEM else "agent"
         return f"an {word}" if type.of is None else f"an {word} of `{type.of}`"
-    if type.kind in (Kind.ITEMS, Kind.SPECIES):
-        return "all items of a name" if type.kind is Kind.ITEMS else "a species"
-    return _KINDS.get(type.kind, with_article(type.kind.value))
+    if type.kind in (TypeKind.ITEMS, TypeKind.SPECIES):
+        return "all items of a name" if type.kind is TypeKind.ITEMS else "a species"
+    return _KIND_PHRASES.get(type.kind, with_article(type.kind.value))
 
 
 def quote_source(span: Span, most: int = 40) -> str:
@@ -52,21 +62,23 @@ def quote_source(span: Span, most: int = 40) -> str:
     return f"`{text}`"
 
 
-def is_compatible(actual: Type, expected: Type) -> bool:
+def is_compatible(actual: ValueType, expected: ValueType) -> bool:
     """Return whether a value of one type may replace one of the other. Values with a reported error fit everywhere."""
-    if Kind.BAD in (actual.kind, expected.kind):
+    if TypeKind.BAD in (actual.kind, expected.kind):
         return True
     if actual.kind is not expected.kind:
         return actual.kind.value in replacements(expected.kind.value)
-    if actual.kind in (Kind.NUMBER, Kind.VECTOR) and actual.dim != expected.dim:
+    if actual.kind in (TypeKind.NUMBER, TypeKind.VECTOR) and actual.dim != expected.dim:
         return False
     return actual.of is None or expected.of is None or actual.of == expected.of
 
 
-def report_mismatch(report: Report, node: nodes.Expr, actual: Type, expected: Type, place: str, expr: Expr | None = None) -> Expr:
+def report_mismatch(
+    report: Report, node: nodes.Expr, actual: ValueType, expected: ValueType, place: str, expr: Expr | None = None
+) -> Expr:
     """Report that `node` has another type than `place` needs: a missing unit, a wrong unit, or another kind of thing. `expr` is
     its typed expression, if known. Returns what stands for it."""
-    if isinstance(expr, Op) and expr.name == "map_value" and expected.kind is Kind.VECTOR:
+    if isinstance(expr, OperationExpr) and expr.name == "map_value" and expected.kind is TypeKind.VECTOR:
         text = " ".join(node.span.text.split())
         message = f"`{text}` is a map of plain numbers, and {place} wants {type_words(expected)}"
         advice = f"what is painted with directions is a flow: `world {{ flow {text} }}`"
@@ -76,9 +88,9 @@ def report_mismatch(report: Report, node: nodes.Expr, actual: Type, expected: Ty
     return bad_expression(node.span)
 
 
-def _mismatch(node: nodes.Expr, actual: Type, expected: Type, place: str) -> Diagnostic:
+def _mismatch(node: nodes.Expr, actual: ValueType, expected: ValueType, place: str) -> Diagnostic:
     text, want = quote_source(node.span), type_words(expected)
-    both_numbers = actual.kind is Kind.NUMBER and expected.kind is Kind.NUMBER
+    both_numbers = actual.kind is TypeKind.NUMBER and expected.kind is TypeKind.NUMBER
     if both_numbers and isinstance(node, nodes.Number):
         write = with_unit(node.value, expected.dim)
         message = f"{text} has no unit, and {place} wants {want}"
@@ -91,12 +103,12 @@ def _mismatch(node: nodes.Expr, actual: Type, expected: Type, place: str) -> Dia
             write = with_unit(node.value, expected.dim)
             advice, fix = f"write {want}, such as `{write}`", Fix(node.span, write)
         return Diagnostic("wrong-unit", message, node.span, help=advice, fix=fix)
-    if actual.kind is expected.kind and actual.kind is Kind.VECTOR:
-        advice = "`direction(x)`, `unit(v)` and `match(velocity)` make pushes" if expected.dim == Dim() else f"write {want}"
+    if actual.kind is expected.kind and actual.kind is TypeKind.VECTOR:
+        advice = "`direction(x)`, `unit(v)` and `match(velocity)` make pushes" if expected.dim == Dimension() else f"write {want}"
         return Diagnostic("wrong-unit", message, node.span, help=advice)
     advice = _advice(node, actual, expected)
-    fix = _vector_units_fix(node) if expected.kind is Kind.PLACE and actual == Type(Kind.VECTOR) else None
-    if fix is None and expected.kind is not _FLOW and not (expected.kind is Kind.BOOL and actual.kind in _THINGS):
+    fix = _vector_units_fix(node) if expected.kind is TypeKind.PLACE and actual == ValueType(TypeKind.VECTOR) else None
+    if fix is None and expected.kind is not _FLOW and not (expected.kind is TypeKind.BOOL and actual.kind in _THING_KINDS):
         fix = _own_text_fix(node, advice)
     return Diagnostic("wrong-kind", message, node.span, help=advice, fix=fix)
 
@@ -121,43 +133,45 @@ def _own_text_fix(node: nodes.Expr, advice: str) -> Fix | None:
     return Fix(node.span, match[1]) if match and text in match[1] else None
 
 
-def _advice(node: nodes.Expr, actual: Type, expected: Type) -> str:
+def _advice(node: nodes.Expr, actual: ValueType, expected: ValueType) -> str:
     text = " ".join(node.span.text.split())
     short = text if len(text) <= 30 else "…"
-    if expected.kind is Kind.BOOL and actual.kind in _THINGS:
-        any_there = f", or `nearest({short})` for whether there is any" if actual.kind in (Kind.ITEMS, Kind.SPECIES) else ""
+    if expected.kind is TypeKind.BOOL and actual.kind in _THING_KINDS:
+        any_there = (
+            f", or `nearest({short})` for whether there is any" if actual.kind in (TypeKind.ITEMS, TypeKind.SPECIES) else ""
+        )
         return f"ask something of it: `touching({short})`, `distance({short}) < 20 mm`{any_there}"
-    if expected.kind is Kind.PLACE:
-        fix = _vector_units_fix(node) if actual.kind is Kind.VECTOR else None
+    if expected.kind is TypeKind.PLACE:
+        fix = _vector_units_fix(node) if actual.kind is TypeKind.VECTOR else None
         if fix is not None:
             return f"a place has lengths: `{fix.text}`"
-        if actual.kind is Kind.VECTOR and actual.dim == Dim():
+        if actual.kind is TypeKind.VECTOR and actual.dim == Dimension():
             ahead = f"{short} * 20 mm" if not isinstance(node, nodes.Binary) else f"({short}) * 20 mm"
             return (
                 f"a direction is not a place: use it directly to steer, or name a place in that direction: `position + {ahead}`"
             )
         return "name an item, an agent or a position, such as `nearest(food)` or `vector(10 mm, 0 mm, 0 mm)`"
-    if expected.kind is Kind.BOOL and actual.kind is Kind.NUMBER:
+    if expected.kind is TypeKind.BOOL and actual.kind is TypeKind.NUMBER:
         if isinstance(node, (nodes.Number, nodes.Quantity)):
             return "a number alone is not a condition: compare something with it"
         if isinstance(node, nodes.Binary) and node.op in ("and", "or"):
             short = f"({short})"
-        return f"compare it with something: `{short} > {with_unit(0.5 if actual.dim == Dim() else 1, actual.dim)}`"
-    if expected.kind is Kind.VECTOR and expected.dim == Dim():
-        if actual.kind in PLACE_KINDS:
+        return f"compare it with something: `{short} > {with_unit(0.5 if actual.dim == Dimension() else 1, actual.dim)}`"
+    if expected.kind is TypeKind.VECTOR and expected.dim == Dimension():
+        if actual.kind in KINDS_WITH_POSITION:
             return f"`direction({short})` is the push toward it"
-        if actual.kind is Kind.NUMBER:
-            sample = f": `heading * {short}`" if actual.dim == Dim() else ", such as `heading`"
+        if actual.kind is TypeKind.NUMBER:
+            sample = f": `heading * {short}`" if actual.dim == Dimension() else ", such as `heading`"
             return f"a push needs a direction{sample}"
-    if expected.kind is Kind.NUMBER and actual.kind is Kind.VECTOR:
+    if expected.kind is TypeKind.NUMBER and actual.kind is TypeKind.VECTOR:
         return f"`length({short})` is a number"
-    if expected.kind is Kind.NUMBER and actual.kind in (Kind.ITEM, Kind.AGENT, Kind.PLACE):
+    if expected.kind is TypeKind.NUMBER and actual.kind in (TypeKind.ITEM, TypeKind.AGENT, TypeKind.PLACE):
         return f"`distance({short})` is a length; `{short}.size` and the like are its values"
     if expected.kind is _FLOW:
-        if actual.kind is Kind.VECTOR:
+        if actual.kind is TypeKind.VECTOR:
             return f"`toward({short})` takes any direction; here the name of a flow is needed"
         return "name a flow: `world { flow drift }`, and in the scene `drift: {toward: nest}`"
-    if expected.kind is Kind.ITEM and actual.kind is Kind.ITEMS:
+    if expected.kind is TypeKind.ITEM and actual.kind is TypeKind.ITEMS:
         return f"`nearest({short})` is one of them"
     return f"write {type_words(expected)}"
 
@@ -171,7 +185,7 @@ def report_disagreement(
     message = f"{both}: `{op}` wants both alike"
     advice, fix = None, None
     for node, other in ((right_node, a), (left_node, b)):
-        if isinstance(node, (nodes.Number, nodes.Quantity)) and other.type.kind is Kind.NUMBER:
+        if isinstance(node, (nodes.Number, nodes.Quantity)) and other.type.kind is TypeKind.NUMBER:
             write = with_unit(node.value, other.type.dim)
             advice, fix = f"write `{write}` for {quote_source(node.span)}", Fix(node.span, write)
             break

@@ -6,25 +6,25 @@ from dataclasses import dataclass
 
 from antdsl import limits
 from antdsl.diagnostics import Fix
-from antdsl.program.kinds import BAD, BOOL
+from antdsl.program.kinds import BAD_TYPE, BOOL_TYPE
 from antdsl.program.model import (
-    Attribute,
+    AttributeRef,
     Binding,
     BindingRef,
-    Const,
+    ChangeRate,
+    Constant,
     Expr,
-    Kind,
     NoneRef,
-    Op,
+    OperationExpr,
     ParamRef,
-    Rate,
-    SetOf,
+    SetExpr,
     ThingRef,
-    Type,
+    TypeKind,
+    ValueType,
 )
 from antdsl.program.names.missing import missing_thing
 from antdsl.program.names.scope import (
-    Scope,
+    NameScope,
     attributes_of,
     bad_expression,
     did_you_mean,
@@ -32,51 +32,59 @@ from antdsl.program.names.scope import (
     list_names,
     type_from_words,
 )
-from antdsl.program.tables.other_words import NAMES
-from antdsl.program.tables.things import KINDS_OF_THINGS
+from antdsl.program.tables.other_words import NAME_REPLACEMENTS
+from antdsl.program.tables.things import KIND_BY_WORD
 from antdsl.program.tables.units import constant, number
-from antdsl.program.tables.vocabulary import BUILTIN_ATTRIBUTES, BUILTINS, REDUCERS, RESERVED, RUN_NAMES, SENSED_NAMES, UNITS
+from antdsl.program.tables.vocabulary import (
+    BUILTIN_ATTRIBUTE_BY_NAME,
+    BUILTINS_BY_NAME,
+    REDUCER_HELP,
+    RESERVED_WORDS,
+    RUN_VALUE_TYPES,
+    SENSE_TYPE_BY_NAME,
+    UNIT_BY_NAME,
+)
 from antdsl.program.types.descriptions import quote_source, type_words
 from antdsl.program.types.states import STATE_WORDS, find_machine, machine_value, state_word
 from antdsl.source import Span
 from antdsl.syntax import nodes
 from antdsl.syntax.words import UNIT_NAMES
 
-THINGS = frozenset((Kind.FIELD, *(Kind(word) for word in KINDS_OF_THINGS)))
-MAY_BE_NONE = frozenset({Kind.ITEM, Kind.AGENT, Kind.HIT})
+THING_KINDS = frozenset((TypeKind.FIELD, *(TypeKind(word) for word in KIND_BY_WORD)))
+OPTIONAL_KINDS = frozenset({TypeKind.ITEM, TypeKind.AGENT, TypeKind.HIT})
 
 
 # --- literals --------------------------------------------------------------------------------------------------------
 
 
-def number_of(scope: Scope, node: nodes.Number, want: Type | None) -> Expr:
+def number_of(scope: NameScope, node: nodes.Number, want: ValueType | None) -> Expr:
     return number(node.value, node.span)
 
 
-def quantity_of(scope: Scope, node: nodes.Quantity, want: Type | None) -> Expr:
+def quantity_of(scope: NameScope, node: nodes.Quantity, want: ValueType | None) -> Expr:
     expr = constant(node.value, node.unit, node.span)
     if expr is not None:
-        if abs(expr.number) > limits.LARGEST:
+        if abs(expr.number) > limits.MAX_NUMBER:
             message = f"{quote_source(node.span)} is too large to keep"
             scope.report.error("number-too-large", message, node.span, "write a smaller number")
         return expr
-    units = ", ".join(f"`{unit}`" for unit in UNITS)
+    units = ", ".join(f"`{unit}`" for unit in UNIT_BY_NAME)
     words = f"no unit `{node.unit}`"
-    scope.report.error("unknown-unit", words, node.unit_span, did_you_mean(node.unit, UNITS, f"units are {units}"))
+    scope.report.error("unknown-unit", words, node.unit_span, did_you_mean(node.unit, UNIT_BY_NAME, f"units are {units}"))
     return bad_expression(node.span)
 
 
-def none_of(scope: Scope, node: nodes.NoneOf, want: Type | None) -> Expr:
+def none_of(scope: NameScope, node: nodes.NoneOf, want: ValueType | None) -> Expr:
     if node.of is None:
-        if want is not None and want.kind in MAY_BE_NONE:
-            return NoneRef(want, Rate.CONST, node.span)
+        if want is not None and want.kind in OPTIONAL_KINDS:
+            return NoneRef(want, ChangeRate.CONST, node.span)
         advice = "write `none of food` or `none of rabbit`, with the name that is meant"
         return scope.reject("none-of-what", "`none` alone does not say of what", node.span, advice)
     type = reference_type(scope, node.of)
-    return bad_expression(node.span) if type is None else NoneRef(type, Rate.CONST, node.span)
+    return bad_expression(node.span) if type is None else NoneRef(type, ChangeRate.CONST, node.span)
 
 
-def reference_type(scope: Scope, name: nodes.Name) -> Type | None:
+def reference_type(scope: NameScope, name: nodes.Name) -> ValueType | None:
     """Return the type of one item or agent of a declared name; report an error and return None if the name cannot be referred
     to."""
     declared = scope.declared
@@ -84,11 +92,11 @@ def reference_type(scope: Scope, name: nodes.Name) -> Type | None:
     if thing is not None and thing.kind == "items":
         scope.mark_used("thing", name.text)
         scope.bind(name.span, "thing", name.text)
-        return Type(Kind.ITEM, of=name.text)
+        return ValueType(TypeKind.ITEM, of=name.text)
     if name.text in declared.species:
         scope.mark_used("species", name.text)
         scope.bind(name.span, "species", name.text)
-        return Type(Kind.AGENT, of=name.text)
+        return ValueType(TypeKind.AGENT, of=name.text)
     known = [t.name for t in declared.things.values() if t.kind == "items"] + list(declared.species)
     scope.report.error(
         "unknown-name", f"no items or species `{name.text}`", name.span,
@@ -100,7 +108,7 @@ def reference_type(scope: Scope, name: nodes.Name) -> Type | None:
 # --- names -----------------------------------------------------------------------------------------------------------
 
 
-def name_of(scope: Scope, node: nodes.NameRef, want: Type | None) -> Expr:
+def name_of(scope: NameScope, node: nodes.NameRef, want: ValueType | None) -> Expr:
     name, span = node.name.text, node.span
     for look in (_local, _element_value, _language_word, _species_value, _builtin_value, _world_value):
         expr = look(scope, name, span)
@@ -109,7 +117,7 @@ def name_of(scope: Scope, node: nodes.NameRef, want: Type | None) -> Expr:
     return _report_unknown(scope, node, want)
 
 
-def _local(scope: Scope, name: str, span: Span) -> Expr | None:
+def _local(scope: NameScope, name: str, span: Span) -> Expr | None:
     local_value = scope.locals.get(name)
     if local_value is None:
         return None
@@ -117,40 +125,40 @@ def _local(scope: Scope, name: str, span: Span) -> Expr | None:
         scope.mark_used("local", f"{local_value.span}:{name}")
         scope.bind_local(span, local_value.span)
         return binding_value(scope, local_value, span)
-    if local_value.type.kind is Kind.BAD:
+    if local_value.type.kind is TypeKind.BAD:
         scope.bind_local(span, local_value.span)
     else:
-        scope.bind(span, "species" if local_value.type.kind is Kind.AGENT else "thing", name)  # one of them, in a spec
+        scope.bind(span, "species" if local_value.type.kind is TypeKind.AGENT else "thing", name)  # one of them, in a spec
     return local_value
 
 
-def binding_value(scope: Scope, binding: Binding, span: Span) -> Expr:
+def binding_value(scope: NameScope, binding: Binding, span: Span) -> Expr:
     """A use of a named value."""
     if binding.role == "let" and binding.snapshot and scope.no_let:
         _report_too_early(scope, binding.name, span)
-    if binding.type.kind is Kind.SET and isinstance(binding.value, SetOf):
+    if binding.type.kind is TypeKind.SET and isinstance(binding.value, SetExpr):
         return binding.value
     return BindingRef(binding.type, binding.rate, span, binding)
 
 
-def _report_too_early(scope: Scope, name: str, span: Span) -> None:
+def _report_too_early(scope: NameScope, name: str, span: Span) -> None:
     scope.report.error("let-too-early", f"`{name}` cannot be read here: {scope.no_let}", span, "set it in `on spawn { … }`")
 
 
-def report_pair_value(scope: Scope, node: nodes.Name, owner: str = "") -> Expr:
+def report_pair_value(scope: NameScope, node: nodes.Name, owner: str = "") -> Expr:
     """Report a pair value that is named without its other agent."""
     help = f"the agent that has it reads it: `{node.text}[other]`" if owner else f"write `{node.text}[other]`"
     return scope.reject("wrong-kind", f"`{node.text}` is a value per pair: name the other agent", node.span, help)
 
 
-def _element_value(scope: Scope, name: str, span: Span) -> Expr | None:
+def _element_value(scope: NameScope, name: str, span: Span) -> Expr | None:
     if scope.element is None:
         return None
     element = scope.element
-    owner = BindingRef(element.type, Rate.ELEMENT, span, element)
+    owner = BindingRef(element.type, ChangeRate.ELEMENT, span, element)
     if name == "it":
         return owner
-    if name in STATE_WORDS and element.type.kind is Kind.AGENT:
+    if name in STATE_WORDS and element.type.kind is TypeKind.AGENT:
         return state_word(scope, owner, name, span, None)
     type = attributes_of(scope.declared, element.type).get(name)
     if type is None:
@@ -159,15 +167,17 @@ def _element_value(scope: Scope, name: str, span: Span) -> Expr | None:
     return value_of(scope, owner, name, type, span)
 
 
-def _language_word(scope: Scope, name: str, span: Span) -> Expr | None:
+def _language_word(scope: NameScope, name: str, span: Span) -> Expr | None:
     if name == "self":
-        return ThingRef(Type(Kind.AGENT, of=scope.species.name if scope.species else None), Rate.AGENT, span, "self")
+        return ThingRef(
+            ValueType(TypeKind.AGENT, of=scope.species.name if scope.species else None), ChangeRate.AGENT, span, "self"
+        )
     if name in ("true", "false"):
-        return Const(BOOL, Rate.CONST, span, float(name == "true"))
+        return Constant(BOOL_TYPE, ChangeRate.CONST, span, float(name == "true"))
     return None
 
 
-def _species_value(scope: Scope, name: str, span: Span) -> Expr | None:
+def _species_value(scope: NameScope, name: str, span: Span) -> Expr | None:
     """Return a name of the species: a param, attribute, let, latch, or value of its machines. Behaviours do not see these."""
     species = scope.species
     if species is None or scope.behaviour is not None:
@@ -175,12 +185,12 @@ def _species_value(scope: Scope, name: str, span: Span) -> Expr | None:
     scope.bind_own(span, name)
     if name in species.params:
         scope.mark_used("param", f"{species.name}.{name}")
-        return ParamRef(species.params[name], Rate.RUN, span, f"{species.name}.{name}")
+        return ParamRef(species.params[name], ChangeRate.RUN, span, f"{species.name}.{name}")
     if name in species.each:
         return report_pair_value(scope, nodes.Name(name, span))
     if name in species.attributes:
         scope.mark_used("attribute", f"{species.name}.{name}")
-        return Attribute(species.attributes[name], Rate.AGENT, span, None, name)
+        return AttributeRef(species.attributes[name], ChangeRate.AGENT, span, None, name)
     if name in species.bindings:
         scope.mark_used("let", f"{species.name}.{name}")
         return binding_value(scope, species.bindings[name], span)
@@ -194,44 +204,50 @@ def _species_value(scope: Scope, name: str, span: Span) -> Expr | None:
     return None
 
 
-def _builtin_value(scope: Scope, name: str, span: Span) -> Expr | None:
-    if name in BUILTIN_ATTRIBUTES:
-        type = type_from_words(BUILTIN_ATTRIBUTES[name].type)
-        return Attribute(type or BAD, Rate.AGENT, span, None, name)
-    if name in RUN_NAMES:
-        type, rate = type_from_words(RUN_NAMES[name]) or BAD, Rate.RUN if name == "dt" else Rate.STEP
-        return Op(type, rate, span, "run", (ThingRef(type, rate, span, name),))
-    if name in SENSED_NAMES:
-        return Op(type_from_words(SENSED_NAMES[name]) or BAD, Rate.AGENT, span, name, ())
+def _builtin_value(scope: NameScope, name: str, span: Span) -> Expr | None:
+    if name in BUILTIN_ATTRIBUTE_BY_NAME:
+        type = type_from_words(BUILTIN_ATTRIBUTE_BY_NAME[name].type)
+        return AttributeRef(type or BAD_TYPE, ChangeRate.AGENT, span, None, name)
+    if name in RUN_VALUE_TYPES:
+        type, rate = type_from_words(RUN_VALUE_TYPES[name]) or BAD_TYPE, ChangeRate.RUN if name == "dt" else ChangeRate.STEP
+        return OperationExpr(type, rate, span, "run", (ThingRef(type, rate, span, name),))
+    if name in SENSE_TYPE_BY_NAME:
+        return OperationExpr(type_from_words(SENSE_TYPE_BY_NAME[name]) or BAD_TYPE, ChangeRate.AGENT, span, name, ())
     return None
 
 
-def _world_value(scope: Scope, name: str, span: Span) -> Expr | None:
+def _world_value(scope: NameScope, name: str, span: Span) -> Expr | None:
     declared = scope.declared
     if name in declared.fields:
         scope.mark_used("field", name)
         scope.bind(span, "field", name)
-        return ThingRef(Type(Kind.FIELD), Rate.CONST, span, name)
+        return ThingRef(ValueType(TypeKind.FIELD), ChangeRate.CONST, span, name)
     if name in declared.species:
         scope.mark_used("species", name)
         scope.bind(span, "species", name)
-        return ThingRef(Type(Kind.SPECIES, of=name), Rate.CONST, span, name)
+        return ThingRef(ValueType(TypeKind.SPECIES, of=name), ChangeRate.CONST, span, name)
     thing = declared.things.get(name)
     if thing is not None:
         scope.mark_used("thing", name)
         scope.bind(span, "thing", name)
-        return ThingRef(Type(Kind(thing.kind), of=name), Rate.CONST, span, name)
+        return ThingRef(ValueType(TypeKind(thing.kind), of=name), ChangeRate.CONST, span, name)
     if name in declared.events and scope.species is not None:
         scope.mark_used("event", name)
         scope.mark_used("heard", f"{name} {scope.species.name}")
         scope.bind(span, "event", name)
-        return Op(BOOL, Rate.AGENT, span, "event", (ThingRef(BOOL, Rate.CONST, span, name),))
+        return OperationExpr(BOOL_TYPE, ChangeRate.AGENT, span, "event", (ThingRef(BOOL_TYPE, ChangeRate.CONST, span, name),))
     return None
 
 
-def visible_names(scope: Scope) -> set[str]:
+def visible_names(scope: NameScope) -> set[str]:
     """Every name that may be written as a value at a place."""
-    names = set(scope.locals) | set(BUILTIN_ATTRIBUTES) | set(RUN_NAMES) | set(SENSED_NAMES) | {"self", "true", "false"}
+    names = (
+        set(scope.locals)
+        | set(BUILTIN_ATTRIBUTE_BY_NAME)
+        | set(RUN_VALUE_TYPES)
+        | set(SENSE_TYPE_BY_NAME)
+        | {"self", "true", "false"}
+    )
     names |= set(scope.declared.fields) | set(scope.declared.things) | set(scope.declared.species) | set(scope.declared.events)
     if scope.species is not None and scope.behaviour is None:
         own = scope.species
@@ -242,23 +258,23 @@ def visible_names(scope: Scope) -> set[str]:
     return names
 
 
-def _report_unknown(scope: Scope, node: nodes.NameRef, want: Type | None) -> Expr:
+def _report_unknown(scope: NameScope, node: nodes.NameRef, want: ValueType | None) -> Expr:
     name, report = node.name.text, scope.report
     if name in scope.declared.unclear:
         return bad_expression(node.span)
     if is_known_missing(scope, "name", node.name):
         return bad_expression(node.span)
-    if name in RESERVED:
+    if name in RESERVED_WORDS:
         report.error("not-yet", f"`{name}` is a word of the language that does not work yet", node.span, "leave it out for now")
     elif scope.species is not None and any(name in m.states for m in scope.species.machines.values()):
         report.error("state-as-value", f"`{name}` is a state and has no value", node.span, f"ask for it with `state == {name}`")
     elif scope.species is not None and scope.behaviour is not None and name in scope.species.attributes:
         message = f"a behaviour cannot read `{name}` of the species that calls it"
         report.error("unknown-name", message, node.span, f"pass it as an argument: `{name}: …`")
-    elif name in BUILTINS or name in REDUCERS or scope.file.behaviour(name) is not None:
+    elif name in BUILTINS_BY_NAME or name in REDUCER_HELP or scope.file.behaviour(name) is not None:
         behaviour = scope.file.behaviour(name)
         defaults = [None] if behaviour is None else [argument.default for argument in behaviour.node.arguments]
-        alone = None not in defaults or (name in BUILTINS and not BUILTINS[name][0].args)
+        alone = None not in defaults or (name in BUILTINS_BY_NAME and not BUILTINS_BY_NAME[name][0].args)
         report.error("call-without-brackets", f"`{name}` wants brackets", node.span, f"write `{name}({'' if alone else '…'})`")
     else:
         advice, fix = missing_thing(scope, name, want) or _foreign_word_fix(name, node.span)
@@ -266,7 +282,7 @@ def _report_unknown(scope: Scope, node: nodes.NameRef, want: Type | None) -> Exp
             advice = did_you_mean(
                 name,
                 visible_names(scope),
-                f"declare it, or use one of {list_names(visible_names(scope) - set(BUILTIN_ATTRIBUTES))}",
+                f"declare it, or use one of {list_names(visible_names(scope) - set(BUILTIN_ATTRIBUTE_BY_NAME))}",
             )
         report.error("unknown-name", f"no `{name}` is known here", node.span, advice, fix=fix)
     return bad_expression(node.span)
@@ -275,7 +291,7 @@ def _report_unknown(scope: Scope, node: nodes.NameRef, want: Type | None) -> Exp
 def _foreign_word_fix(name: str, span: Span) -> tuple[str | None, Fix | None]:
     """Return the replacement for a unit without its number, or for a name from other tools."""
     unit = f"a unit follows its number and contains no spaces: `1 {name}`, `30 mm/s`" if name in UNIT_NAMES else None
-    instead = NAMES.get(name)
+    instead = NAME_REPLACEMENTS.get(name)
     if instead is None:
         return unit, None
     return f"write `{instead}`{f', how long a step lasts; {unit}' if unit else ''}", Fix(span, instead)
@@ -284,33 +300,33 @@ def _foreign_word_fix(name: str, span: Span) -> tuple[str | None, Fix | None]:
 # --- values of things ------------------------------------------------------------------------------------------------
 
 
-def value_of(scope: Scope, owner: Expr, name: str, type: Type, span: Span) -> Expr:
+def value_of(scope: NameScope, owner: Expr, name: str, type: ValueType, span: Span) -> Expr:
     """`owner.name` for a value that is known to be there."""
     if isinstance(owner, ThingRef) and owner.name == "self":
         scope.mark_used("attribute", f"{owner.type.of}.{name}")
-        return Attribute(type, Rate.AGENT, span, None, name)
-    if owner.type.kind is Kind.AGENT:
+        return AttributeRef(type, ChangeRate.AGENT, span, None, name)
+    if owner.type.kind is TypeKind.AGENT:
         scope.mark_used("attribute", f"{owner.type.of}.{name}")
-    return Attribute(type, max(owner.rate, Rate.AGENT), span, owner, name)
+    return AttributeRef(type, max(owner.rate, ChangeRate.AGENT), span, owner, name)
 
 
-def member_of(scope: Scope, node: nodes.Member, want: Type | None) -> Expr:
+def member_of(scope: NameScope, node: nodes.Member, want: ValueType | None) -> Expr:
     machine = find_machine(scope, node.owner)
     if machine is not None:
         scope.bind(node.owner.span, "machine", machine.key.partition(".")[0], machine.name)
         return machine_value(scope, machine, node)
     owner = scope.type_expression(node.owner)
     name, kind = node.name.text, owner.type.kind
-    if kind is Kind.BAD:
+    if kind is TypeKind.BAD:
         return owner
-    if kind is Kind.SPECIES:
+    if kind is TypeKind.SPECIES:
         return _param_of(scope, owner, node)
-    if kind is Kind.AGENT and name in STATE_WORDS:
+    if kind is TypeKind.AGENT and name in STATE_WORDS:
         return state_word(scope, owner, name, node.span, node.name.span)
     known = attributes_of(scope.declared, owner.type)
     if name in known:
         scope.bind_value(node.name.span, owner.type, name)
-        species = scope.declared.species.get(owner.type.of or "") if kind is Kind.AGENT else None
+        species = scope.declared.species.get(owner.type.of or "") if kind is TypeKind.AGENT else None
         if species is not None and name in species.each:
             return report_pair_value(scope, node.name, owner.type.of or "")
         return value_of(scope, owner, name, known[name], node.span)
@@ -319,15 +335,15 @@ def member_of(scope: Scope, node: nodes.Member, want: Type | None) -> Expr:
     return bad_expression(node.span)
 
 
-def _report_no_member(scope: Scope, owner: Expr, node: nodes.Member, known: dict[str, Type]) -> None:
+def _report_no_member(scope: NameScope, owner: Expr, node: nodes.Member, known: dict[str, ValueType]) -> None:
     name, kind, text = node.name.text, owner.type.kind, " ".join(node.owner.span.text.split())
-    if kind is Kind.ITEMS:
+    if kind is TypeKind.ITEMS:
         advice = f"name one: `nearest({text}).{name}`" if name != "position" else f"`position({text})`"
         scope.report.error("wrong-kind", f"`{text}` is all items of that name, but `{name}` is a value of one", node.span, advice)
     elif known:
         advice = did_you_mean(name, known, f"there is {list_names(known)}")
         scope.report.error("unknown-name", f"{type_words(owner.type)} has no `{name}`", node.name.span, advice)
-    elif kind is Kind.VECTOR:
+    elif kind is TypeKind.VECTOR:
         message = f"components of a vector have no names, so no `{name}`"
         scope.report.error("wrong-kind", message, node.name.span, f"the component along a direction is `dot({text}, up)`")
     else:
@@ -335,12 +351,12 @@ def _report_no_member(scope: Scope, owner: Expr, node: nodes.Member, known: dict
         scope.report.error("wrong-kind", message, node.span, f"leave `.{name}` out")
 
 
-def _param_of(scope: Scope, owner: Expr, node: nodes.Member) -> Expr:
+def _param_of(scope: NameScope, owner: Expr, node: nodes.Member) -> Expr:
     names = scope.declared.species[owner.type.of] if owner.type.of else None
     if names is not None and node.name.text in names.params:
         scope.mark_used("param", f"{names.name}.{node.name.text}")
         scope.bind(node.name.span, "own", names.name, node.name.text)
-        return ParamRef(names.params[node.name.text], Rate.RUN, node.span, f"{names.name}.{node.name.text}")
+        return ParamRef(names.params[node.name.text], ChangeRate.RUN, node.span, f"{names.name}.{node.name.text}")
     scope.bind_unreadable(node.name, owner.type)
     species = owner.type.of or "species"
     message = f"`{species}` is a whole species, but `{node.name.text}` is a value of one agent"
@@ -355,15 +371,15 @@ class TypedArgument:
     span: Span
 
 
-def typed_argument(scope: Scope, node: TypedArgument, want: Type | None) -> Expr:
+def typed_argument(scope: NameScope, node: TypedArgument, want: ValueType | None) -> Expr:
     return node.expr
 
 
-def bad_expr(scope: Scope, node: nodes.BadExpr, want: Type | None) -> Expr:
+def bad_expr(scope: NameScope, node: nodes.BadExpr, want: ValueType | None) -> Expr:
     return bad_expression(node.span)
 
 
-def range_of(scope: Scope, node: nodes.RangeExpr, want: Type | None) -> Expr:
+def range_of(scope: NameScope, node: nodes.RangeExpr, want: ValueType | None) -> Expr:
     scope.type_expression(node.low)
     scope.type_expression(node.high)
     message = f"a range {quote_source(node.span)} cannot stand here"

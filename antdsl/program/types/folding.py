@@ -7,13 +7,13 @@ from collections.abc import Callable
 
 from antdsl import limits
 from antdsl.diagnostics import Report
-from antdsl.program.model import BindingRef, Const, Expr, Op, Rate, Type
+from antdsl.program.model import BindingRef, ChangeRate, Constant, Expr, OperationExpr, ValueType
 
-_FOLDED = ("neg", "add", "sub", "mul", "div", "pow")
-_SAME: dict[str, Callable[[float, float], float]] = {"add": lambda a, b: a + b, "sub": lambda a, b: a - b}
+_FOLDABLE_OPERATIONS = ("neg", "add", "sub", "mul", "div", "pow")
+_FLOAT_FUNCTIONS: dict[str, Callable[[float, float], float]] = {"add": lambda a, b: a + b, "sub": lambda a, b: a - b}
 
 
-def fold(report: Report, op: Op) -> Expr:
+def fold(report: Report, op: OperationExpr) -> Expr:
     """Return the operation, or its constant value. Reports a division by 0 and numbers that are too large to store."""
     values = [constant_behind(arg) if arg is not None else None for arg in op.args]
     if op.name == "div" and len(values) == 2 and values[1] is not None and values[1].number == 0:
@@ -22,22 +22,22 @@ def fold(report: Report, op: Op) -> Expr:
     if op.name == "sqrt" and values[0] is not None and values[0].number < 0:
         report.error("root-of-negative", "the root of a number below 0 does not exist", op.span, "take the root of `abs(…)`")
         return op
-    folded = _fold_values(op, [v for v in values if v is not None]) if op.name in _FOLDED and all(values) else None
+    folded = _fold_values(op, [v for v in values if v is not None]) if op.name in _FOLDABLE_OPERATIONS and all(values) else None
     if folded is None:
         return op
-    if not math.isfinite(folded.number) or abs(folded.number) > limits.LARGEST:
+    if not math.isfinite(folded.number) or abs(folded.number) > limits.MAX_NUMBER:
         report.error("number-too-large", "this comes to a number that is too large to keep", op.span, "write a smaller number")
         return op
     return folded
 
 
-def _fold_values(op: Op, values: list[Const]) -> Const | None:
+def _fold_values(op: OperationExpr, values: list[Constant]) -> Constant | None:
     try:
         if op.name == "neg":
             return _const(op, -values[0].number, values[0].u, values[0].step)
         a, b = values
-        if op.name in _SAME and (a.u, a.step) == (b.u, b.step):
-            return _const(op, _SAME[op.name](a.number, b.number), a.u, a.step)
+        if op.name in _FLOAT_FUNCTIONS and (a.u, a.step) == (b.u, b.step):
+            return _const(op, _FLOAT_FUNCTIONS[op.name](a.number, b.number), a.u, a.step)
         if op.name == "mul":
             return _const(op, a.number * b.number, a.u + b.u, a.step + b.step)
         if op.name == "div":
@@ -49,13 +49,13 @@ def _fold_values(op: Op, values: list[Const]) -> Const | None:
     return None
 
 
-def _const(op: Op, value: float, u: float, step: float) -> Const:
-    type: Type = op.type
-    return Const(type, Rate.RUN if u or step else Rate.CONST, op.span, value, u, step)
+def _const(op: OperationExpr, value: float, u: float, step: float) -> Constant:
+    type: ValueType = op.type
+    return Constant(type, ChangeRate.RUN if u or step else ChangeRate.CONST, op.span, value, u, step)
 
 
-def constant_behind(expr: Expr) -> Const | None:
+def constant_behind(expr: Expr) -> Constant | None:
     """Return the constant value of an expression, also through the argument of a behaviour; None if there is none."""
     while isinstance(expr, BindingRef) and expr.binding.role in ("argument", "let") and expr.binding.value is not None:
         expr = expr.binding.value
-    return expr if isinstance(expr, Const) else None
+    return expr if isinstance(expr, Constant) else None

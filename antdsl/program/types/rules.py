@@ -8,7 +8,7 @@ from antdsl.program.model import Expr
 from antdsl.program.types import calls, expressions, operators, pair_values, states
 from antdsl.syntax import nodes
 
-RULES: Mapping[type, Callable[..., Expr]] = {
+TYPING_RULES: Mapping[type, Callable[..., Expr]] = {
     nodes.Number: expressions.number_of,
     nodes.Quantity: expressions.quantity_of,
     nodes.NameRef: expressions.name_of,

@@ -4,24 +4,24 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from antdsl.program.kinds import BOOL, LENGTH, NUMBER
-from antdsl.program.model import Binding, Const, Dim, Expr, Kind, Rate, Reduce, SetOf, Type
-from antdsl.program.names.scope import Scope, bad_expression, type_from_words
+from antdsl.program.kinds import BOOL_TYPE, LENGTH_TYPE, NUMBER_TYPE
+from antdsl.program.model import Binding, ChangeRate, Constant, Dimension, Expr, ReduceExpr, SetExpr, TypeKind, ValueType
+from antdsl.program.names.scope import NameScope, bad_expression, type_from_words
 from antdsl.program.tables.defaults import default_values
-from antdsl.program.tables.rows import Arg, Builtin
+from antdsl.program.tables.rows import ArgumentRow, BuiltinRow
 from antdsl.program.traverse import bindings_in
-from antdsl.program.types.arguments import Slot, arrange_arguments, element_type, nearest_of, type_arguments
+from antdsl.program.types.arguments import ArgumentSlot, arrange_arguments, element_type, nearest_of, type_arguments
 from antdsl.program.types.descriptions import is_compatible, quote_source, report_mismatch, type_words
 from antdsl.program.types.folding import constant_behind
 from antdsl.program.types.operators import condition, count, value, value_of_type
 from antdsl.syntax import nodes
 
-_THINGS = (Kind.ITEMS, Kind.SPECIES)
+_SET_OWNER_KINDS = (TypeKind.ITEMS, TypeKind.SPECIES)
 
 
-def _arguments(scope: Scope, node: nodes.Call, name: str, row: Builtin) -> dict[str, list[nodes.Argument]] | None:
+def _arguments(scope: NameScope, node: nodes.Call, name: str, row: BuiltinRow) -> dict[str, list[nodes.Argument]] | None:
     arguments_by_slot = arrange_arguments(
-        scope, name, [Slot(a.name, a.default is None and not a.optional, a.variadic) for a in row.args], node
+        scope, name, [ArgumentSlot(a.name, a.default is None and not a.optional, a.variadic) for a in row.args], node
     )
     if arguments_by_slot is None:
         type_arguments(scope, node)
@@ -29,31 +29,31 @@ def _arguments(scope: Scope, node: nodes.Call, name: str, row: Builtin) -> dict[
 
 
 def _optional_value(
-    scope: Scope, called: str, arg: Arg, arguments_by_slot: dict[str, list[nodes.Argument]], node: nodes.Call
+    scope: NameScope, called: str, arg: ArgumentRow, arguments_by_slot: dict[str, list[nodes.Argument]], node: nodes.Call
 ) -> Expr | None:
     """An argument that is a value, or its default, or None."""
     written = arguments_by_slot.get(arg.name)
     if written is None:
         return default_values(scope, arg.default, node.span)[0] if arg.default else None
-    return value_of_type(scope, written[0].value, type_from_words(arg.type) or NUMBER, f"`{arg.name}` of `{called}`")
+    return value_of_type(scope, written[0].value, type_from_words(arg.type) or NUMBER_TYPE, f"`{arg.name}` of `{called}`")
 
 
-def _things(scope: Scope, called: str, node: nodes.Expr, kinds: tuple[Kind, ...]) -> Expr | None:
+def _things(scope: NameScope, called: str, node: nodes.Expr, kinds: tuple[TypeKind, ...]) -> Expr | None:
     expr = scope.type_expression(node)
     if expr.type.kind in kinds:
         return expr
-    if expr.type.kind is not Kind.BAD:
-        names = "items or a species" if kinds == _THINGS else "a species"
+    if expr.type.kind is not TypeKind.BAD:
+        names = "items or a species" if kinds == _SET_OWNER_KINDS else "a species"
         message = f"`{called}` looks for {names}, and {quote_source(node.span)} is {type_words(expr.type)}"
         scope.report.error("wrong-kind", message, node.span, f"write a name of {names}")
     return None
 
 
-def element_of(type: Type, name: str, node: nodes.Expr | nodes.Name) -> Binding:
-    return Binding(name, "element", type, Rate.ELEMENT, node.span)
+def element_of(type: ValueType, name: str, node: nodes.Expr | nodes.Name) -> Binding:
+    return Binding(name, "element", type, ChangeRate.ELEMENT, node.span)
 
 
-def neighbours(scope: Scope, node: nodes.Call, name: str, row: Builtin) -> Expr:
+def neighbours(scope: NameScope, node: nodes.Call, name: str, row: BuiltinRow) -> Expr:
     """Type `neighbours(radius, fov, of:)`: others of the agent's species, or of another."""
     arguments_by_slot = _arguments(scope, node, name, row)
     if arguments_by_slot is None:
@@ -61,7 +61,7 @@ def neighbours(scope: Scope, node: nodes.Call, name: str, row: Builtin) -> Expr:
     radius, fov = (_optional_value(scope, name, arg, arguments_by_slot, node) for arg in row.args[:2])
     of = scope.species.name if scope.species else None
     if "of" in arguments_by_slot:
-        species = _things(scope, name, arguments_by_slot["of"][0].value, (Kind.SPECIES,))
+        species = _things(scope, name, arguments_by_slot["of"][0].value, (TypeKind.SPECIES,))
         if species is None:
             return bad_expression(node.span)
         of = species.type.of
@@ -69,11 +69,20 @@ def neighbours(scope: Scope, node: nodes.Call, name: str, row: Builtin) -> Expr:
         return scope.reject("wrong-argument", "`neighbours` without a species", node.span, "write `of: forager`")
     _check_reach(scope, radius, node)
     most = _count_limit(scope, name, row, arguments_by_slot, node)
-    element = element_of(Type(Kind.AGENT, Dim(), of), "it", node)
-    return SetOf(Type(Kind.SET, Dim(), of), Rate.AGENT, node.span, "neighbours", of or "", (radius, fov, most), element, None)
+    element = element_of(ValueType(TypeKind.AGENT, Dimension(), of), "it", node)
+    return SetExpr(
+        ValueType(TypeKind.SET, Dimension(), of),
+        ChangeRate.AGENT,
+        node.span,
+        "neighbours",
+        of or "",
+        (radius, fov, most),
+        element,
+        None,
+    )
 
 
-def _check_reach(scope: Scope, radius: Expr | None, node: nodes.Call) -> None:
+def _check_reach(scope: NameScope, radius: Expr | None, node: nodes.Call) -> None:
     known = constant_behind(radius) if radius is not None else None
     if known is not None and known.number <= 0:
         message = "a radius of 0 or less reaches no agent"
@@ -82,7 +91,7 @@ def _check_reach(scope: Scope, radius: Expr | None, node: nodes.Call) -> None:
 
 
 def _count_limit(
-    scope: Scope, called: str, row: Builtin, arguments_by_slot: dict[str, list[nodes.Argument]], node: nodes.Call
+    scope: NameScope, called: str, row: BuiltinRow, arguments_by_slot: dict[str, list[nodes.Argument]], node: nodes.Call
 ) -> Expr | None:
     """Return how many of the nearest elements of a set count at most. A known value must be whole and at least 1."""
     arg = next((arg for arg in row.args if arg.name == "most"), None)
@@ -95,10 +104,10 @@ def _count_limit(
     return most
 
 
-def all_of(scope: Scope, node: nodes.Call, name: str, row: Builtin) -> Expr:
+def all_of(scope: NameScope, node: nodes.Call, name: str, row: BuiltinRow) -> Expr:
     """`all(X, within:, with:)`."""
     arguments_by_slot = _arguments(scope, node, name, row)
-    things = _things(scope, name, arguments_by_slot["of"][0].value, _THINGS) if arguments_by_slot else None
+    things = _things(scope, name, arguments_by_slot["of"][0].value, _SET_OWNER_KINDS) if arguments_by_slot else None
     if arguments_by_slot is None or things is None:
         return bad_expression(node.span)
     within = _optional_value(scope, name, row.args[1], arguments_by_slot, node)
@@ -107,46 +116,55 @@ def all_of(scope: Scope, node: nodes.Call, name: str, row: Builtin) -> Expr:
     if "with" in arguments_by_slot:
         where = condition(_within_set(scope, element).with_changes(element=element), arguments_by_slot["with"][0].value, "`with`")
     most = _count_limit(scope, name, row, arguments_by_slot, node)
-    set_expr = SetOf(
-        Type(Kind.SET, Dim(), things.type.of), Rate.AGENT, node.span, "all", things.type.of or "", (within, most), element, where
+    set_expr = SetExpr(
+        ValueType(TypeKind.SET, Dimension(), things.type.of),
+        ChangeRate.AGENT,
+        node.span,
+        "all",
+        things.type.of or "",
+        (within, most),
+        element,
+        where,
     )
     _check_nesting(scope, set_expr, node)
     return set_expr
 
 
-def _within_set(scope: Scope, element: Binding) -> Scope:
+def _within_set(scope: NameScope, element: Binding) -> NameScope:
     return scope.with_changes(sets=(*scope.sets, element), no_keep="inside a set it would not be clear which agent remembers")
 
 
-def nearest(scope: Scope, node: nodes.Call, name: str, row: Builtin) -> Expr:
+def nearest(scope: NameScope, node: nodes.Call, name: str, row: BuiltinRow) -> Expr:
     """`nearest(X, within:, with:)`, or `nearest(SET)`."""
     first = node.arguments[0].value if len(node.arguments) == 1 and isinstance(node.arguments[0], nodes.Argument) else None
     if isinstance(first, (nodes.Call, nodes.NameRef)):
         expr = scope.type_expression(first)
-        if isinstance(expr, SetOf):
+        if isinstance(expr, SetExpr):
             return _nearest_of_set(expr, node)
-        if expr.type.kind in _THINGS:
+        if expr.type.kind in _SET_OWNER_KINDS:
             return nearest_of(expr, node.span)
-        if expr.type.kind is not Kind.BAD:
+        if expr.type.kind is not TypeKind.BAD:
             message = f"`nearest` looks for items, a species or a set, and {quote_source(first.span)} is {type_words(expr.type)}"
             scope.report.error("wrong-kind", message, first.span, "write `nearest(food)` or `nearest(neighbours(20 mm))`")
         return bad_expression(node.span)
     over = all_of(scope, node, name, row)
-    return _nearest_of_set(over, node) if isinstance(over, SetOf) else over
+    return _nearest_of_set(over, node) if isinstance(over, SetExpr) else over
 
 
-def _nearest_of_set(over: SetOf, node: nodes.Call) -> Reduce:
-    return Reduce(over.element.type, Rate.AGENT, node.span, "nearest", over, over.element, None)
+def _nearest_of_set(over: SetExpr, node: nodes.Call) -> ReduceExpr:
+    return ReduceExpr(over.element.type, ChangeRate.AGENT, node.span, "nearest", over, over.element, None)
 
 
-def feelers(scope: Scope, node: nodes.Call, name: str, row: Builtin) -> Expr:
+def feelers(scope: NameScope, node: nodes.Call, name: str, row: BuiltinRow) -> Expr:
     """`feelers(X, count, spread, reach)`: rays ahead and to either side; the hits."""
     arguments_by_slot = _arguments(scope, node, name, row)
     if arguments_by_slot is None:
         return bad_expression(node.span)
     target = scope.type_expression(arguments_by_slot["on"][0].value)
-    if not is_compatible(target.type, Type(Kind.OBSTACLE)):
-        report_mismatch(scope.report, arguments_by_slot["on"][0].value, target.type, Type(Kind.OBSTACLE), f"`on` of `{name}`")
+    if not is_compatible(target.type, ValueType(TypeKind.OBSTACLE)):
+        report_mismatch(
+            scope.report, arguments_by_slot["on"][0].value, target.type, ValueType(TypeKind.OBSTACLE), f"`on` of `{name}`"
+        )
         return bad_expression(node.span)
     how_many = (
         count(scope, arguments_by_slot["count"][0].value, f"`count` of `{name}`")
@@ -154,12 +172,21 @@ def feelers(scope: Scope, node: nodes.Call, name: str, row: Builtin) -> Expr:
         else default_values(scope, row.args[1].default or "3", node.span)[0]
     )
     spread, reach = (_optional_value(scope, name, arg, arguments_by_slot, node) for arg in row.args[2:])
-    element = element_of(Type(Kind.HIT), "it", node)
+    element = element_of(ValueType(TypeKind.HIT), "it", node)
     of = target.type.of or ""
-    return SetOf(Type(Kind.SET, Dim(), "hit"), Rate.AGENT, node.span, "feelers", of, (how_many, spread, reach), element, None)
+    return SetExpr(
+        ValueType(TypeKind.SET, Dimension(), "hit"),
+        ChangeRate.AGENT,
+        node.span,
+        "feelers",
+        of,
+        (how_many, spread, reach),
+        element,
+        None,
+    )
 
 
-SETS: dict[str, Callable[[Scope, nodes.Call, str, Builtin], Expr]] = {
+SET_CHECKERS: dict[str, Callable[[NameScope, nodes.Call, str, BuiltinRow], Expr]] = {
     "neighbours": neighbours, "all": all_of, "nearest": nearest, "feelers": feelers,
 }  # fmt: skip
 
@@ -167,18 +194,18 @@ SETS: dict[str, Callable[[Scope, nodes.Call, str, Builtin], Expr]] = {
 # --- over sets -------------------------------------------------------------------------------------------------------
 
 
-def reduce(scope: Scope, node: nodes.Call, how: str) -> Expr:
+def reduce(scope: NameScope, node: nodes.Call, how: str) -> Expr:
     """`sum(n in SET: …)` and its like; `count(SET)` and `any(SET)` need no body."""
     argument = node.arguments[0]
     if isinstance(argument, nodes.Comprehension):
         over = scope.type_expression(argument.over)
-        if over.type.kind in _THINGS:
+        if over.type.kind in _SET_OWNER_KINDS:
             over = complete_set(over)
         variable: nodes.Name | None = argument.variable
     else:
         over, variable = scope.type_expression(argument.value), None
-    if not isinstance(over, SetOf):
-        if over.type.kind is not Kind.BAD:
+    if not isinstance(over, SetExpr):
+        if over.type.kind is not TypeKind.BAD:
             message = f"`{how}` goes over a set, and {quote_source(over.span)} is {type_words(over.type)}"
             scope.report.error("wrong-kind", message, over.span, "write a set, such as `neighbours(20 mm)` or `all(food)`")
         return bad_expression(node.span)
@@ -189,31 +216,38 @@ def reduce(scope: Scope, node: nodes.Call, how: str) -> Expr:
                 "wrong-argument", message, node.span, f"write `{how}(n in {' '.join(over.span.text.split())}: …)`"
             )
         element = over.element
-        body: Expr = Const(BOOL, Rate.CONST, node.span, 1.0)
+        body: Expr = Constant(BOOL_TYPE, ChangeRate.CONST, node.span, 1.0)
     else:
         element, inner = element_scope(scope, over, variable)
         body = reduction_body(inner, how, argument.body)
-    reduction = Reduce(_result_type(how, body, element), Rate.AGENT, node.span, how, over, element, body)
+    reduction = ReduceExpr(_result_type(how, body, element), ChangeRate.AGENT, node.span, how, over, element, body)
     _check_nesting(scope, reduction, node)
     return reduction
 
 
-def element_scope(scope: Scope, over: SetOf, variable: nodes.Name) -> tuple[Binding, Scope]:
+def element_scope(scope: NameScope, over: SetExpr, variable: nodes.Name) -> tuple[Binding, NameScope]:
     """Return the binding of a name to each element of a set, and the scope in which it is visible."""
     element = element_of(over.element.type, variable.text, variable)
     _check_shadow(scope, variable)
     return element, _within_set(scope, element).with_changes(locals={**scope.locals, variable.text: element})
 
 
-def complete_set(things: Expr) -> SetOf:
+def complete_set(things: Expr) -> SetExpr:
     """Return `food` as a set: all of it."""
-    element = Binding("it", "element", element_type(things.type), Rate.ELEMENT, things.span)
-    return SetOf(
-        Type(Kind.SET, Dim(), things.type.of), Rate.AGENT, things.span, "all", things.type.of or "", (None,), element, None
+    element = Binding("it", "element", element_type(things.type), ChangeRate.ELEMENT, things.span)
+    return SetExpr(
+        ValueType(TypeKind.SET, Dimension(), things.type.of),
+        ChangeRate.AGENT,
+        things.span,
+        "all",
+        things.type.of or "",
+        (None,),
+        element,
+        None,
     )
 
 
-def _check_shadow(scope: Scope, variable: nodes.Name) -> None:
+def _check_shadow(scope: NameScope, variable: nodes.Name) -> None:
     names = scope.species
     own = (
         names is not None
@@ -225,15 +259,15 @@ def _check_shadow(scope: Scope, variable: nodes.Name) -> None:
         scope.report.error("duplicate-name", message, variable.span, "choose another name for the element")
 
 
-def reduction_body(scope: Scope, how: str, node: nodes.Expr) -> Expr:
+def reduction_body(scope: NameScope, how: str, node: nodes.Expr) -> Expr:
     """Return the body of a reduction: a bool to count, or a number (for sums also a vector)."""
     if how in ("count", "any", "every"):
         return condition(scope, node, f"`{how}`")
     expr = value(scope, node)
-    allowed = (Kind.NUMBER, Kind.VECTOR, Kind.BAD) if how in ("sum", "mean") else (Kind.NUMBER, Kind.BAD)
+    allowed = (TypeKind.NUMBER, TypeKind.VECTOR, TypeKind.BAD) if how in ("sum", "mean") else (TypeKind.NUMBER, TypeKind.BAD)
     if expr.type.kind in allowed:
         return expr
-    if expr.type.kind is Kind.BOOL and how in ("sum", "mean"):
+    if expr.type.kind is TypeKind.BOOL and how in ("sum", "mean"):
         message = f"`{how}` adds numbers, and {quote_source(node.span)} is a yes or no"
         scope.report.error("wrong-kind", message, node.span, "use `count` to count how many meet a condition")
     else:
@@ -241,21 +275,21 @@ def reduction_body(scope: Scope, how: str, node: nodes.Expr) -> Expr:
             scope.report,
             node,
             expr.type,
-            LENGTH if how in ("min", "max", "best") and expr.type.dim == LENGTH.dim else NUMBER,
+            LENGTH_TYPE if how in ("min", "max", "best") and expr.type.dim == LENGTH_TYPE.dim else NUMBER_TYPE,
             f"`{how}`",
         )
     return bad_expression(node.span)
 
 
-def _result_type(how: str, body: Expr, element: Binding) -> Type:
+def _result_type(how: str, body: Expr, element: Binding) -> ValueType:
     if how == "count":
-        return NUMBER
+        return NUMBER_TYPE
     if how in ("any", "every"):
-        return BOOL
+        return BOOL_TYPE
     return element.type if how == "best" else body.type
 
 
-def _check_nesting(scope: Scope, expr: Expr, node: nodes.Call) -> None:
+def _check_nesting(scope: NameScope, expr: Expr, node: nodes.Call) -> None:
     """Check that a set inside a set does not depend on the outer element: neighbours of neighbours are not supported."""
     if not scope.sets:
         return

@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 from antdsl.diagnostics.suggestion import nearest_name
-from antdsl.program.kinds import BOOL, TIME
-from antdsl.program.model import Attribute, ClipTest, Expr, Kind, Rate, StateConst, ThingRef, Type
-from antdsl.program.names.scope import MachineNames, Scope, bad_expression, did_you_mean, is_known_missing, list_names
+from antdsl.program.kinds import BOOL_TYPE, TIME_TYPE
+from antdsl.program.model import AttributeRef, ChangeRate, ClipTest, Expr, StateConstant, ThingRef, TypeKind, ValueType
+from antdsl.program.names.scope import MachineNames, NameScope, bad_expression, did_you_mean, is_known_missing, list_names
 from antdsl.source import Span
 from antdsl.syntax import nodes
 
 STATE_WORDS = ("state", "previous", "next", "time_in_state")
 
 
-def find_machine(scope: Scope, owner: nodes.Expr) -> MachineNames | None:
+def find_machine(scope: NameScope, owner: nodes.Expr) -> MachineNames | None:
     if (
         scope.species is None
         or scope.behaviour is not None
@@ -23,7 +23,7 @@ def find_machine(scope: Scope, owner: nodes.Expr) -> MachineNames | None:
     return scope.species.machines.get(owner.name.text)
 
 
-def machine_value(scope: Scope, machine: MachineNames, node: nodes.Member) -> Expr:
+def machine_value(scope: NameScope, machine: MachineNames, node: nodes.Member) -> Expr:
     word = node.name.text
     if word in STATE_WORDS:
         return _machine_word(machine, None, word, node.span)
@@ -34,7 +34,7 @@ def machine_value(scope: Scope, machine: MachineNames, node: nodes.Member) -> Ex
     return bad_expression(node.span)
 
 
-def state_word(scope: Scope, owner: Expr | None, word: str, span: Span, name_span: Span | None) -> Expr:
+def state_word(scope: NameScope, owner: Expr | None, word: str, span: Span, name_span: Span | None) -> Expr:
     """Type `state` and similar words, of the agent itself or of another. With several machines: that of this place in the text,
     or the first."""
     names = scope.species if owner is None or owner.type.of is None else scope.declared.species.get(owner.type.of)
@@ -49,15 +49,15 @@ def state_word(scope: Scope, owner: Expr | None, word: str, span: Span, name_spa
 
 
 def _machine_word(machine: MachineNames, owner: Expr | None, word: str, span: Span) -> Expr:
-    type = TIME if word == "time_in_state" else Type(Kind.STATE, of=machine.key)
-    rate = Rate.AGENT if owner is None else max(owner.rate, Rate.AGENT)
-    return Attribute(type, rate, span, owner, f"{machine.name}.{word}")
+    type = TIME_TYPE if word == "time_in_state" else ValueType(TypeKind.STATE, of=machine.key)
+    rate = ChangeRate.AGENT if owner is None else max(owner.rate, ChangeRate.AGENT)
+    return AttributeRef(type, rate, span, owner, f"{machine.name}.{word}")
 
 
-def find_state(scope: Scope, operand: Expr, node: nodes.Expr) -> tuple[Expr, Expr] | None:
+def find_state(scope: NameScope, operand: Expr, node: nodes.Expr) -> tuple[Expr, Expr] | None:
     """Return, for `state == carry`, the compared value and the state, in the machine that has that state; None if `node` is no
     bare name."""
-    if not isinstance(node, nodes.NameRef) or not isinstance(operand, Attribute) or node.name.text in STATE_WORDS:
+    if not isinstance(node, nodes.NameRef) or not isinstance(operand, AttributeRef) or node.name.text in STATE_WORDS:
         return None
     species, _, machine_name = (operand.type.of or ".").partition(".")
     machines = scope.declared.species[species].machines
@@ -68,15 +68,15 @@ def find_state(scope: Scope, operand: Expr, node: nodes.Expr) -> tuple[Expr, Exp
         if index is not None:
             scope.bind(node.span, "state", species, machine.name, node.name.text)
             word = operand.name.partition(".")[2]
-            return _machine_word(machine, operand.of, word, operand.span), StateConst(
-                Type(Kind.STATE, of=machine.key), Rate.CONST, node.span, machine.key, index
+            return _machine_word(machine, operand.of, word, operand.span), StateConstant(
+                ValueType(TypeKind.STATE, of=machine.key), ChangeRate.CONST, node.span, machine.key, index
             )
     known = [state for machine in order for state in machine.states]
     report_unknown_state(scope, node.name, species, known)
     return operand, bad_expression(node.span)
 
 
-def report_unknown_state(scope: Scope, name: nodes.Name, species: str, known: list[str]) -> str | None:
+def report_unknown_state(scope: NameScope, name: nodes.Name, species: str, known: list[str]) -> str | None:
     """Report an unknown state name. Return the state that was probably meant, to continue with."""
     meant = nearest_name(name.text, known)
     if is_known_missing(scope, "state", name, species):
@@ -86,7 +86,7 @@ def report_unknown_state(scope: Scope, name: nodes.Name, species: str, known: li
     return meant
 
 
-def clip_test(scope: Scope, node: nodes.ClipTest, want: Type | None) -> Expr:
+def clip_test(scope: NameScope, node: nodes.ClipTest, want: ValueType | None) -> Expr:
     """Type `clip done` or `clip at MARK`, about the machine of this place in the text, or the first one."""
     names = scope.species
     if names is None or not names.machines or scope.behaviour is not None:
@@ -96,4 +96,4 @@ def clip_test(scope: Scope, node: nodes.ClipTest, want: Type | None) -> Expr:
         message = f"`clip {node.name.text}` is not a property of a clip"
         return scope.reject("unknown-name", message, node.span, f"write `clip done`, or for a mark `clip at {node.name.text}`")
     machine = scope.machine or next(iter(names.machines.values()))
-    return ClipTest(BOOL, Rate.AGENT, node.span, machine.name, node.name.text if node.at else "")
+    return ClipTest(BOOL_TYPE, ChangeRate.AGENT, node.span, machine.name, node.name.text if node.at else "")

@@ -16,9 +16,9 @@ from antdsl.plan import ir
 from antdsl.runtime.backends.native import NativeBackend
 from antdsl.runtime.backends.numpy_backend import NumpyBackend
 from antdsl.runtime.backends.reference import ReferenceBackend
-from antdsl.runtime.world import Backend
+from antdsl.runtime.world import StepBackend
 
-BACKENDS: Mapping[str, Callable[[ir.Plan], Backend]] = {
+BACKENDS: Mapping[str, Callable[[ir.Plan], StepBackend]] = {
     "numpy": NumpyBackend,  # whole arrays: for work
     "native": NativeBackend,  # machine code, eight agents at a time: for speed
     "reference": ReferenceBackend,  # one agent at a time: the definition, and the one that explains

@@ -11,18 +11,30 @@ from dataclasses import dataclass, field
 from enum import Enum
 from typing import Any
 
-from antdsl.numerics.elementwise import ELEMENTWISE, UFUNCS
+from antdsl.numerics.elementwise import FUNCTION_BY_NAME, UFUNC_BY_NAME
 from antdsl.plan import ir
 from antdsl.plan.registers import cacheable_senses, early_loads, written
 from antdsl.plan.traverse import operands, placed, required_nodes
 from antdsl.runtime.pairs import is_nearest_only
-from antdsl.runtime.world import DTYPES
+from antdsl.runtime.world import DTYPE_BY_KIND
 from antdsl.source import Span
 
-Slots = list[Any]
-Run = Callable[[Slots], None]
-Make = Callable[[int, tuple[int, ...], "int | None"], Run]  # of the slots of a result, of its inputs, of an array to use
-WORLD, POPULATION, EFFECTS, BUFFERS, LAZY, PAIRS, THREADS, SPENT, FIRST_SLOT = 0, 1, 2, 3, 4, 5, 6, 7, 8
+SlotValues = list[Any]
+SlotFunction = Callable[[SlotValues], None]
+SlotFunctionMaker = Callable[
+    [int, tuple[int, ...], "int | None"], SlotFunction
+]  # of the slots of a result, of its inputs, of an array to use
+(
+    WORLD_SLOT,
+    POPULATION_SLOT,
+    EFFECTS_SLOT,
+    BUFFERS_SLOT,
+    LAZY_VALUES_SLOT,
+    PAIRS_SLOT,
+    THREADS_SLOT,
+    SPENT_SECONDS_SLOT,
+    FIRST_SLOT,
+) = 0, 1, 2, 3, 4, 5, 6, 7, 8
 
 
 class InstructionKind(Enum):
@@ -41,38 +53,38 @@ class InstructionKind(Enum):
 
 
 @dataclass(slots=True, eq=False)
-class Instruction:
+class BlockInstruction:
     """`dtype`: of the buffer it may write to (None: it makes its own array). `span` is the text that it works out, `layer` the
     number of the layer that it does so for first (-1: none)."""
 
     does: InstructionKind
-    what: ir.Node | ir.Statement
+    what: ir.PlanNode | ir.PlanStatement
     out: int
     inputs: tuple[int, ...]
     dtype: Any
-    scope: Scope
+    scope: RowScope
     span: Span | None
     layer: int
-    inner: Scope | None = None
+    inner: RowScope | None = None
     result: int = -1  # slot of the inner scope that is read after it
     block: str = ""
     order: int = -1  # of a statement: its place in the text of its species
 
 
 @dataclass(slots=True, eq=False)
-class Scope:
+class RowScope:
     """Rows of one region: `rows` (slice or array, of the species), `picked` (of the parent's rows; None: all), `size`."""
 
-    parent: Scope | None
+    parent: RowScope | None
     rows: int
     picked: int
     size: int
-    code: list[Instruction] = field(default_factory=list)
-    known: dict[ir.Node, int] = field(default_factory=dict)
-    pairs: dict[ir.Node, PairScope] = field(default_factory=dict)
+    code: list[BlockInstruction] = field(default_factory=list)
+    known: dict[ir.PlanNode, int] = field(default_factory=dict)
+    pairs: dict[ir.PlanNode, PairScope] = field(default_factory=dict)
     draws: dict[tuple[str, int], int] = field(default_factory=dict)  # (site, block) -> slot of its four words
     views: dict[tuple[Any, int], int] = field(default_factory=dict)  # (dtype, number of buffer) -> slot of its view
-    calls: list[Run] = field(default_factory=list)
+    calls: list[SlotFunction] = field(default_factory=list)
 
 
 @dataclass(slots=True, eq=False)
@@ -80,15 +92,17 @@ class PairScope:
     """Values over the pairs of one set in one scope."""
 
     slot: int
-    known: dict[ir.Node, int] = field(default_factory=dict)
+    known: dict[ir.PlanNode, int] = field(default_factory=dict)
 
 
 class BlockCompiler:
     """Makes the instructions of one block."""
 
-    def __init__(self, species: ir.SpeciesPlan, block: str, order: dict[ir.Statement, int], sets: dict[ir.Node, int]) -> None:
+    def __init__(
+        self, species: ir.SpeciesPlan, block: str, order: dict[ir.PlanStatement, int], sets: dict[ir.PlanNode, int]
+    ) -> None:
         self.name, self._species, self._order = block, species, order
-        self.uniforms: dict[ir.Node, int] = {}
+        self.uniforms: dict[ir.PlanNode, int] = {}
         self.slots = FIRST_SLOT
         self.lazy = frozenset(cacheable_senses(species)) if block != "born" else frozenset()
         self.root = self._new_scope(None)
@@ -103,24 +117,24 @@ class BlockCompiler:
         self.slots += 1
         return self.slots - 1
 
-    def _new_scope(self, parent: Scope | None) -> Scope:
-        return Scope(parent, self.slot(), self.slot(), self.slot())
+    def _new_scope(self, parent: RowScope | None) -> RowScope:
+        return RowScope(parent, self.slot(), self.slot(), self.slot())
 
     def _emit(
         self,
-        scope: Scope,
+        scope: RowScope,
         does: InstructionKind,
-        what: ir.Node | ir.Statement,
+        what: ir.PlanNode | ir.PlanStatement,
         out: int,
         inputs: tuple[int, ...],
         dtype: Any = None,
         *,
-        inner: Scope | None = None,
+        inner: RowScope | None = None,
         result: int = -1,
     ) -> None:
-        order = -1 if isinstance(what, ir.Node) else self._order[what]
+        order = -1 if isinstance(what, ir.PlanNode) else self._order[what]
         scope.code.append(
-            Instruction(does, what, out, inputs, dtype, scope, what.span, self._layer, inner, result, self.name, order)
+            BlockInstruction(does, what, out, inputs, dtype, scope, what.span, self._layer, inner, result, self.name, order)
         )
 
     def compile(self, block: ir.Block) -> None:
@@ -130,7 +144,7 @@ class BlockCompiler:
 
     # --- statements ----------------------------------------------------------------------------------------------------
 
-    def _block(self, scope: Scope, block: ir.Block, path: tuple[int, ...]) -> None:
+    def _block(self, scope: RowScope, block: ir.Block, path: tuple[int, ...]) -> None:
         for k, (statement, layer) in enumerate(zip(block.statements, self._layers_of(block), strict=True)):
             self._layer = layer
             for node in self.early.get((*path, k), ()):
@@ -161,17 +175,17 @@ class BlockCompiler:
 
     # --- values --------------------------------------------------------------------------------------------------------
 
-    def value(self, scope: Scope, node: ir.Node, afresh: bool = False) -> int:
+    def value(self, scope: RowScope, node: ir.PlanNode, afresh: bool = False) -> int:
         """Return the slot of a node's value in a scope; emit what is missing. `afresh`: a stored node itself is computed."""
-        if node.rate <= ir.Rate.STEP:
+        if node.rate <= ir.UpdateRate.STEP:
             return self._uniform_slot(node)
-        missing: set[ir.Node] = set()
+        missing: set[ir.PlanNode] = set()
         pending = [node]
         while pending:
             top = pending.pop()
-            if top in missing or top.rate <= ir.Rate.STEP or self._holding_scope(scope, top) is not None:
+            if top in missing or top.rate <= ir.UpdateRate.STEP or self._holding_scope(scope, top) is not None:
                 continue
-            if top.rate == ir.Rate.AGENT and top.kind is not ir.Kind.SET:
+            if top.rate == ir.UpdateRate.AGENT and top.kind is not ir.ValueKind.SET:
                 missing.add(top)
                 if top in self.lazy and not (afresh and top is node):
                     continue
@@ -183,20 +197,20 @@ class BlockCompiler:
                 self._emit_node(scope, each)
         return self._known_slot(scope, node)
 
-    def _uniform_slot(self, node: ir.Node) -> int:
+    def _uniform_slot(self, node: ir.PlanNode) -> int:
         if node not in self.uniforms:
             self.uniforms[node] = self.slot()
         return self.uniforms[node]
 
     @staticmethod
-    def _holding_scope(scope: Scope | None, node: ir.Node) -> Scope | None:
+    def _holding_scope(scope: RowScope | None, node: ir.PlanNode) -> RowScope | None:
         while scope is not None and node not in scope.known:
             scope = scope.parent
         return scope
 
-    def _known_slot(self, scope: Scope, node: ir.Node) -> int:
+    def _known_slot(self, scope: RowScope, node: ir.PlanNode) -> int:
         """Return the slot of a value that is known in this scope or an outer one; an outer value is gathered for this scope."""
-        if node.rate <= ir.Rate.STEP:
+        if node.rate <= ir.UpdateRate.STEP:
             return self._uniform_slot(node)
         holders = [scope]
         while node not in holders[-1].known:
@@ -209,17 +223,17 @@ class BlockCompiler:
             self._emit(inner, InstructionKind.GATHER, node, slot, (inner.parent.known[node],))
         return scope.known[node]
 
-    def _emit_node(self, scope: Scope, node: ir.Node) -> None:
+    def _emit_node(self, scope: RowScope, node: ir.PlanNode) -> None:
         """Emit one node with known operands."""
         if node.op.startswith("reduce."):
             does, inputs = InstructionKind.REDUCE, self._reduction(scope, node)
         else:
             does, inputs = InstructionKind.VALUE, tuple(self._known_slot(scope, a) for a in node.args)
         slot = self.slot()
-        self._emit(scope, does, node, slot, inputs, DTYPES[node.kind] if node.op in UFUNCS else None)
+        self._emit(scope, does, node, slot, inputs, DTYPE_BY_KIND[node.kind] if node.op in UFUNC_BY_NAME else None)
         scope.known[node] = slot
 
-    def _emit_lazy(self, scope: Scope, node: ir.Node) -> None:
+    def _emit_lazy(self, scope: RowScope, node: ir.PlanNode) -> None:
         """Emit a lazy node: computed in a scope of the rows that lack it, stored for the step."""
         inner = self._new_scope(scope)
         result = self.value(inner, node, afresh=True)
@@ -228,15 +242,15 @@ class BlockCompiler:
 
     # --- sets ----------------------------------------------------------------------------------------------------------
 
-    def _reduction(self, scope: Scope, node: ir.Node) -> tuple[int, ...]:
+    def _reduction(self, scope: RowScope, node: ir.PlanNode) -> tuple[int, ...]:
         pairs = self._pair_scope(scope, node.args[0])
         bodies = node.args[1:]
         for each in required_nodes(bodies):
-            if each.rate == ir.Rate.PAIR and each not in pairs.known:
+            if each.rate == ir.UpdateRate.PAIR and each not in pairs.known:
                 self._emit_pair_value(scope, pairs, each)
         return pairs.slot, *(self._pair_slot(scope, pairs, body) for body in bodies)
 
-    def _pair_scope(self, scope: Scope, node: ir.Node) -> PairScope:
+    def _pair_scope(self, scope: RowScope, node: ir.PlanNode) -> PairScope:
         if node not in scope.pairs:
             if node.op == "set.every" and not is_nearest_only(self._species, node):
                 self.everybody.add(node.attrs[0])
@@ -247,9 +261,9 @@ class BlockCompiler:
             self._emit(scope, InstructionKind.PAIRS, node, pairs.slot, inputs)
         return scope.pairs[node]
 
-    def _pair_slot(self, scope: Scope, pairs: PairScope, node: ir.Node) -> int:
+    def _pair_slot(self, scope: RowScope, pairs: PairScope, node: ir.PlanNode) -> int:
         """Slot of a value over pairs; an agent's own is repeated for its pairs."""
-        if node.rate <= ir.Rate.STEP:
+        if node.rate <= ir.UpdateRate.STEP:
             return self._uniform_slot(node)
         if node in pairs.known:
             return pairs.known[node]
@@ -257,9 +271,9 @@ class BlockCompiler:
         self._emit(scope, InstructionKind.SPREAD, node, slot, (self._known_slot(scope, node), pairs.slot))
         return slot
 
-    def _emit_pair_value(self, scope: Scope, pairs: PairScope, node: ir.Node) -> None:
+    def _emit_pair_value(self, scope: RowScope, pairs: PairScope, node: ir.PlanNode) -> None:
         inputs = tuple(self._pair_slot(scope, pairs, a) for a in node.args)
-        does = InstructionKind.BY_PAIR if node.op in ELEMENTWISE else InstructionKind.OF_PAIR
+        does = InstructionKind.BY_PAIR if node.op in FUNCTION_BY_NAME else InstructionKind.OF_PAIR
         slot = pairs.known[node] = self.slot()
         self._emit(scope, does, node, slot, inputs if does is InstructionKind.BY_PAIR else (pairs.slot, *inputs))
 
@@ -267,7 +281,7 @@ class BlockCompiler:
 # --- buffers ---------------------------------------------------------------------------------------------------------
 
 
-def _flatten(scope: Scope, order: list[tuple[Instruction, bool]]) -> None:
+def _flatten(scope: RowScope, order: list[tuple[BlockInstruction, bool]]) -> None:
     """List the instructions in execution order. One with an inner scope appears before that scope with False, and again after it
     with True."""
     for instruction in scope.code:
@@ -277,11 +291,11 @@ def _flatten(scope: Scope, order: list[tuple[Instruction, bool]]) -> None:
             order.append((instruction, True))
 
 
-def bind_calls(compiler: BlockCompiler, maker: Callable[[Instruction, BlockCompiler], Make]) -> None:
+def bind_calls(compiler: BlockCompiler, maker: Callable[[BlockInstruction, BlockCompiler], SlotFunctionMaker]) -> None:
     """Assign each elementwise result an output array, reused after its last use, and make the calls.
 
     Linear scan over the execution order (M. Poletto and V. Sarkar, TOPLAS 21(5), 1999, p. 895); no region runs twice."""
-    order: list[tuple[Instruction, bool]] = []
+    order: list[tuple[BlockInstruction, bool]] = []
     _flatten(compiler.root, order)
     last: dict[int, int] = {}
     for position, (instruction, is_after) in enumerate(order):

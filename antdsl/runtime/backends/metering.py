@@ -5,7 +5,14 @@ from __future__ import annotations
 from collections.abc import Iterator
 from time import perf_counter
 
-from antdsl.runtime.backends.compile import SPENT, BlockCompiler, Instruction, Run, Scope, Slots
+from antdsl.runtime.backends.compile import (
+    SPENT_SECONDS_SLOT,
+    BlockCompiler,
+    BlockInstruction,
+    RowScope,
+    SlotFunction,
+    SlotValues,
+)
 
 
 class MeteredBlock:
@@ -13,9 +20,9 @@ class MeteredBlock:
     reduced where threads run in parallel, so that their sum does not exceed the elapsed time."""
 
     def __init__(self, compiler: BlockCompiler) -> None:
-        self.instructions: list[Instruction] = []
+        self.instructions: list[BlockInstruction] = []
         self.seconds: list[float] = []
-        self._plain: list[tuple[Scope, list[Run]]] = []
+        self._plain: list[tuple[RowScope, list[SlotFunction]]] = []
         for scope in _scopes(compiler.root):
             first = len(self.instructions)
             self.instructions += scope.code  # in the order of `instructions_of`
@@ -44,12 +51,12 @@ class MeteredBlock:
             scope.calls = calls
 
 
-def instructions_of(root: Scope) -> list[Instruction]:
+def instructions_of(root: RowScope) -> list[BlockInstruction]:
     """Return the instructions of a scope and its inner scopes, in the order of `MeteredBlock`."""
     return [each for scope in _scopes(root) for each in scope.code]
 
 
-def _scopes(root: Scope) -> Iterator[Scope]:
+def _scopes(root: RowScope) -> Iterator[RowScope]:
     pending = [root]
     while pending:
         scope = pending.pop()
@@ -57,9 +64,9 @@ def _scopes(root: Scope) -> Iterator[Scope]:
         pending += [each.inner for each in scope.code if each.inner is not None]
 
 
-def _time_call(call: Run, number: int) -> Run:
-    def run(v: Slots) -> None:
-        spent = v[SPENT]
+def _time_call(call: SlotFunction, number: int) -> SlotFunction:
+    def run(v: SlotValues) -> None:
+        spent = v[SPENT_SECONDS_SLOT]
         around, spent[-1] = spent[-1], 0.0
         began = perf_counter()
         call(v)

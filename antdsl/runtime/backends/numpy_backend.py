@@ -10,33 +10,33 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl.numerics.elementwise import ELEMENTWISE
+from antdsl.numerics.elementwise import FUNCTION_BY_NAME
 from antdsl.numerics.float_environment import set_standard
 from antdsl.plan import ir
 from antdsl.plan.registers import cacheable_senses, statement_numbers
 from antdsl.plan.traverse import required_nodes
 from antdsl.runtime.backends import numpy_calls
 from antdsl.runtime.backends.compile import (
-    BUFFERS,
-    EFFECTS,
-    LAZY,
-    PAIRS,
-    POPULATION,
-    SPENT,
-    THREADS,
-    WORLD,
+    BUFFERS_SLOT,
+    EFFECTS_SLOT,
+    LAZY_VALUES_SLOT,
+    PAIRS_SLOT,
+    POPULATION_SLOT,
+    SPENT_SECONDS_SLOT,
+    THREADS_SLOT,
+    WORLD_SLOT,
     BlockCompiler,
     bind_calls,
 )
 from antdsl.runtime.backends.metering import MeteredBlock
-from antdsl.runtime.pairs import MOST_PAIRS
-from antdsl.runtime.requests import Effects
+from antdsl.runtime.pairs import MAX_PAIRS_PER_CHUNK
+from antdsl.runtime.requests import EffectRequests
 from antdsl.runtime.sensing import constant, uniform_leaf
-from antdsl.runtime.world import DTYPES, Population, World
-from antdsl.scene.setting import Setting
+from antdsl.runtime.world import DTYPE_BY_KIND, Population, World
+from antdsl.scene.setting import WorldSetting
 
-BLOCKS = ("born", "decide", "act", "blend")
-StoredSenses = dict[ir.Node, tuple[NDArray[np.bool_], list[NDArray[Any]]]]
+BLOCK_NAMES = ("born", "decide", "act", "blend")
+StoredSenses = dict[ir.PlanNode, tuple[NDArray[np.bool_], list[NDArray[Any]]]]
 
 
 class NumpyBackend:
@@ -46,28 +46,28 @@ class NumpyBackend:
 
     def __init__(self, plan: ir.Plan) -> None:
         self._blocks: dict[tuple[str, str], BlockCompiler] = {}
-        self._of_run: dict[str, list[ir.Node]] = {}
-        self._uniforms: dict[str, list[ir.Node]] = {}
-        self._constants: dict[str, dict[ir.Node, Any]] = {}
+        self._of_run: dict[str, list[ir.PlanNode]] = {}
+        self._uniforms: dict[str, list[ir.PlanNode]] = {}
+        self._constants: dict[str, dict[ir.PlanNode, Any]] = {}
         for name, species in plan.species.items():
             order = statement_numbers(species)
-            sets: dict[ir.Node, int] = {}
-            for block in BLOCKS:
+            sets: dict[ir.PlanNode, int] = {}
+            for block in BLOCK_NAMES:
                 compiler = self._blocks[name, block] = BlockCompiler(species, block, order, sets)
                 compiler.compile(getattr(species, block))
                 bind_calls(compiler, numpy_calls.call)
-            roots = tuple(node for block in BLOCKS for node in self._blocks[name, block].uniforms)
+            roots = tuple(node for block in BLOCK_NAMES for node in self._blocks[name, block].uniforms)
             every = required_nodes(roots)
-            self._constants[name] = constant_values(node for node in every if node.rate is ir.Rate.CONST)
-            self._of_run[name] = [node for node in every if node.rate is ir.Rate.RUN]
-            self._uniforms[name] = [node for node in every if node.rate > ir.Rate.RUN]
+            self._constants[name] = constant_values(node for node in every if node.rate is ir.UpdateRate.CONST)
+            self._of_run[name] = [node for node in every if node.rate is ir.UpdateRate.RUN]
+            self._uniforms[name] = [node for node in every if node.rate > ir.UpdateRate.RUN]
         # the setting and params that values of the run were computed from
-        self._run: tuple[Setting, dict[str, np.float32]] | None = None
-        self._lasting: dict[str, dict[ir.Node, Any]] = {}  # values of the run, and constants
-        self._values: dict[str, dict[ir.Node, Any]] = {}
+        self._run: tuple[WorldSetting, dict[str, np.float32]] | None = None
+        self._lasting: dict[str, dict[ir.PlanNode, Any]] = {}  # values of the run, and constants
+        self._values: dict[str, dict[ir.PlanNode, Any]] = {}
         self._kept: dict[str, StoredSenses] = {}
         self._has: dict[str, NDArray[np.bool_]] = {}  # for all stored values, whether they are known
-        self._pairs: dict[str, dict[tuple[ir.Node, int], Any]] = {}
+        self._pairs: dict[str, dict[tuple[ir.PlanNode, int], Any]] = {}
         self._buffers: list[dict[Any, list[NDArray[Any]]]] = []
         self._pool: ThreadPoolExecutor | None = None
         self.metered: dict[tuple[str, str], MeteredBlock] = {}  # by species and block, while a Meter is active
@@ -103,7 +103,10 @@ class NumpyBackend:
             nodes = cacheable_senses(population.plan)
             has = self._has[name] = np.zeros((len(nodes), n), np.bool_)
             self._kept[name] = {
-                node: (mask, [np.empty(n, DTYPES[kind]) for kind in ir.TUPLES.get(node.op, (node.kind,))])
+                node: (
+                    mask,
+                    [np.empty(n, DTYPE_BY_KIND[kind]) for kind in ir.TUPLE_KINDS_BY_OPERATION.get(node.op, (node.kind,))],
+                )
                 for mask, node in zip(has, nodes, strict=True)
             }
 
@@ -111,7 +114,7 @@ class NumpyBackend:
         """Return an empty list: this backend runs everything as requested."""
         return []
 
-    def _step_values(self, world: World, species: str) -> dict[ir.Node, Any]:
+    def _step_values(self, world: World, species: str) -> dict[ir.PlanNode, Any]:
         if self._run is None or self._run[0] is not world.setting or self._run[1] != world.params:
             self._run = (world.setting, dict(world.params))
             self._lasting = {name: uniform_values(world, nodes, self._constants[name]) for name, nodes in self._of_run.items()}
@@ -129,7 +132,7 @@ class NumpyBackend:
         metered = self.metered.get((population.name, block))
         spent = [None if metered is None else metered.new_lane() for _ in chunks]
         began = perf_counter()
-        effects = [Effects() for _ in chunks]
+        effects = [EffectRequests() for _ in chunks]
         if threads <= 1:
             for chunk, into, times in zip(chunks, effects, spent, strict=True):
                 self._chunk(world, population, compiler, chunk, into, times, 0, True)
@@ -150,7 +153,7 @@ class NumpyBackend:
     def _chunks(self, world: World, population: Population, compiler: BlockCompiler, rows: NDArray[np.intp] | None) -> list[Any]:
         size = max(1, world.options.chunk)
         for species in compiler.everybody:
-            size = max(1, min(size, MOST_PAIRS // max(1, len(world.populations[species]))))
+            size = max(1, min(size, MAX_PAIRS_PER_CHUNK // max(1, len(world.populations[species]))))
         if rows is None and population.quarantined.any():
             rows = np.flatnonzero(~population.quarantined)
         n = len(population) if rows is None else len(rows)
@@ -163,21 +166,26 @@ class NumpyBackend:
         population: Population,
         compiler: BlockCompiler,
         rows: Any,
-        effects: Effects,
+        effects: EffectRequests,
         spent: list[float] | None,
         lane: int,
         alone: bool,
     ) -> None:
         v: list[Any] = [None] * compiler.slots
-        v[WORLD], v[POPULATION], v[EFFECTS], v[LAZY] = world, population, effects, self._kept.get(population.name)
-        v[SPENT] = spent
-        v[PAIRS] = {} if compiler.name == "born" else self._pairs[population.name]
-        v[THREADS] = world.options.threads if alone else 1
+        v[WORLD_SLOT], v[POPULATION_SLOT], v[EFFECTS_SLOT], v[LAZY_VALUES_SLOT] = (
+            world,
+            population,
+            effects,
+            self._kept.get(population.name),
+        )
+        v[SPENT_SECONDS_SLOT] = spent
+        v[PAIRS_SLOT] = {} if compiler.name == "born" else self._pairs[population.name]
+        v[THREADS_SLOT] = world.options.threads if alone else 1
         values = self._values[population.name]
         for node, slot in compiler.uniforms.items():
             v[slot] = values[node]
         size = rows.stop - rows.start if isinstance(rows, slice) else len(rows)
-        v[BUFFERS] = self._buffers_for(compiler, size, lane)
+        v[BUFFERS_SLOT] = self._buffers_for(compiler, size, lane)
         numpy_calls.enter(v, compiler.root, rows, size, None)
         with np.errstate(all="ignore"):
             for call in compiler.root.calls:
@@ -196,17 +204,17 @@ class NumpyBackend:
         return pool
 
 
-def constant_values(nodes: Iterable[ir.Node]) -> dict[ir.Node, Any]:
+def constant_values(nodes: Iterable[ir.PlanNode]) -> dict[ir.PlanNode, Any]:
     """Return the values that are constant over all steps; operands come first in `nodes`."""
-    values: dict[ir.Node, Any] = {}
+    values: dict[ir.PlanNode, Any] = {}
     with np.errstate(all="ignore"):
         for node in nodes:
-            f = ELEMENTWISE.get(node.op)
+            f = FUNCTION_BY_NAME.get(node.op)
             values[node] = constant(node) if f is None else f(*[values[a] for a in node.args])
     return values
 
 
-def uniform_values(world: World, nodes: list[ir.Node], known: dict[ir.Node, Any] | None = None) -> dict[ir.Node, Any]:
+def uniform_values(world: World, nodes: list[ir.PlanNode], known: dict[ir.PlanNode, Any] | None = None) -> dict[ir.PlanNode, Any]:
     """Return values that are equal for all agents, as NumPy scalars, together with those in `known`. Returns `known` itself if
     `nodes` is empty. In `nodes`, operands come before the nodes that use them."""
     if known is not None and not nodes:
@@ -214,6 +222,6 @@ def uniform_values(world: World, nodes: list[ir.Node], known: dict[ir.Node, Any]
     values = dict(known or {})
     with np.errstate(all="ignore"):
         for node in nodes:
-            f = ELEMENTWISE.get(node.op)
+            f = FUNCTION_BY_NAME.get(node.op)
             values[node] = uniform_leaf(world, node) if f is None else f(*[values[a] for a in node.args])
     return values

@@ -10,38 +10,38 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl.numerics import randomness
-from antdsl.numerics.elementwise import ELEMENTWISE, UFUNCS
+from antdsl.numerics.elementwise import FUNCTION_BY_NAME, UFUNC_BY_NAME
 from antdsl.plan import ir
 from antdsl.runtime import pairs as sets
 from antdsl.runtime.backends.compile import (
-    BUFFERS,
-    LAZY,
-    PAIRS,
-    POPULATION,
-    THREADS,
-    WORLD,
+    BUFFERS_SLOT,
+    LAZY_VALUES_SLOT,
+    PAIRS_SLOT,
+    POPULATION_SLOT,
+    THREADS_SLOT,
+    WORLD_SLOT,
     BlockCompiler,
-    Instruction,
+    BlockInstruction,
     InstructionKind,
-    Make,
-    Run,
-    Scope,
-    Slots,
+    RowScope,
+    SlotFunction,
+    SlotFunctionMaker,
+    SlotValues,
 )
 from antdsl.runtime.backends.numpy_statements import row_numbers, statement
-from antdsl.runtime.sensing import SENSES
+from antdsl.runtime.sensing import SENSE_FUNCTIONS
 
 
-def call(instruction: Instruction, compiler: BlockCompiler) -> Make:
+def call(instruction: BlockInstruction, compiler: BlockCompiler) -> SlotFunctionMaker:
     """What makes the call of an instruction."""
     scope, what = instruction.scope, instruction.what
-    if not isinstance(what, ir.Node):
+    if not isinstance(what, ir.PlanNode):
         return statement(instruction) if instruction.inner is None else region(scope, instruction.inner)
     match instruction.does:
         case InstructionKind.VALUE | InstructionKind.BY_PAIR:
             return elementwise(what) or leaf(what, compiler, scope)
         case InstructionKind.GATHER:
-            return gather(scope, what.kind is ir.Kind.TUPLE)
+            return gather(scope, what.kind is ir.ValueKind.TUPLE)
         case InstructionKind.KEEP:
             assert instruction.inner is not None
             return keep(what, scope, instruction.inner, instruction.result)
@@ -56,15 +56,15 @@ def call(instruction: Instruction, compiler: BlockCompiler) -> Make:
     raise AssertionError(f"no call for {instruction.does}")
 
 
-def enter(v: Slots, scope: Scope, rows: Any, size: int, picked: NDArray[np.intp] | None) -> None:
+def enter(v: SlotValues, scope: RowScope, rows: Any, size: int, picked: NDArray[np.intp] | None) -> None:
     """Set a scope's rows and the views of its output buffers."""
     v[scope.rows], v[scope.size], v[scope.picked] = rows, size, picked
-    buffers = v[BUFFERS]
+    buffers = v[BUFFERS_SLOT]
     for (dtype, number), slot in scope.views.items():
         v[slot] = buffers[dtype][number][:size]
 
 
-def descend(v: Slots, scope: Scope, inner: Scope, picked: NDArray[np.intp] | None) -> None:
+def descend(v: SlotValues, scope: RowScope, inner: RowScope, picked: NDArray[np.intp] | None) -> None:
     """Run an inner scope for some of a scope's rows (None: all)."""
     rows = v[scope.rows]
     if picked is None:
@@ -77,13 +77,13 @@ def descend(v: Slots, scope: Scope, inner: Scope, picked: NDArray[np.intp] | Non
         call(v)
 
 
-def region(scope: Scope, inner: Scope) -> Make:
+def region(scope: RowScope, inner: RowScope) -> SlotFunctionMaker:
     """`If`: the rows for which a condition holds."""
 
-    def make(out: int, inputs: tuple[int, ...], buffer: int | None) -> Run:
+    def make(out: int, inputs: tuple[int, ...], buffer: int | None) -> SlotFunction:
         (a,) = inputs
 
-        def run(v: Slots) -> None:
+        def run(v: SlotValues) -> None:
             condition = v[a]
             if condition.ndim == 0:
                 if condition:
@@ -98,14 +98,14 @@ def region(scope: Scope, inner: Scope) -> Make:
     return make
 
 
-def gather(scope: Scope, several: bool) -> Make:
+def gather(scope: RowScope, several: bool) -> SlotFunctionMaker:
     """A value of the scope around, for the rows of this one."""
     picked = scope.picked
 
-    def make(out: int, inputs: tuple[int, ...], buffer: int | None) -> Run:
+    def make(out: int, inputs: tuple[int, ...], buffer: int | None) -> SlotFunction:
         (a,) = inputs
 
-        def run(v: Slots) -> None:
+        def run(v: SlotValues) -> None:
             p = v[picked]
             if p is None:
                 v[out] = v[a]
@@ -119,57 +119,57 @@ def gather(scope: Scope, several: bool) -> Make:
     return make
 
 
-def keep(node: ir.Node, scope: Scope, inner: Scope, result: int) -> Make:
+def keep(node: ir.PlanNode, scope: RowScope, inner: RowScope, result: int) -> SlotFunctionMaker:
     """Return a sense that is cached for the step: computed only for rows that have no value yet."""
 
-    def make(out: int, inputs: tuple[int, ...], buffer: int | None) -> Run:
-        def run(v: Slots) -> None:
-            has, arrays = v[LAZY][node]
+    def make(out: int, inputs: tuple[int, ...], buffer: int | None) -> SlotFunction:
+        def run(v: SlotValues) -> None:
+            has, arrays = v[LAZY_VALUES_SLOT][node]
             rows = v[scope.rows]
             missing = (~has[rows]).nonzero()[0]
             if len(missing):
                 descend(v, scope, inner, None if len(missing) == v[scope.size] else missing)
                 new = v[inner.rows]
                 has[new] = True
-                for array, part in zip(arrays, v[result] if node.kind is ir.Kind.TUPLE else (v[result],), strict=True):
+                for array, part in zip(arrays, v[result] if node.kind is ir.ValueKind.TUPLE else (v[result],), strict=True):
                     array[new] = part
-            v[out] = tuple(array[rows] for array in arrays) if node.kind is ir.Kind.TUPLE else arrays[0][rows]
+            v[out] = tuple(array[rows] for array in arrays) if node.kind is ir.ValueKind.TUPLE else arrays[0][rows]
 
         return run
 
     return make
 
 
-def elementwise(node: ir.Node) -> Make | None:
+def elementwise(node: ir.PlanNode) -> SlotFunctionMaker | None:
     """A maker for an operation of the elementwise table, or None."""
-    f = ELEMENTWISE.get(node.op)
+    f = FUNCTION_BY_NAME.get(node.op)
     if f is None:
         return None
-    buffered = node.op in UFUNCS
+    buffered = node.op in UFUNC_BY_NAME
 
-    def make(out: int, inputs: tuple[int, ...], buffer: int | None) -> Run:
+    def make(out: int, inputs: tuple[int, ...], buffer: int | None) -> SlotFunction:
         a = inputs[0]
         b = inputs[1] if len(inputs) > 1 else -1
         if len(inputs) == 3:
             c = inputs[2]
 
-            def run(v: Slots) -> None:
+            def run(v: SlotValues) -> None:
                 v[out] = f(v[a], v[b], v[c])
         elif len(inputs) == 2 and buffered and buffer is not None:
 
-            def run(v: Slots) -> None:
+            def run(v: SlotValues) -> None:
                 v[out] = f(v[a], v[b], v[buffer])
         elif len(inputs) == 2:
 
-            def run(v: Slots) -> None:
+            def run(v: SlotValues) -> None:
                 v[out] = f(v[a], v[b])
         elif buffered and buffer is not None:
 
-            def run(v: Slots) -> None:
+            def run(v: SlotValues) -> None:
                 v[out] = f(v[a], v[buffer])
         else:
 
-            def run(v: Slots) -> None:
+            def run(v: SlotValues) -> None:
                 v[out] = f(v[a])
 
         return run
@@ -177,7 +177,7 @@ def elementwise(node: ir.Node) -> Make | None:
     return make
 
 
-def leaf(node: ir.Node, compiler: BlockCompiler, scope: Scope) -> Make:
+def leaf(node: ir.PlanNode, compiler: BlockCompiler, scope: RowScope) -> SlotFunctionMaker:
     """Registers, draws, tuples and senses."""
     rows = scope.rows
     if node.op == "get":
@@ -186,9 +186,9 @@ def leaf(node: ir.Node, compiler: BlockCompiler, scope: Scope) -> Make:
     if node.op in ("snap", "load"):
         name, copied = node.attrs[0], node.op == "load" and node.attrs[0] in compiler.changing
 
-        def read(out: int, inputs: tuple[int, ...], buffer: int | None) -> Run:
-            def run(v: Slots) -> None:
-                population = v[POPULATION]
+        def read(out: int, inputs: tuple[int, ...], buffer: int | None) -> SlotFunction:
+            def run(v: SlotValues) -> None:
+                population = v[POPULATION_SLOT]
                 value = (population.now if node.op == "load" else population.start)[name][v[rows]]
                 v[out] = value.copy() if copied and isinstance(v[rows], slice) else value
 
@@ -197,28 +197,28 @@ def leaf(node: ir.Node, compiler: BlockCompiler, scope: Scope) -> Make:
         return read
     if node.op == "draw":
         return _draw(node, compiler, scope)
-    sense = SENSES[node.op]
+    sense = SENSE_FUNCTIONS[node.op]
 
-    def make(out: int, inputs: tuple[int, ...], buffer: int | None) -> Run:
-        def run(v: Slots) -> None:
-            v[out] = sense(v[WORLD], v[POPULATION], node, v[rows], *[v[a] for a in inputs])
+    def make(out: int, inputs: tuple[int, ...], buffer: int | None) -> SlotFunction:
+        def run(v: SlotValues) -> None:
+            v[out] = sense(v[WORLD_SLOT], v[POPULATION_SLOT], node, v[rows], *[v[a] for a in inputs])
 
         return run
 
     return make
 
 
-def _draw(node: ir.Node, compiler: BlockCompiler, scope: Scope) -> Make:
+def _draw(node: ir.PlanNode, compiler: BlockCompiler, scope: RowScope) -> SlotFunctionMaker:
     """Four draws of one site come from one run of the generator."""
     site, index = node.attrs
     key = (site, index >> 2)
     fresh = key not in scope.draws
     words = scope.draws.setdefault(key, compiler.slot()) if fresh else scope.draws[key]
 
-    def make(out: int, inputs: tuple[int, ...], buffer: int | None) -> Run:
-        def run(v: Slots) -> None:
+    def make(out: int, inputs: tuple[int, ...], buffer: int | None) -> SlotFunction:
+        def run(v: SlotValues) -> None:
             if fresh:
-                world, population = v[WORLD], v[POPULATION]
+                world, population = v[WORLD_SLOT], v[POPULATION_SLOT]
                 ids = population.ids[v[scope.rows]]
                 v[words] = randomness.words(world.setting.seed, world.frame, population.name, site, index >> 2, ids)
             v[out] = randomness.unit_floats(v[words][index & 3])
@@ -228,19 +228,19 @@ def _draw(node: ir.Node, compiler: BlockCompiler, scope: Scope) -> Make:
     return make
 
 
-def pairs(node: ir.Node, compiler: BlockCompiler, scope: Scope) -> Make:
+def pairs(node: ir.PlanNode, compiler: BlockCompiler, scope: RowScope) -> SlotFunctionMaker:
     """Return the pairs of a set. A set that several regions use is cached for the step after it was computed for a whole
     chunk."""
     shared, root, rows = compiler.sets, compiler.root.rows, scope.rows
 
-    def make(out: int, inputs: tuple[int, ...], buffer: int | None) -> Run:
-        def run(v: Slots) -> None:
-            stored_pairs, chunk, mine = v[PAIRS], v[root], v[rows]
+    def make(out: int, inputs: tuple[int, ...], buffer: int | None) -> SlotFunction:
+        def run(v: SlotValues) -> None:
+            stored_pairs, chunk, mine = v[PAIRS_SLOT], v[root], v[rows]
             known = stored_pairs.get((node, chunk.start)) if isinstance(chunk, slice) else None
             if known is not None:
                 v[out] = known if mine is chunk else known.select_rows(row_numbers(mine) - chunk.start)
                 return
-            v[out] = sets.find_pairs(v[WORLD], v[POPULATION], node, mine, tuple(v[a] for a in inputs), v[THREADS])
+            v[out] = sets.find_pairs(v[WORLD_SLOT], v[POPULATION_SLOT], node, mine, tuple(v[a] for a in inputs), v[THREADS_SLOT])
             if mine is chunk and isinstance(chunk, slice) and shared.get(node, 0) > 1:
                 stored_pairs[node, chunk.start] = v[out]
 
@@ -249,39 +249,41 @@ def pairs(node: ir.Node, compiler: BlockCompiler, scope: Scope) -> Make:
     return make
 
 
-def spread(out: int, inputs: tuple[int, ...], buffer: int | None) -> Run:
+def spread(out: int, inputs: tuple[int, ...], buffer: int | None) -> SlotFunction:
     """An agent's own value for each of its pairs."""
     value, pair = inputs
 
-    def run(v: Slots) -> None:
+    def run(v: SlotValues) -> None:
         v[out] = v[value].take(v[pair].i)
 
     return run
 
 
-def pair_leaf(node: ir.Node, scope: Scope) -> Make:
+def pair_leaf(node: ir.PlanNode, scope: RowScope) -> SlotFunctionMaker:
     """Return a value of the other agent of a pair, or one that depends on it. A sense is evaluated at the position of the asking
     agent."""
-    sense, rows = SENSES.get(node.op), scope.rows
+    sense, rows = SENSE_FUNCTIONS.get(node.op), scope.rows
 
-    def make(out: int, inputs: tuple[int, ...], buffer: int | None) -> Run:
-        def run(v: Slots) -> None:
+    def make(out: int, inputs: tuple[int, ...], buffer: int | None) -> SlotFunction:
+        def run(v: SlotValues) -> None:
             pair_set = v[inputs[0]]
             if sense is None:
                 v[out] = sets.pair_leaf(pair_set, node)
             else:
-                v[out] = sense(v[WORLD], v[POPULATION], node, row_numbers(v[rows]).take(pair_set.i), *[v[a] for a in inputs[1:]])
+                v[out] = sense(
+                    v[WORLD_SLOT], v[POPULATION_SLOT], node, row_numbers(v[rows]).take(pair_set.i), *[v[a] for a in inputs[1:]]
+                )
 
         return run
 
     return make
 
 
-def reduction(node: ir.Node) -> Make:
-    f = sets.REDUCTIONS[node.op]
+def reduction(node: ir.PlanNode) -> SlotFunctionMaker:
+    f = sets.REDUCTION_FUNCTIONS[node.op]
 
-    def make(out: int, inputs: tuple[int, ...], buffer: int | None) -> Run:
-        def run(v: Slots) -> None:
+    def make(out: int, inputs: tuple[int, ...], buffer: int | None) -> SlotFunction:
+        def run(v: SlotValues) -> None:
             v[out] = f(v[inputs[0]], node, *[v[a] for a in inputs[1:]])
 
         return run

@@ -9,10 +9,19 @@ from numpy.typing import NDArray
 
 from antdsl.plan import ir
 from antdsl.program.tables import effects
-from antdsl.runtime.backends.compile import EFFECTS, POPULATION, WORLD, Instruction, Make, Run, Scope, Slots
+from antdsl.runtime.backends.compile import (
+    EFFECTS_SLOT,
+    POPULATION_SLOT,
+    WORLD_SLOT,
+    BlockInstruction,
+    RowScope,
+    SlotFunction,
+    SlotFunctionMaker,
+    SlotValues,
+)
 from antdsl.runtime.requests import ClaimEntry, FaultEntry, GiveEntry, RequestEntry
 
-ALL = slice(None)
+ALL_ROWS = slice(None)
 
 
 def row_numbers(rows: Any) -> NDArray[np.intp]:
@@ -20,7 +29,7 @@ def row_numbers(rows: Any) -> NDArray[np.intp]:
     return np.arange(rows.start, rows.stop) if isinstance(rows, slice) else rows
 
 
-def _row_values(v: Slots, scope: Scope, value: Any) -> NDArray[Any]:
+def _row_values(v: SlotValues, scope: RowScope, value: Any) -> NDArray[Any]:
     """Return one value for each row, in a separate array, because buffers are reused."""
     return np.full(v[scope.size], value) if value.ndim == 0 else value.copy()
 
@@ -31,20 +40,20 @@ def is_storable(value: NDArray[Any], infinite: bool) -> NDArray[np.bool_]:
     return good | (value == np.inf) if infinite else good
 
 
-def _record_fault(v: Slots, block: str, register: str, span: Any, rows: NDArray[np.intp]) -> None:
-    v[EFFECTS].faults.append(FaultEntry(block, register, span, rows))
+def _record_fault(v: SlotValues, block: str, register: str, span: Any, rows: NDArray[np.intp]) -> None:
+    v[EFFECTS_SLOT].faults.append(FaultEntry(block, register, span, rows))
 
 
-def _store(statement: ir.Store, block: str, scope: Scope) -> Make:
+def _store(statement: ir.Store, block: str, scope: RowScope) -> SlotFunctionMaker:
     name, infinite, span = statement.register, statement.infinite, statement.span
-    number = statement.value.kind is ir.Kind.F32
+    number = statement.value.kind is ir.ValueKind.F32
 
-    def make(out: int, inputs: tuple[int, ...], buffer: int | None) -> Run:
+    def make(out: int, inputs: tuple[int, ...], buffer: int | None) -> SlotFunction:
         (a,) = inputs
 
-        def run(v: Slots) -> None:
+        def run(v: SlotValues) -> None:
             value, rows = v[a], v[scope.rows]
-            target = v[POPULATION].now[name]
+            target = v[POPULATION_SLOT].now[name]
             good = is_storable(value, infinite) if number else None
             if good is None or good.all():
                 target[rows] = value
@@ -62,44 +71,44 @@ def _store(statement: ir.Store, block: str, scope: Scope) -> Make:
 
 
 def _finite_amounts(
-    v: Slots, scope: Scope, block: str, what: str, span: Any, value: Any
+    v: SlotValues, scope: RowScope, block: str, what: str, span: Any, value: Any
 ) -> tuple[NDArray[np.intp], NDArray[Any], Any]:
     """Return the rows and values that are finite, and the mask of these rows within the scope. Records a fault for all others."""
     rows, value = row_numbers(v[scope.rows]), _row_values(v, scope, value)
     good = np.isfinite(value)
     if good.all():
-        return rows, value, ALL
+        return rows, value, ALL_ROWS
     _record_fault(v, block, what, span, rows[~good])
     return rows[good], value[good], good
 
 
-def _claim(statement: ir.Claim, block: str, scope: Scope, order: int) -> Make:
-    def make(out: int, inputs: tuple[int, ...], buffer: int | None) -> Run:
+def _claim(statement: ir.Claim, block: str, scope: RowScope, order: int) -> SlotFunctionMaker:
+    def make(out: int, inputs: tuple[int, ...], buffer: int | None) -> SlotFunction:
         slots = iter(inputs)
         which, much = (None if node is None else next(slots) for node in (statement.item, statement.amount))
         what = f"take {statement.attribute or statement.of}"
 
-        def run(v: Slots) -> None:
+        def run(v: SlotValues) -> None:
             if much is None:
                 rows = row_numbers(v[scope.rows])
-                amount, good = np.full(len(rows), np.inf, np.float32), ALL
+                amount, good = np.full(len(rows), np.inf, np.float32), ALL_ROWS
             else:
                 rows, amount, good = _finite_amounts(v, scope, block, what, statement.span, v[much])
             if which is None:
-                item = v[POPULATION].cells[statement.of][rows]
+                item = v[POPULATION_SLOT].cells[statement.of][rows]
             else:
                 item = _row_values(v, scope, v[which])[good]
-            v[EFFECTS].claims.append(ClaimEntry(statement, order, rows, item, amount))
+            v[EFFECTS_SLOT].claims.append(ClaimEntry(statement, order, rows, item, amount))
 
         return run
 
     return make
 
 
-def _give(statement: ir.Give, block: str, scope: Scope) -> Make:
-    def make(out: int, inputs: tuple[int, ...], buffer: int | None) -> Run:
-        def run(v: Slots) -> None:
-            own = v[POPULATION].now[statement.own]
+def _give(statement: ir.Give, block: str, scope: RowScope) -> SlotFunctionMaker:
+    def make(out: int, inputs: tuple[int, ...], buffer: int | None) -> SlotFunction:
+        def run(v: SlotValues) -> None:
+            own = v[POPULATION_SLOT].now[statement.own]
             item = _row_values(v, scope, v[inputs[0]])
             if statement.amount is None:
                 rows = row_numbers(v[scope.rows])
@@ -107,28 +116,28 @@ def _give(statement: ir.Give, block: str, scope: Scope) -> Make:
             else:
                 rows, amount, good = _finite_amounts(v, scope, block, f"give {statement.own}", statement.span, v[inputs[1]])
                 item = item[good]
-            has_item = (item >= 0) & (item < len(v[WORLD].items[statement.items]))
+            has_item = (item >= 0) & (item < len(v[WORLD_SLOT].items[statement.items]))
             rows, amount, item = rows[has_item], amount[has_item], item[has_item]
             had = own[rows]
             left = had - np.clip(amount, np.float32(0), np.maximum(had, np.float32(0))) + np.float32(0)  # never -0
             own[rows] = left
-            v[EFFECTS].gives.append(GiveEntry(statement, item, had.astype(np.float64) - left.astype(np.float64)))
+            v[EFFECTS_SLOT].gives.append(GiveEntry(statement, item, had.astype(np.float64) - left.astype(np.float64)))
 
         return run
 
     return make
 
 
-def _request(statement: ir.Request, block: str, scope: Scope, order: int) -> Make:
+def _request(statement: ir.Request, block: str, scope: RowScope, order: int) -> SlotFunctionMaker:
     """Return the call for a request to the rest of the world, by row. A row with a value that is not finite is at fault."""
-    row = effects.EFFECTS[statement.op]
+    row = effects.EFFECT_BY_OPERATION[statement.op]
     refused = row.refused.format(of=statement.of)
 
-    def make(out: int, inputs: tuple[int, ...], buffer: int | None) -> Run:
+    def make(out: int, inputs: tuple[int, ...], buffer: int | None) -> SlotFunction:
         slots = iter(inputs)
         which = [None if node is None else next(slots) for node in statement.args]
 
-        def run(v: Slots) -> None:
+        def run(v: SlotValues) -> None:
             rows = row_numbers(v[scope.rows])
             args = [None if slot is None else _row_values(v, scope, v[slot]) for slot in which]
             good = np.ones(len(rows), np.bool_)
@@ -139,17 +148,17 @@ def _request(statement: ir.Request, block: str, scope: Scope, order: int) -> Mak
             if row.above_0 and args[0] is not None:
                 good &= args[0] > 0
             if good.all():
-                v[EFFECTS].ask(RequestEntry(statement, order, rows.copy(), tuple(args)))
+                v[EFFECTS_SLOT].ask(RequestEntry(statement, order, rows.copy(), tuple(args)))
             else:
                 finite_args = tuple(None if arg is None else arg[good] for arg in args)
-                v[EFFECTS].ask(RequestEntry(statement, order, rows[good], finite_args))
+                v[EFFECTS_SLOT].ask(RequestEntry(statement, order, rows[good], finite_args))
 
         return run
 
     return make
 
 
-def statement(instruction: Instruction) -> Make:
+def statement(instruction: BlockInstruction) -> SlotFunctionMaker:
     """The maker of any statement but `If`."""
     what, block, scope, order = instruction.what, instruction.block, instruction.scope, instruction.order
     match what:

@@ -15,18 +15,18 @@ from numpy.typing import NDArray
 
 from antdsl import limits
 from antdsl.numerics import exact_sums
-from antdsl.numerics.elementwise import ELEMENTWISE
+from antdsl.numerics.elementwise import FUNCTION_BY_NAME
 from antdsl.plan import ir
 from antdsl.plan.registers import early_loads, statement_numbers
 from antdsl.plan.traverse import required_nodes
-from antdsl.program.tables.effects import EFFECTS
-from antdsl.runtime.requests import ClaimEntry, Effects, FaultEntry, GiveEntry, RequestEntry
-from antdsl.runtime.sensing import SENSES, uniform_leaf
+from antdsl.program.tables.effects import EFFECT_BY_OPERATION
+from antdsl.runtime.requests import ClaimEntry, EffectRequests, FaultEntry, GiveEntry, RequestEntry
+from antdsl.runtime.sensing import SENSE_FUNCTIONS, uniform_leaf
 from antdsl.runtime.world import AXES, Population, World
 from antdsl.source import Span
 
-Member = tuple[int, np.float32, np.float32, np.float32, np.float32]  # row, dx, dy, dz, distance
-BLOCKS = ("decide", "act", "blend")
+SetMember = tuple[int, np.float32, np.float32, np.float32, np.float32]  # row, dx, dy, dz, distance
+STEP_BLOCKS = ("decide", "act", "blend")
 
 
 class ReferenceBackend:
@@ -53,10 +53,10 @@ class ReferenceBackend:
                 agent.run(block)
 
 
-class FaultFound(Exception):
+class NodeFault(Exception):
     """Raised when the faulty value is reached; holds the agent's run."""
 
-    def __init__(self, node: ir.Node) -> None:
+    def __init__(self, node: ir.PlanNode) -> None:
         super().__init__()
         self.node = node
 
@@ -71,14 +71,14 @@ class AgentRun:
         row: int,
         now: dict[str, Any],
         at: int,
-        effects: Effects,
-        order: dict[ir.Statement, int],
+        effects: EffectRequests,
+        order: dict[ir.PlanStatement, int],
     ) -> None:
         self.world, self.population, self.row = world, population, row
         self.now, self.at, self.effects, self.order = now, at, effects, order
         self.rows = np.array([row])
-        self.values: dict[ir.Node, Any] = {}
-        self.watch: Callable[[str, Span | None, ir.Node], None] | None = None
+        self.values: dict[ir.PlanNode, Any] = {}
+        self.watch: Callable[[str, Span | None, ir.PlanNode], None] | None = None
 
     def run(self, block: str, plan: ir.SpeciesPlan | None = None) -> None:
         """Run a block, or that of another plan of the same species."""
@@ -98,10 +98,10 @@ class AgentRun:
             else:
                 getattr(self, "_" + type(statement).__name__.lower())(statement)
 
-    def _finite(self, node: ir.Node, what: str, span: Span | None, infinite: bool = False) -> Any:
+    def _finite(self, node: ir.PlanNode, what: str, span: Span | None, infinite: bool = False) -> Any:
         """Return a value that may be stored, or None after recording a fault."""
         value = self.value(node)
-        if node.kind is not ir.Kind.F32 or np.isfinite(value) or (infinite and value == np.inf):
+        if node.kind is not ir.ValueKind.F32 or np.isfinite(value) or (infinite and value == np.inf):
             return value
         if self.watch is not None:
             self.watch(what, span, node)
@@ -129,7 +129,7 @@ class AgentRun:
         self.effects.gives.append(GiveEntry(s, np.array([item]), np.array([float(had) - float(left)])))
 
     def _request(self, s: ir.Request) -> None:
-        row = EFFECTS[s.op]
+        row = EFFECT_BY_OPERATION[s.op]
         refused = row.refused.format(of=s.of)
         values = [
             None if node is None else self._finite(node, refused, s.span) if refused else self.value(node) for node in s.args
@@ -143,7 +143,7 @@ class AgentRun:
 
     # --- values --------------------------------------------------------------------------------------------------------
 
-    def value(self, node: ir.Node) -> Any:
+    def value(self, node: ir.PlanNode) -> Any:
         """A node's value for this agent; each is computed once."""
         pending = [node]
         while pending:
@@ -157,9 +157,9 @@ class AgentRun:
                 self.values[top] = self._compute(top)
         return self.values[node]
 
-    def _compute(self, node: ir.Node) -> Any:
-        if node.op in ELEMENTWISE:
-            return ELEMENTWISE[node.op](*[self.values[a] for a in node.args])
+    def _compute(self, node: ir.PlanNode) -> Any:
+        if node.op in FUNCTION_BY_NAME:
+            return FUNCTION_BY_NAME[node.op](*[self.values[a] for a in node.args])
         if node.op == "get":
             return self.values[node.args[0]][node.attrs[0]]
         if node.op == "load":
@@ -168,27 +168,27 @@ class AgentRun:
             return self.population.start[node.attrs[0]][self.row]
         if node.op.startswith("reduce."):
             return self._reduce(node)
-        if node.rate <= ir.Rate.STEP:
+        if node.rate <= ir.UpdateRate.STEP:
             return uniform_leaf(self.world, node)
         return self._sense(node, [self.values[a] for a in node.args])
 
-    def _sense(self, node: ir.Node, args: list[Any]) -> Any:
-        results = SENSES[node.op](self.world, self.population, node, self.rows, *[np.array([a]) for a in args])
+    def _sense(self, node: ir.PlanNode, args: list[Any]) -> Any:
+        results = SENSE_FUNCTIONS[node.op](self.world, self.population, node, self.rows, *[np.array([a]) for a in args])
         return tuple(part[0] for part in results) if isinstance(results, tuple) else results[0]
 
     # --- sets ----------------------------------------------------------------------------------------------------------
 
-    def _reduce(self, node: ir.Node) -> Any:
+    def _reduce(self, node: ir.PlanNode) -> Any:
         chosen, *parts = node.args
         members = self._members(chosen)
-        matches: list[tuple[Member, Any]] = []
+        matches: list[tuple[SetMember, Any]] = []
         for member in members:
             pair_values = self._pair(chosen, member, parts)
             if pair_values[0]:
                 matches.append((member, pair_values[1] if len(pair_values) > 1 else None))
-        return _REDUCE[node.op](self, node, chosen, matches)
+        return _REDUCTION_FUNCTIONS[node.op](self, node, chosen, matches)
 
-    def _members(self, node: ir.Node) -> list[Member]:
+    def _members(self, node: ir.PlanNode) -> list[SetMember]:
         own = [self.population.start[f"position.{axis}"][self.row] for axis in AXES]
         args = [self.values[a] for a in node.args]
         if node.op == "set.items":
@@ -202,27 +202,27 @@ class AgentRun:
         if node.op == "set.every":
             return measured
         measured = [m for m in measured if m[4] <= args[0]]
-        if len(measured) > limits.NEIGHBOURS:
-            measured = sorted(measured, key=lambda m: (m[4], other.ids[m[0]]))[: limits.NEIGHBOURS]
+        if len(measured) > limits.MAX_QUERY_NEIGHBOURS:
+            measured = sorted(measured, key=lambda m: (m[4], other.ids[m[0]]))[: limits.MAX_QUERY_NEIGHBOURS]
         if node.attrs[1]:
             return measured
         hx, hy, hz = (self.population.start[f"heading.{axis}"][self.row] for axis in AXES)
         return [m for m in measured if (m[1] * hx + m[2] * hy) + m[3] * hz >= args[1] * m[4]]
 
-    def _pair(self, chosen: ir.Node, member: Member, roots: list[ir.Node]) -> list[Any]:
+    def _pair(self, chosen: ir.PlanNode, member: SetMember, roots: list[ir.PlanNode]) -> list[Any]:
         """Values of some nodes for one other."""
-        pair_values: dict[ir.Node, Any] = {}
+        pair_values: dict[ir.PlanNode, Any] = {}
         for node in _pair_nodes(tuple(roots)):
             args = [pair_values[a] if a in pair_values else self.values[a] for a in node.args]
-            if node.op in ELEMENTWISE:
-                pair_values[node] = ELEMENTWISE[node.op](*args)
-            elif node.op in SENSES:
+            if node.op in FUNCTION_BY_NAME:
+                pair_values[node] = FUNCTION_BY_NAME[node.op](*args)
+            elif node.op in SENSE_FUNCTIONS:
                 pair_values[node] = self._sense(node, args)
             else:
                 pair_values[node] = self._other_value(chosen, member, node)
         return [pair_values[n] if n in pair_values else self.values[n] for n in roots]
 
-    def _other_value(self, chosen: ir.Node, member: Member, node: ir.Node) -> Any:
+    def _other_value(self, chosen: ir.PlanNode, member: SetMember, node: ir.PlanNode) -> Any:
         row, dx, dy, dz, distance = member
         named = {"pair.x": dx, "pair.y": dy, "pair.z": dz, "pair.distance": distance, "other.row": np.int32(row)}
         if node.op in named:
@@ -232,47 +232,47 @@ class AgentRun:
         other = self.world.populations[chosen.attrs[0]]
         return other.ids[row] if node.op == "other.id" else other.start[node.attrs[0]][row]
 
-    def label(self, chosen: ir.Node, member: Member) -> int:
+    def label(self, chosen: ir.PlanNode, member: SetMember) -> int:
         return member[0] if chosen.op == "set.items" else int(self.world.populations[chosen.attrs[0]].ids[member[0]])
 
 
 @cache
-def _early(block: ir.Block) -> dict[tuple[int, ...], list[ir.Node]]:
+def _early(block: ir.Block) -> dict[tuple[int, ...], list[ir.PlanNode]]:
     return early_loads(block)
 
 
 @cache
-def _pair_nodes(roots: tuple[ir.Node, ...]) -> tuple[ir.Node, ...]:
+def _pair_nodes(roots: tuple[ir.PlanNode, ...]) -> tuple[ir.PlanNode, ...]:
     """Return the nodes with pair rate below `roots`, operands first."""
-    return tuple(n for n in required_nodes(roots) if n.rate == ir.Rate.PAIR)
+    return tuple(n for n in required_nodes(roots) if n.rate == ir.UpdateRate.PAIR)
 
 
 @cache
-def _operands(node: ir.Node) -> tuple[ir.Node, ...]:
+def _operands(node: ir.PlanNode) -> tuple[ir.PlanNode, ...]:
     """Return the agent's values that a node needs, through sets and their bodies down to the agent's own values."""
-    operands: list[ir.Node] = []
+    operands: list[ir.PlanNode] = []
     pending = list(node.args)
     while pending:
         top = pending.pop()
-        if top.rate == ir.Rate.PAIR or top.kind is ir.Kind.SET:
+        if top.rate == ir.UpdateRate.PAIR or top.kind is ir.ValueKind.SET:
             pending.extend(top.args)
         else:
             operands.append(top)
     return tuple(dict.fromkeys(operands))
 
 
-def _measure_members(positions: list[Any], own: list[Any]) -> list[Member]:
+def _measure_members(positions: list[Any], own: list[Any]) -> list[SetMember]:
     """Return the row, offset and distance of every agent from one position."""
     dx, dy, dz = (theirs - mine for theirs, mine in zip(positions, own, strict=True))
     distance = np.sqrt((dx * dx + dy * dy) + dz * dz)
     return [(k, dx[k], dy[k], dz[k], distance[k]) for k in range(len(distance))]
 
 
-Matches = list[tuple[Member, Any]]
-_INF = np.float32(np.inf)
+MemberMatches = list[tuple[SetMember, Any]]
+_INFINITY = np.float32(np.inf)
 
 
-def _sum(agent: AgentRun, node: ir.Node, chosen: ir.Node, matches: Matches) -> Any:
+def _sum(agent: AgentRun, node: ir.PlanNode, chosen: ir.PlanNode, matches: MemberMatches) -> Any:
     quantum = int(node.attrs[0])
     terms = [float(exact_sums.quantise(body, quantum)) for _, body in matches]
     if any(term != term for term in terms):
@@ -280,32 +280,32 @@ def _sum(agent: AgentRun, node: ir.Node, chosen: ir.Node, matches: Matches) -> A
     return np.float32(ldexp(sum(int(ldexp(term, -quantum)) for term in terms), quantum))  # whole numbers of the quantum
 
 
-def _min(agent: AgentRun, node: ir.Node, chosen: ir.Node, matches: Matches) -> Any:
-    least = _INF
+def _min(agent: AgentRun, node: ir.PlanNode, chosen: ir.PlanNode, matches: MemberMatches) -> Any:
+    least = _INFINITY
     for _, body in matches:
         least = body if body < least else least
     return least + np.float32(0)
 
 
-def _max(agent: AgentRun, node: ir.Node, chosen: ir.Node, matches: Matches) -> Any:
-    greatest = -_INF
+def _max(agent: AgentRun, node: ir.PlanNode, chosen: ir.PlanNode, matches: MemberMatches) -> Any:
+    greatest = -_INFINITY
     for _, body in matches:
         greatest = body if body > greatest else greatest
     return greatest + np.float32(0)
 
 
-def _best(agent: AgentRun, chosen: ir.Node, matches: Matches) -> int:
+def _best(agent: AgentRun, chosen: ir.PlanNode, matches: MemberMatches) -> int:
     sound = [(body, agent.label(chosen, member)) for member, body in matches if body == body]
     return min(sound)[1] if sound else -1
 
 
-def _nth(agent: AgentRun, node: ir.Node, chosen: ir.Node, matches: Matches) -> int:
+def _nth(agent: AgentRun, node: ir.PlanNode, chosen: ir.PlanNode, matches: MemberMatches) -> int:
     number = np.floor(agent.values[node.args[3]])
     sound = sorted((body, agent.label(chosen, member)) for member, body in matches if body == body)
     return sound[int(number) - 1][1] if 1 <= number <= len(sound) else -1
 
 
-_REDUCE: dict[str, Callable[[AgentRun, ir.Node, ir.Node, Matches], Any]] = {
+_REDUCTION_FUNCTIONS: dict[str, Callable[[AgentRun, ir.PlanNode, ir.PlanNode, MemberMatches], Any]] = {
     "reduce.sum": _sum,
     "reduce.min": _min,
     "reduce.max": _max,
@@ -330,20 +330,20 @@ def fault_operands(
     for name, register in population.plan.registers.items():
         if register.role == "temp":
             now[name][0] = register.zero
-    agent = AgentRun(world, population, row, now, 0, Effects(), statement_numbers(population.plan))
+    agent = AgentRun(world, population, row, now, 0, EffectRequests(), statement_numbers(population.plan))
 
-    def watch(register: str, where: Span | None, node: ir.Node) -> None:
+    def watch(register: str, where: Span | None, node: ir.PlanNode) -> None:
         if agent.block == block and register == what and where == span:
-            raise FaultFound(node)
+            raise NodeFault(node)
 
     agent.watch = watch
     with np.errstate(all="ignore"):
         try:
-            for name in ("born",) if block == "born" else BLOCKS:
+            for name in ("born",) if block == "born" else STEP_BLOCKS:
                 agent.run(name)
                 if name == "decide":
                     apply_claims(agent, population)
-        except FaultFound as met:
+        except NodeFault as met:
             return _find_culprit(agent, met.node)
     return ()
 
@@ -361,19 +361,21 @@ def apply_claims(agent: AgentRun, population: Population) -> None:
                 agent.now[claim.statement.own][0] += claim.amount[0]
 
 
-def _find_culprit(agent: AgentRun, node: ir.Node) -> tuple[tuple[str, str], ...]:
+def _find_culprit(agent: AgentRun, node: ir.PlanNode) -> tuple[tuple[str, str], ...]:
     """Return the first operation, in evaluation order, that has finite operands and a result that is not finite."""
 
-    def sound(n: ir.Node) -> bool:
+    def sound(n: ir.PlanNode) -> bool:
         value = agent.values.get(n)
-        return n.kind is not ir.Kind.F32 or value is None or bool(np.isfinite(value))
+        return n.kind is not ir.ValueKind.F32 or value is None or bool(np.isfinite(value))
 
     while True:
         worse = [a for a in node.args if a.op != "const" and not sound(a)]  # a constant has the place of its first use anywhere
         if not worse:
             break
         node = worse[0]
-    operands = {a.span.text: agent.values.get(a) for a in node.args if a.span and a.kind is not ir.Kind.SET and a.op != "const"}
+    operands = {
+        a.span.text: agent.values.get(a) for a in node.args if a.span and a.kind is not ir.ValueKind.SET and a.op != "const"
+    }
     place = node.span.text if node.span else node.op
     entries = [(place, agent.values.get(node))] + [(text, value) for text, value in operands.items() if text != place]
     return tuple((text, f"{float(value):g}") for text, value in entries if value is not None and not isinstance(value, tuple))

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 
 def bind_fields(
-    world: World, meshes: dict[str, MeshData], value: Callable[[World, ir.Node], float], report: Report, built: BindingCache
+    world: World, meshes: dict[str, MeshData], value: Callable[[World, ir.PlanNode], float], report: Report, built: BindingCache
 ) -> None:
     """Make all fields of the plan; errors go into the report."""
     cells: dict[tuple[tuple[str, ...], float], SurfaceCells] = {}

@@ -13,29 +13,29 @@ from numpy.typing import NDArray
 from antdsl import limits
 from antdsl.casting.curves import resample
 from antdsl.diagnostics import Report
-from antdsl.fields.face_points import Lattice, LatticeTooFine, cell_size, edge_pieces, weld_points
-from antdsl.fields.flow import Flow, Map, Source, falloff, lay_on_faces, make_spread_source, nearest_on_target
-from antdsl.fields.path_cost import Land
+from antdsl.fields.face_points import FaceLattice, LatticeTooFine, cell_size, edge_pieces, weld_points
+from antdsl.fields.flow import PaintedMap, SurfaceFlow, VectorSource, falloff, lay_on_faces, make_spread_source, nearest_on_target
+from antdsl.fields.path_cost import WalkableSurface
 from antdsl.fields.solved import CrossableGround, PathFlow, least_cost
 from antdsl.ground.mesh.topology import NO_LINK
-from antdsl.ground.protocol import Flags, Floats, Index, Meshes
+from antdsl.ground.protocol import Flags, Floats, Index, MeshSurfaces
 from antdsl.runtime.binding.reuse import BindingCache
 from antdsl.runtime.moving.obstacles import obstacle_mesh
-from antdsl.scene.setting import BorderFlow, FlowData, Painted, SolvedFlow, SpreadFlow, Target
+from antdsl.scene.setting import BorderFlow, FlowData, FlowTarget, PaintedValues, SolvedFlow, SpreadFlow
 
 if TYPE_CHECKING:
     from antdsl.runtime.world import World
 
-_ROOM_COST = 8.0  # beside an obstacle a mm costs so much more
-_SUNK = 0.05  # voxels that ground may lie under the surface of a solid and still be crossed
-_LIFT = 0.25  # of an edge: how high over the ground obstacles are looked for between two points
+_CLEARANCE_COST_FACTOR = 8.0  # beside an obstacle a mm costs so much more
+_MAX_BURIED_VOXELS = 0.05  # voxels that ground may lie under the surface of a solid and still be crossed
+_RAY_HEIGHT_PER_EDGE = 0.25  # of an edge: how high over the ground obstacles are looked for between two points
 
 
 def bind_flows(world: World, report: Report, built: BindingCache) -> None:
     """Bind all maps and flows of the setting that the plan knows. Those that never change are stored in `built`."""
     setting = world.setting
     for name, painted in setting.maps.items():
-        world.maps[name] = Map(_corners(world, painted)[:, :, 0])
+        world.maps[name] = PaintedMap(_corners(world, painted)[:, :, 0])
     land = (setting.surfaces, setting.obstacles, setting.maps, setting.up, setting.by_rays, world.origin)
     for name, flow in setting.flows.items():
         if isinstance(flow, SolvedFlow) or world.solids or setting.moves:
@@ -48,7 +48,7 @@ def bind_flows(world: World, report: Report, built: BindingCache) -> None:
             world.flows[name] = copy(bound_flow)
 
 
-def _cached_flow(world: World, name: str, flow: FlowData) -> Flow | None:
+def _cached_flow(world: World, name: str, flow: FlowData) -> SurfaceFlow | None:
     bind_flow(world, name, flow, Report())
     return world.flows.get(name)
 
@@ -57,19 +57,19 @@ def bind_flow(world: World, name: str, flow: FlowData, report: Report) -> None:
     """Bind one flow, under its name in the world; errors go into the report."""
     try:
         world.flows[name] = bound_flow = _make_flow(world, flow)
-        if not isinstance(flow, Painted) and _may_change(world, flow):
+        if not isinstance(flow, PaintedValues) and _may_change(world, flow):
             bound_flow.renew = lambda now: _renew_flow(now, bound_flow, flow)
     except LatticeTooFine as why:
         report.error(
             "flow-too-fine",
-            f"flow `{name}` would have about {why.needed:,} points; {limits.FLOW_POINTS:,} are allowed",
+            f"flow `{name}` would have about {why.needed:,} points; {limits.MAX_FLOW_POINTS:,} are allowed",
             world.setting.spans.get(name),
             "give it a larger `cell`, or a smaller `radius`",
         )
 
 
-def _make_flow(world: World, flow: FlowData) -> Flow:
-    if isinstance(flow, Painted):
+def _make_flow(world: World, flow: FlowData) -> SurfaceFlow:
+    if isinstance(flow, PaintedValues):
         return _painted_flow(world, flow)
     if isinstance(flow, SpreadFlow):
         return _spread_flow(world, flow)
@@ -87,7 +87,7 @@ def _may_change(world: World, flow: SpreadFlow | BorderFlow | SolvedFlow) -> boo
     return bool(moving) or dug or (not isinstance(flow, BorderFlow) and flow.target.of in {**moves.items, **moves.curves})
 
 
-def _renew_flow(world: World, bound_flow: Flow, flow: SpreadFlow | BorderFlow | SolvedFlow) -> None:
+def _renew_flow(world: World, bound_flow: SurfaceFlow, flow: SpreadFlow | BorderFlow | SolvedFlow) -> None:
     """Replace a flow's values by its current ones."""
     if isinstance(flow, SolvedFlow):
         assert isinstance(bound_flow, PathFlow) and bound_flow.grounds is not None
@@ -99,7 +99,7 @@ def _renew_flow(world: World, bound_flow: Flow, flow: SpreadFlow | BorderFlow | 
     bound_flow.lattice, bound_flow.c, bound_flow.s, bound_flow.source = now.lattice, now.c, now.s, now.source
 
 
-def _ground_meshes(world: World) -> Meshes:
+def _ground_meshes(world: World) -> MeshSurfaces:
     """The part of the ground with faces, on which flows lie."""
     meshes = world.ground.meshes
     assert meshes is not None
@@ -109,7 +109,7 @@ def _ground_meshes(world: World) -> Meshes:
 # --- painted ---------------------------------------------------------------------------------------------------------
 
 
-def _corners(world: World, painted: Painted) -> Floats:
+def _corners(world: World, painted: PaintedValues) -> Floats:
     """Painted values in the corners of all faces of the ground, (3, faces, width); 0 on other surfaces."""
     _, faces, mesh, _ = _ground_meshes(world).triangles
     own = np.flatnonzero(mesh == world.surface_index[painted.surface])
@@ -121,12 +121,12 @@ def _corners(world: World, painted: Painted) -> Floats:
     return corner_values
 
 
-def _painted_flow(world: World, painted: Painted) -> Flow:
+def _painted_flow(world: World, painted: PaintedValues) -> SurfaceFlow:
     table = _ground_meshes(world).triangles[3]
     corners = _corners(world, painted)
     parts = [lay_on_faces(corners[k], table.axis1, table.axis2) for k in range(3)]
     c, s = (np.stack([part[k] for part in parts], axis=1).ravel() for k in range(2))
-    return Flow(Lattice.of(np.ones(corners.shape[1], np.int64)), c, s)
+    return SurfaceFlow(FaceLattice.of(np.ones(corners.shape[1], np.int64)), c, s)
 
 
 # --- points over the ground ------------------------------------------------------------------------------------------
@@ -148,12 +148,12 @@ def _longest_edges(world: World) -> tuple[Floats, Floats]:
     return np.sqrt((edges * edges).sum(axis=2)).max(axis=0), corners.mean(axis=1)
 
 
-def _lattice(world: World, chosen: Flags, flow: SpreadFlow | BorderFlow | SolvedFlow) -> Lattice:
+def _lattice(world: World, chosen: Flags, flow: SpreadFlow | BorderFlow | SolvedFlow) -> FaceLattice:
     """Return a lattice with the flow's resolution on the chosen faces. Raises LatticeTooFine if its cell is too small."""
-    return Lattice.of(edge_pieces(flow, np.where(chosen, _longest_edges(world)[0], 0.0), _ground_meshes(world).extent))
+    return FaceLattice.of(edge_pieces(flow, np.where(chosen, _longest_edges(world)[0], 0.0), _ground_meshes(world).extent))
 
 
-def _locate_slots(world: World, lattice: Lattice) -> tuple[Index, Floats]:
+def _locate_slots(world: World, lattice: FaceLattice) -> tuple[Index, Floats]:
     """The face and the place (n, 3) of each slot."""
     table = _ground_meshes(world).triangles[3]
     face = lattice.faces()
@@ -163,31 +163,31 @@ def _locate_slots(world: World, lattice: Lattice) -> tuple[Index, Floats]:
 
 
 def _flow_from_vectors(
-    world: World, lattice: Lattice, face: Index, vectors: Floats, chosen: Flags, source: Source | None = None
-) -> Flow:
+    world: World, lattice: FaceLattice, face: Index, vectors: Floats, chosen: Flags, source: VectorSource | None = None
+) -> SurfaceFlow:
     table = _ground_meshes(world).triangles[3]
     c, s = lay_on_faces(vectors, table.axis1.take(face, axis=1), table.axis2.take(face, axis=1))
-    return Flow(lattice, c * chosen[face], s * chosen[face], source)
+    return SurfaceFlow(lattice, c * chosen[face], s * chosen[face], source)
 
 
-def _locate_target(world: World, target: Target) -> Target:
+def _locate_target(world: World, target: FlowTarget) -> FlowTarget:
     """Return a target at the world's frame, relative to the world's origin."""
     moves = world.setting.moves
     tracks = (moves.curves if target.line else moves.items).get(target.of)
     positions = target.positions if tracks is None else moves.points(tracks, world.frame)
     if tracks is not None and target.which is not None:
         positions = positions[target.which : target.which + 1]
-    return Target(positions - world.origin, target.radii, target.line)
+    return FlowTarget(positions - world.origin, target.radii, target.line)
 
 
 # --- about a target, and at borders ----------------------------------------------------------------------------------
 
 
-def _spread_flow(world: World, flow: SpreadFlow) -> Flow:
+def _spread_flow(world: World, flow: SpreadFlow) -> SurfaceFlow:
     target = _locate_target(world, flow.target)
     source = make_spread_source(flow, target)
     if world.ground.meshes is None:
-        return Flow(Lattice.of(np.ones(0, np.int64)), np.zeros(0), np.zeros(0), source)
+        return SurfaceFlow(FaceLattice.of(np.ones(0, np.int64)), np.zeros(0), np.zeros(0), source)
     chosen = near = _chosen_faces(world, flow.on)
     if flow.radius is not None:
         longest, middle = _longest_edges(world)
@@ -200,7 +200,7 @@ def _spread_flow(world: World, flow: SpreadFlow) -> Flow:
     return _flow_from_vectors(world, lattice, face, vectors, chosen, source if not flow.on else None)
 
 
-def _border_flow(world: World, flow: BorderFlow) -> Flow:
+def _border_flow(world: World, flow: BorderFlow) -> SurfaceFlow:
     vertices, faces, _, table = _ground_meshes(world).triangles
     chosen = _chosen_faces(world, flow.on)
     half = np.flatnonzero((table.link[0] == NO_LINK) & np.repeat(chosen, 3))
@@ -217,7 +217,7 @@ def _border_flow(world: World, flow: BorderFlow) -> Flow:
     # in the face, at right angles to its edge: the way in, where one stands on the rim itself
     inward = np.cross(table.normal.T[own], edge / np.where(length > 0, length, 1.0)[:, None])
     near = chosen.copy()
-    target = Target(rim, np.zeros(len(rim)))
+    target = FlowTarget(rim, np.zeros(len(rim)))
     if len(rim):
         near &= nearest_on_target(target, middle)[0] <= flow.within + longest
     lattice = _lattice(world, near, flow)
@@ -241,7 +241,7 @@ def _border_flow(world: World, flow: BorderFlow) -> Flow:
 # --- solved ----------------------------------------------------------------------------------------------------------
 
 
-def _solved_flow(world: World, flow: SolvedFlow) -> Flow:
+def _solved_flow(world: World, flow: SolvedFlow) -> SurfaceFlow:
     chosen = _chosen_faces(world, flow.on)
     lattice = _lattice(world, chosen, flow)
     grounds = _grounds(world, lattice, chosen)
@@ -273,7 +273,7 @@ def _solid_remainders(world: World) -> list[int]:
     return [volume.bricks.steps for volume in world.solids.values()]
 
 
-def _grounds(world: World, lattice: Lattice, chosen: Flags, point: Index | None = None) -> CrossableGround:
+def _grounds(world: World, lattice: FaceLattice, chosen: Flags, point: Index | None = None) -> CrossableGround:
     """Return the lattice as land: points merged across faces (`point`, if known), triangles that no obstacle cuts and no undug
     solid buries, and links between surfaces."""
     _, _, mesh, table = _ground_meshes(world).triangles
@@ -290,10 +290,10 @@ def _grounds(world: World, lattice: Lattice, chosen: Flags, point: Index | None 
     areas = np.sqrt((across * across).sum(axis=1)) / 2
     open_ = chosen[owner] & (areas > 0) & ~_blocked_triangles(world, triangles, points, table.normal.T[owner])
     for volume in world.solids.values():
-        open_ &= ~(volume.sample(points) < -_SUNK * volume.voxel)[triangles].any(axis=1)
+        open_ &= ~(volume.sample(points) < -_MAX_BURIED_VOXELS * volume.voxel)[triangles].any(axis=1)
     of = np.empty(count, np.int32)
     of[point] = mesh[face]
-    land = Land(points, triangles, open_, _links(points, of, np.unique(triangles[open_]), areas))
+    land = WalkableSurface(points, triangles, open_, _links(points, of, np.unique(triangles[open_]), areas))
     axis1, axis2 = table.axis1.take(face, axis=1), table.axis2.take(face, axis=1)
     return CrossableGround(lattice, land, point, axis1, axis2, areas, chosen)
 
@@ -308,7 +308,7 @@ def _blocked_triangles(world: World, triangles: Index, points: Floats, normal: F
         for k in range(3):
             start, end = points[triangles[:, k]], points[triangles[:, (k + 1) % 3]]
             step = end - start
-            lift = _LIFT * np.sqrt((step * step).sum(axis=1))[:, None] * normal
+            lift = _RAY_HEIGHT_PER_EDGE * np.sqrt((step * step).sum(axis=1))[:, None] * normal
             cut[scene.cast_within(start + lift, step)[0]] = True
             cut[scene.cast_within(end + lift, -step)[0]] = True
     return cut
@@ -374,7 +374,7 @@ def _cost(world: World, flow: SolvedFlow, grounds: CrossableGround) -> Floats:
             if name in world.obstacles:
                 gap = np.minimum(gap, world.obstacles[name].nearest_within(x, y, z, flow.clearance).t)
         tight = np.clip(1 - gap / flow.clearance, 0.0, 1.0)
-        price = price + _ROOM_COST * tight * tight
+        price = price + _CLEARANCE_COST_FACTOR * tight * tight
     if flow.maps:
         b1, b2 = grounds.lattice.weights()
         small, _ = grounds.lattice.triangles()

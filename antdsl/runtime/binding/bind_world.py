@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 from antdsl.casting.obstacle import Obstacle
 from antdsl.casting.rays import RayScene
 from antdsl.diagnostics import Report
-from antdsl.ground.combined import Terrain
+from antdsl.ground.combined import CombinedGround
 from antdsl.ground.mesh.surface import MeshGround
 from antdsl.ground.moving import MovingGround
-from antdsl.ground.plane import Plane
+from antdsl.ground.plane import PlaneGround
 from antdsl.ground.protocol import Ground
 from antdsl.ground.solid import UnusableMesh, Volume
 from antdsl.ground.solid_feelers import SolidFeelers
@@ -29,10 +29,10 @@ from antdsl.runtime.binding.placing import populate
 from antdsl.runtime.binding.reuse import BindingCache
 from antdsl.runtime.faults import FaultLog
 from antdsl.runtime.feet import walking
-from antdsl.runtime.motion_measures import Motion
+from antdsl.runtime.motion_measures import MotionMeasures
 from antdsl.runtime.moving.moving_geometry import make_curve
 from antdsl.runtime.world import AXES, Items, Options, World, empty_population
-from antdsl.scene.setting import FlowData, MeshData, Setting, world_origin
+from antdsl.scene.setting import FlowData, MeshData, WorldSetting, world_origin
 
 
 class BindError(ValueError):
@@ -44,7 +44,7 @@ class BindError(ValueError):
 
 
 @standard_floats()
-def bind(plan: ir.Plan, setting: Setting, options: Options | None = None, *, built: BindingCache | None = None) -> World:
+def bind(plan: ir.Plan, setting: WorldSetting, options: Options | None = None, *, built: BindingCache | None = None) -> World:
     """Return the world at `setting.first_frame`, with all agents born and none moved. `plan` has been optimised and verified.
     `built` stores data made from meshes for other worlds.
 
@@ -61,7 +61,7 @@ def bind(plan: ir.Plan, setting: Setting, options: Options | None = None, *, bui
 @standard_floats()
 def bind_empty(
     plan: ir.Plan,
-    setting: Setting,
+    setting: WorldSetting,
     options: Options | None = None,
     *,
     built: BindingCache | None = None,
@@ -99,7 +99,7 @@ def bind_empty(
         solids=solids,
         backend=BACKENDS[options.backend](plan),
         faults=FaultLog(),
-        motion=Motion(),
+        motion=MotionMeasures(),
     )
     _params(world)
     stages.begin("fields")
@@ -120,7 +120,7 @@ def _moved_mesh(mesh: MeshData, origin: NDArray[np.float64]) -> MeshData:
     return MeshData(mesh.vertices - origin, mesh.faces) if origin.any() else mesh
 
 
-def _solids(setting: Setting, origin: NDArray[np.float64], built: BindingCache) -> dict[str, Volume]:
+def _solids(setting: WorldSetting, origin: NDArray[np.float64], built: BindingCache) -> dict[str, Volume]:
     """Return a volume for each solid. Raises BindError if its mesh is unsuitable."""
     if not setting.solids:
         return {}
@@ -154,11 +154,11 @@ def _ground(
     built: BindingCache,
 ) -> Ground:
     if not meshes and not solids:
-        return Plane(up)
+        return PlaneGround(up)
     ground = _meshes(meshes, moving, by_rays, built)
     if ground is not None and not solids:
         return ground
-    return Terrain(ground, solids, up / np.sqrt((up[0] * up[0] + up[1] * up[1]) + up[2] * up[2]))
+    return CombinedGround(ground, solids, up / np.sqrt((up[0] * up[0] + up[1] * up[1]) + up[2] * up[2]))
 
 
 def _meshes(meshes: dict[str, MeshData], moving: Iterable[str], by_rays: bool, built: BindingCache) -> MeshGround | None:
@@ -183,7 +183,7 @@ def _make_ray_scenes(meshes: dict[str, MeshData], solids: dict[str, Volume], bui
     return scenes | {name: SolidFeelers(volume) for name, volume in solids.items()}
 
 
-def _items(setting: Setting, plan: ir.ItemsPlan, origin: NDArray[np.float64]) -> Items:
+def _items(setting: WorldSetting, plan: ir.ItemsPlan, origin: NDArray[np.float64]) -> Items:
     items = setting.items.get(plan.name, ())
     position = np.array([item.position for item in items], np.float64).reshape(-1, 3) - origin
     visible_values = {axis: position[:, k].astype(np.float32) for k, axis in enumerate(AXES)}
@@ -202,7 +202,7 @@ def _params(world: World) -> None:
         world.params[name] = np.float32(run_value(world, param.default) if scene_value is None else scene_value)
 
 
-def run_value(world: World, node: ir.Node) -> float:
+def run_value(world: World, node: ir.PlanNode) -> float:
     """Return the value of a node that is constant for the whole run."""
     return float(uniform_values(world, required_nodes((node,)))[node])
 
@@ -233,9 +233,9 @@ def _flows(world: World, built: BindingCache) -> None:
 def _detail(world: World, obstacles: dict[str, MeshData]) -> None:
     if world.setting.detail is None:
         return
-    from antdsl.runtime.lod import Detail
+    from antdsl.runtime.lod import DetailLevels
 
-    world.detail = Detail(world.setting.detail, world.origin, obstacles)
+    world.detail = DetailLevels(world.setting.detail, world.origin, obstacles)
 
 
 def _fields(world: World, meshes: dict[str, MeshData], built: BindingCache) -> None:

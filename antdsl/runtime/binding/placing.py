@@ -11,12 +11,12 @@ from numpy.typing import NDArray
 
 from antdsl.numerics import elementary, randomness
 from antdsl.numerics import vectors as vec
-from antdsl.numerics.vectors import Vector
+from antdsl.numerics.vectors import VectorArrays
 from antdsl.plan import ir
 from antdsl.plan.traverse import placed
 from antdsl.program.tables.effects import effects_of_phase
-from antdsl.runtime.binding.spacing import DrawnPlaces, Occupancy, has_extent, spread_agents
-from antdsl.runtime.binding.start_places import COVERED, PLACEMENT_FRAME, TURN, StartPlaces
+from antdsl.runtime.binding.spacing import Occupancy, StartPositionDraws, has_extent, spread_agents
+from antdsl.runtime.binding.start_places import FULL_TURN, MAX_RANDOM_COVER, PLACEMENT_FRAME, StartPositionSampler
 from antdsl.runtime.faults import FaultLog
 from antdsl.runtime.lifecycle import apply_deaths_and_births, initialise_newborn, settle_newborn
 from antdsl.runtime.moving import walks
@@ -24,7 +24,7 @@ from antdsl.runtime.moving.tilting import settle_bodies
 from antdsl.runtime.world import AXES, OvercrowdedLine, Population, World, add_rows, empty_population, select_rows
 from antdsl.scene.setting import CrowdData, PlaceData
 
-_STEEP = 1e-3  # sine of the angle to the ground's normal below which a way leads off the ground
+_MIN_NORMAL_SINE = 1e-3  # sine of the angle to the ground's normal below which a way leads off the ground
 
 
 def populate(world: World) -> None:
@@ -55,12 +55,12 @@ def place_joining(world: World, joining: Sequence[tuple[CrowdData, NDArray[np.in
     joining = [(crowd, ids) for crowd, ids in joining if len(ids)]
     if not joining:
         return {}
-    starts = [StartPlaces(world, crowd) for crowd, _ in joining]
+    starts = [StartPositionSampler(world, crowd) for crowd, _ in joining]
     radius = _spacing_radii(world, joining, starts, _radii(world, joining, starts))
     occupancy = Occupancy(_rounding(world))
     for population in world.populations.values():
         occupancy.add_present(population.position, population.now["radius"].astype(np.float64))
-    draws: dict[int, DrawnPlaces] = {}
+    draws: dict[int, StartPositionDraws] = {}
     for k, (_, ids) in enumerate(joining):
         if starts[k].given:
             draws[k] = starts[k].draw(ids, range(1))
@@ -83,7 +83,7 @@ def place_joining(world: World, joining: Sequence[tuple[CrowdData, NDArray[np.in
     return {name: np.concatenate(parts) for name, parts in rows.items()}
 
 
-def _place_crowd(world: World, crowd: CrowdData, ids: NDArray[np.int64], drawn: DrawnPlaces) -> NDArray[np.intp]:
+def _place_crowd(world: World, crowd: CrowdData, ids: NDArray[np.int64], drawn: StartPositionDraws) -> NDArray[np.intp]:
     population = world.populations[crowd.species]
     rows = add_rows(population, ids, world.frame, drawn.place, drawn.footing)
     for k, axis in enumerate(AXES):
@@ -94,7 +94,7 @@ def _place_crowd(world: World, crowd: CrowdData, ids: NDArray[np.int64], drawn: 
 
 
 def _radii(
-    world: World, joining: Sequence[tuple[CrowdData, NDArray[np.int64]]], starts: Sequence[StartPlaces]
+    world: World, joining: Sequence[tuple[CrowdData, NDArray[np.int64]]], starts: Sequence[StartPositionSampler]
 ) -> list[NDArray[np.float64]]:
     """Return the radius of each line's agents at birth, at the places of their first draw. A radius may depend on anything
     available at birth, so a temporary world computes it."""
@@ -125,7 +125,7 @@ def _radii(
 def _spacing_radii(
     world: World,
     joining: Sequence[tuple[CrowdData, NDArray[np.int64]]],
-    starts: Sequence[StartPlaces],
+    starts: Sequence[StartPositionSampler],
     radius: list[NDArray[np.float64]],
 ) -> list[NDArray[np.float64]]:
     """Return the radii for spacing. If a line declares a distance between its agents, the radius is at least half of it. For an
@@ -135,7 +135,7 @@ def _spacing_radii(
         half = crowd.place.spacing / 2
         if np.isinf(half):
             count = sum(c.count for c in world.setting.crowds if _place_key(c.place) == _place_key(crowd.place))
-            half = np.sqrt(COVERED * (start.area() or 0.0) / (np.pi * max(count, 1)))
+            half = np.sqrt(MAX_RANDOM_COVER * (start.area() or 0.0) / (np.pi * max(count, 1)))
         radii.append(np.maximum(own, half) if half > 0 else own)
     return radii
 
@@ -190,7 +190,9 @@ def give_at_birth(population: Population, rows: NDArray[np.intp], place: PlaceDa
             population.now[register][rows] = np.where(np.isfinite(point_values), point_values, np.inf)
 
 
-def _point_headings(world: World, population: Population, rows: NDArray[np.intp], up: Vector, drawn: Vector) -> Vector:
+def _point_headings(
+    world: World, population: Population, rows: NDArray[np.intp], up: VectorArrays, drawn: VectorArrays
+) -> VectorArrays:
     """Return headings: those of the points where agents begin, along the ground; else the drawn ones."""
     heading = drawn
     for crowd in world.setting.crowds:
@@ -200,7 +202,7 @@ def _point_headings(world: World, population: Population, rows: NDArray[np.intp]
         ahead = vec.columns(crowd.place.ahead[population.ids[rows[own]] % len(crowd.place.ahead)], np.float32)
         heading = vec.copy(heading)
         for component, value in zip(
-            heading, vec.unit(vec.flat(ahead, vec.take(up, own)), vec.take(drawn, own), _STEEP), strict=True
+            heading, vec.unit(vec.flat(ahead, vec.take(up, own)), vec.take(drawn, own), _MIN_NORMAL_SINE), strict=True
         ):
             component[own] = value
     return heading
@@ -210,7 +212,7 @@ def _orient_agents(world: World, population: Population, rows: NDArray[np.intp])
     """Set up from the ground, and a heading drawn around it unless the scene gives one; at rest."""
     target_up = np.stack([population.now[f"up.{axis}"] for axis in AXES], axis=1).astype(np.float64)
     up = vec.columns(world.ground.upright_normals(population.footing, target_up)[rows], np.float32)
-    angle = _draw_uniform(world, population.name, 0, population.ids[rows]) * TURN
+    angle = _draw_uniform(world, population.name, 0, population.ids[rows]) * FULL_TURN
     side = vec.any_perpendicular(up)
     ahead = vec.cross(up, side)
     heading = vec.add(vec.scale(side, elementary.cos(angle)), vec.scale(ahead, elementary.sin(angle)))

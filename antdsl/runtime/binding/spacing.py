@@ -22,16 +22,18 @@ Rows = NDArray[np.intp]
 Flags = NDArray[np.bool_]
 
 # Places that are tried in each round, by the share of the batch before that found no room: 384, 128 or 4 in all.
-_TRIES = (1,) * 8 + (2,) * 4 + (4,) * 4 + (8,) * 4 + (16,) * 4
-_ROUNDS = ((0.005, _TRIES + (32,) * 8), (0.1, _TRIES), (1.0, (1,) * 4))
-_BATCH = 64  # agents of the first batch; of each other as many as have been before it
+_TRIES_PER_ROUND = (1,) * 8 + (2,) * 4 + (4,) * 4 + (8,) * 4 + (16,) * 4
+_SPACING_ROUNDS = ((0.005, _TRIES_PER_ROUND + (32,) * 8), (0.1, _TRIES_PER_ROUND), (1.0, (1,) * 4))
+_FIRST_BATCH_AGENTS = 64  # agents of the first batch; of each other as many as have been before it
 _GAP_FACTOR = 1.001  # so much farther apart than their radii reach: float32 rounds
-_NEAREST = 8  # smaller neighbours of the first query; each further query doubles the number until the result is certain
-_FINE = 8  # of those who may overlap already, one in so small a part of a body stands for all there
+_FIRST_QUERY_NEIGHBOURS = (
+    8  # smaller neighbours of the first query; each further query doubles the number until the result is certain
+)
+_CELLS_PER_BODY = 8  # of those who may overlap already, one in so small a part of a body stands for all there
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class DrawnPlaces:
+class StartPositionDraws:
     """Places to start at: footings on the ground, where these are (n, 3), ups (n, 3), and whether an agent may start there."""
 
     footing: Footing
@@ -39,17 +41,17 @@ class DrawnPlaces:
     up: Floats
     good: Flags
 
-    def take(self, rows: Rows) -> DrawnPlaces:
+    def take(self, rows: Rows) -> StartPositionDraws:
         """Copies of some of them."""
-        return DrawnPlaces(self.footing.take(rows), self.place[rows], self.up[rows], self.good[rows])
+        return StartPositionDraws(self.footing.take(rows), self.place[rows], self.up[rows], self.good[rows])
 
-    def put(self, rows: Rows, other: DrawnPlaces) -> None:
+    def put(self, rows: Rows, other: StartPositionDraws) -> None:
         """Put others into rows."""
         self.footing.put(rows, other.footing)
         self.place[rows], self.up[rows], self.good[rows] = other.place, other.up, other.good
 
 
-Draw = Callable[[NDArray[np.int64], range], DrawnPlaces]
+PositionDrawer = Callable[[NDArray[np.int64], range], StartPositionDraws]
 """Places for agents by their ids: the tries of a range one after the other, all agents within each."""
 
 
@@ -84,7 +86,7 @@ class Occupancy:
     def add_present(self, place: Floats, radius: Floats) -> None:
         """Add agents that are already present and do not move; they may overlap each other."""
         rows = np.flatnonzero(has_extent(radius))
-        rows = rows[_first_per_cell(place[rows], radius[rows], _FINE)]
+        rows = rows[_first_per_cell(place[rows], radius[rows], _CELLS_PER_BODY)]
         self.add(place[rows], radius[rows], np.full(len(rows), -1))
 
     def add(self, place: Floats, radius: Floats, order: Rows) -> Rows:
@@ -153,7 +155,7 @@ class Occupancy:
         """Return, for each of some discs, the earlier entry of a group with the most overlap. It checks the nearest entries,
         until none farther away can overlap more."""
         entry, least = np.zeros(len(rows), np.intp), np.full(len(rows), np.inf)
-        pending_discs, count = np.arange(len(rows)), _NEAREST
+        pending_discs, count = np.arange(len(rows)), _FIRST_QUERY_NEIGHBOURS
         while pending_discs.size:
             count = min(count, len(group.entries))
             at, wide = place[rows[pending_discs]], radius[rows[pending_discs]]
@@ -201,35 +203,35 @@ def has_extent(radius: NDArray[np.floating[Any]]) -> Flags:
 
 
 def spread_agents(
-    occupancy: Occupancy, draw: Draw, ids: NDArray[np.int64], radius: Floats, first: int
-) -> tuple[DrawnPlaces, Flags]:
+    occupancy: Occupancy, draw: PositionDrawer, ids: NDArray[np.int64], radius: Floats, first: int
+) -> tuple[StartPositionDraws, Flags]:
     """Return positions for agents in id order, and flags for those with a position where they touch no other. `first`: the first
     agent's number in the order of all starting agents. The others get the position where they touch earlier agents least.
 
     Agents with a free position are in the room afterwards; the others are not."""
-    chosen: DrawnPlaces | None = None
+    chosen: StartPositionDraws | None = None
     fits = np.zeros(len(ids), np.bool_)
-    rounds: tuple[int, ...] = _ROUNDS[0][1]
-    begin, size = 0, _BATCH
+    rounds: tuple[int, ...] = _SPACING_ROUNDS[0][1]
+    begin, size = 0, _FIRST_BATCH_AGENTS
     while begin < len(ids):
         part = slice(begin, begin + size)
         drawn, held = _batch(occupancy, draw, ids[part], radius[part], first + begin, rounds)
         fits[part] = held
         chosen = drawn if chosen is None else _join_places(chosen, drawn)
         failed = np.count_nonzero(~held)
-        rounds = next(rounds for share, rounds in _ROUNDS if failed <= share * held.size)
+        rounds = next(rounds for share, rounds in _SPACING_ROUNDS if failed <= share * held.size)
         begin += size
         size = begin
     return draw(ids, range(1)) if chosen is None else chosen, fits
 
 
 def _batch(
-    occupancy: Occupancy, draw: Draw, ids: NDArray[np.int64], radius: Floats, first: int, rounds: tuple[int, ...]
-) -> tuple[DrawnPlaces, Flags]:
+    occupancy: Occupancy, draw: PositionDrawer, ids: NDArray[np.int64], radius: Floats, first: int, rounds: tuple[int, ...]
+) -> tuple[StartPositionDraws, Flags]:
     n, wide = len(ids), has_extent(radius)
     held, best, entry_of = np.zeros(n, np.bool_), np.full(n, -2.0), np.full(n, -1, np.intp)
     order = np.arange(first, first + n)
-    chosen: DrawnPlaces | None = None
+    chosen: StartPositionDraws | None = None
     attempt = 0
     for tries in rounds:
         left = np.flatnonzero(~held)
@@ -264,7 +266,7 @@ def _batch(
     return chosen, held
 
 
-def _score(occupancy: Occupancy, drawn: DrawnPlaces, rows: Rows, radius: Floats, wide: Flags, order: Rows) -> Floats:
+def _score(occupancy: Occupancy, drawn: StartPositionDraws, rows: Rows, radius: Floats, wide: Flags, order: Rows) -> Floats:
     """Return 1 for a free position, less for an occupied one, and -1 for a position where no agent may start."""
     score = np.where(drawn.good, 1.0, -1.0)
     good_rows = np.flatnonzero(drawn.good & wide[rows])
@@ -272,9 +274,9 @@ def _score(occupancy: Occupancy, drawn: DrawnPlaces, rows: Rows, radius: Floats,
     return score
 
 
-def _join_places(one: DrawnPlaces, other: DrawnPlaces) -> DrawnPlaces:
+def _join_places(one: StartPositionDraws, other: StartPositionDraws) -> StartPositionDraws:
     place, up = np.concatenate([one.place, other.place]), np.concatenate([one.up, other.up])
-    return DrawnPlaces(Footing.concatenate(one.footing, other.footing), place, up, np.concatenate([one.good, other.good]))
+    return StartPositionDraws(Footing.concatenate(one.footing, other.footing), place, up, np.concatenate([one.good, other.good]))
 
 
 def _size_class(radius: Floats) -> NDArray[np.int64]:

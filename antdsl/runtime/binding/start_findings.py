@@ -15,8 +15,8 @@ from antdsl.scene import Scene
 from antdsl.scene.setting import SolvedFlow
 from antdsl.scene.staging.item_placement import is_off_surface
 
-_HELP = "open a way for it, move the target or the crowd, or write what they do there: `when not reachable({flow}) -> …`"
-_REACHABLE = "flow.reachable"
+_GAP_HELP = "open a way for it, move the target or the crowd, or write what they do there: `when not reachable({flow}) -> …`"
+_REACHABLE_OPERATION = "flow.reachable"
 _UNREACHABLE_HELP = (
     "open a way for it, or move the target or the crowd; if it is meant: `# antdsl: ignore[unreachable-target] WHY`"
 )
@@ -36,10 +36,10 @@ def start_warnings(scene: Scene, world: World) -> Report:
         for species, plan in world.plan.species.items():
             count = len(world.populations[species])
             uses = _flow_uses(plan).get(name, set())
-            cut_off = count - count_reaching(world, species, name) if count and uses - {_REACHABLE} else 0
+            cut_off = count - count_reaching(world, species, name) if count and uses - {_REACHABLE_OPERATION} else 0
             if cut_off:
                 words = f"{cut_off:,} of {count:,} `{species}` stand where no path leads to the target of `{name}`"
-                help = _UNREACHABLE_HELP if _REACHABLE in uses else _HELP.format(flow=name)
+                help = _UNREACHABLE_HELP if _REACHABLE_OPERATION in uses else _GAP_HELP.format(flow=name)
                 report.warning("unreachable-target", words, scene.span("world", name, "solved"), help)
     return report
 

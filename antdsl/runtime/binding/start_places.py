@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from antdsl.numerics import elementary, randomness
 from antdsl.numerics import vectors as vec
-from antdsl.runtime.binding.spacing import DrawnPlaces
+from antdsl.runtime.binding.spacing import StartPositionDraws
 from antdsl.runtime.binding.surface_area import FaceArea, areas
 from antdsl.runtime.moving.obstacles import obstacle_mesh
 from antdsl.runtime.world import World
@@ -21,15 +21,15 @@ Ids = NDArray[np.int64]
 Floats = NDArray[np.float64]
 
 PLACEMENT_FRAME = 0  # placement belongs to no frame
-TURN = np.float32(2 * np.pi)
-COVERED = 0.42  # share of the ground that agents placed at random cover without touching, and all find room
-_SAMPLE = 1 << 14  # places that tell how much of a surface can be begun on
-_SAME = 1e-3  # mm
-_LARGER = 8  # radii that are tried
-_DISC = 100.0  # mm: without any ground and any place
+FULL_TURN = np.float32(2 * np.pi)
+MAX_RANDOM_COVER = 0.42  # share of the ground that agents placed at random cover without touching, and all find room
+_AREA_SAMPLE_POINTS = 1 << 14  # places that tell how much of a surface can be begun on
+_COINCIDENT_DISTANCE_MM = 1e-3  # mm
+_MAX_RADIUS_TRIES = 8  # radii that are tried
+_DEFAULT_DISC_RADIUS_MM = 100.0  # mm: without any ground and any place
 
 
-class StartPlaces:
+class StartPositionSampler:
     """The places of one line of the crowd."""
 
     def __init__(self, world: World, crowd: CrowdData) -> None:
@@ -48,33 +48,33 @@ class StartPlaces:
         place = self.place
         if self.given or place.inside is not None or (place.density is not None and not place.by_area):
             return None
-        ids = np.arange(_SAMPLE)
+        ids = np.arange(_AREA_SAMPLE_POINTS)
         drawn = self.draw(ids, range(1))
         good = drawn.good
         if self._faces is not None:
             total_area = self._faces.total
         elif place.around is not None or not self._grounds:
-            radius = _DISC if place.radius is None else place.radius
+            radius = _DEFAULT_DISC_RADIUS_MM if place.radius is None else place.radius
             total_area = float(np.pi * radius * radius)
         else:
             total_area = areas(self._world, self._on, None, None, None).total
             # what is dropped onto another face does not lie open to above
             displacement = drawn.place - self._target_points(ids, 0)
-            good = good & (vec.length(vec.columns(displacement, np.float64)) < _SAME)
-        share = float(np.count_nonzero(good)) / _SAMPLE
+            good = good & (vec.length(vec.columns(displacement, np.float64)) < _COINCIDENT_DISTANCE_MM)
+        share = float(np.count_nonzero(good)) / _AREA_SAMPLE_POINTS
         return total_area if share == 1 else float(f"{total_area * share:.1e}")
 
     def sufficient_radius(self, cover: float) -> float | None:
         """Return a radius (mm) of the place at which agents that cover `cover` (mm²) fit; None if there is none."""
         radius = self.place.radius
-        for _ in range(_LARGER):
+        for _ in range(_MAX_RADIUS_TRIES):
             if radius is None:
                 break
-            wider = StartPlaces(self._world, replace(self._crowd, place=replace(self.place, radius=radius)))
+            wider = StartPositionSampler(self._world, replace(self._crowd, place=replace(self.place, radius=radius)))
             area = wider.area()
-            if area is None or area * COVERED >= cover * 0.999:
+            if area is None or area * MAX_RANDOM_COVER >= cover * 0.999:
                 return radius if area is not None else None
-            radius *= min(max(math.sqrt(cover / (COVERED * area)), 1.01), 8.0) if area > 0 else 8.0
+            radius *= min(max(math.sqrt(cover / (MAX_RANDOM_COVER * area)), 1.01), 8.0) if area > 0 else 8.0
         return None
 
     def fits_on_all_sides(self, cover: float) -> bool:
@@ -83,10 +83,10 @@ class StartPlaces:
         place = self.place
         if self.given or place.by_area or not place.on or any((place.inside, place.density, place.around, place.radius)):
             return False
-        wider = StartPlaces(self._world, replace(self._crowd, place=replace(place, by_area=True))).area()
-        return wider is not None and wider * COVERED >= cover
+        wider = StartPositionSampler(self._world, replace(self._crowd, place=replace(place, by_area=True))).area()
+        return wider is not None and wider * MAX_RANDOM_COVER >= cover
 
-    def draw(self, ids: Ids, tries: range) -> DrawnPlaces:
+    def draw(self, ids: Ids, tries: range) -> StartPositionDraws:
         """Places for agents: those of the first try, then those of the next."""
         world, place = self._world, self.place
         if place.inside is not None and world.ground.meshes is not None:
@@ -96,11 +96,11 @@ class StartPlaces:
         points = np.concatenate([self._target_points(ids, attempt) for attempt in tries])
         if self.given and place.by_area:
             footing, has_ground = world.ground.nearest(points, place.on or None)[0], np.ones(len(points), np.bool_)
-            return DrawnPlaces(footing, world.ground.position(footing), world.ground.normal(footing), has_ground)
+            return StartPositionDraws(footing, world.ground.position(footing), world.ground.normal(footing), has_ground)
         footing, has_ground = world.ground.place(points, world.up, place.on or None)
         at = world.ground.position(footing)
         up = np.array(np.broadcast_to(world.up, at.shape))
-        return DrawnPlaces(footing, at, up, has_ground & ~is_inside_obstacle(world, at) if not self.given else has_ground)
+        return StartPositionDraws(footing, at, up, has_ground & ~is_inside_obstacle(world, at) if not self.given else has_ground)
 
     def _draw_uniform(self, ids: Ids, index: int, site: str = "place") -> NDArray[np.float32]:
         seed = self._world.setting.seed if self.place.seed is None else self.place.seed
@@ -114,8 +114,8 @@ class StartPlaces:
         u, v, w = (self._draw_uniform(ids, 4 * attempt + k) for k in range(3))
         if place.around is not None or not self._grounds:
             middle = np.zeros(3) if place.around is None else np.asarray(place.around, np.float64) - world.origin
-            radius = _DISC if place.radius is None else place.radius
-            away, angle = np.sqrt(u).astype(np.float64) * radius, v * TURN
+            radius = _DEFAULT_DISC_RADIUS_MM if place.radius is None else place.radius
+            away, angle = np.sqrt(u).astype(np.float64) * radius, v * FULL_TURN
             up = vec.columns(np.broadcast_to(world.up, (len(ids), 3)), np.float64)
             side = vec.any_perpendicular(up)
             ahead = vec.cross(up, side)
@@ -127,14 +127,14 @@ class StartPlaces:
             return self._dense.points(u, v, w, self._draw_uniform(ids, 4 * attempt + 3))[3]
         return _points_on_faces([self._grounds[name] for name in self._on], u, v, w) - world.origin
 
-    def _draw_by_area(self, faces: FaceArea, ids: Ids, tries: range) -> DrawnPlaces:
+    def _draw_by_area(self, faces: FaceArea, ids: Ids, tries: range) -> StartPositionDraws:
         """Return places spread evenly over faces of any orientation, with up along their normals."""
         draws = [np.concatenate([self._draw_uniform(ids, 4 * attempt + k) for attempt in tries]) for k in range(4)]
         footing, up, can_stand = faces.at(*draws)
         at = self._world.ground.position(footing)
-        return DrawnPlaces(footing, at, up, can_stand & ~is_inside_obstacle(self._world, at))
+        return StartPositionDraws(footing, at, up, can_stand & ~is_inside_obstacle(self._world, at))
 
-    def _draw_by_rays(self, start: Floats, ids: Ids, tries: range) -> DrawnPlaces:
+    def _draw_by_rays(self, start: Floats, ids: Ids, tries: range) -> StartPositionDraws:
         """Return the first hits of rays from a place in drawn directions, with ups towards the place. A ray that hits no mesh, or
         one not in `on`, gives no place: the surface nearest to its start."""
         world, meshes = self._world, self._world.ground.meshes
@@ -143,7 +143,7 @@ class StartPlaces:
         far = meshes.extent * 1.8 + float(np.abs(start - (meshes.low + meshes.high) / 2).max())
         u, v = (np.concatenate([self._draw_uniform(ids, 2 * attempt + k, "inside") for attempt in tries]) for k in range(2))
         height = 1.0 - 2.0 * u.astype(np.float64)  # even over a ball, by a theorem of Archimedes
-        flat, angle = np.sqrt(np.maximum(1.0 - height * height, 0.0)), v * TURN
+        flat, angle = np.sqrt(np.maximum(1.0 - height * height, 0.0)), v * FULL_TURN
         directions = np.stack([flat * elementary.cos(angle), height, flat * elementary.sin(angle)], axis=1)
         begin = np.broadcast_to(start, directions.shape)
         has_hit, part, footing = meshes.trace_hits(begin, directions * far)
@@ -152,7 +152,7 @@ class StartPlaces:
         good &= ~is_inside_obstacle(world, at)
         standing = world.ground.nearest(at)[0]
         up = np.where(good[:, None], -directions, world.up)
-        return DrawnPlaces(standing, world.ground.position(standing), up, good)
+        return StartPositionDraws(standing, world.ground.position(standing), up, good)
 
 
 def _points_on_faces(meshes: list[MeshData], u: NDArray[np.float32], v: NDArray[np.float32], w: NDArray[np.float32]) -> Floats:

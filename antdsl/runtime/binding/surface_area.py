@@ -11,14 +11,14 @@ from antdsl.casting.faces import nearest_on_triangle
 from antdsl.ground.protocol import Flags, Floats, Footing
 from antdsl.numerics import vectors as vec
 from antdsl.runtime.world import World
-from antdsl.scene.setting import Point
+from antdsl.scene.setting import PointMm
 
-_BURIED = 0.05  # voxels below a solid's surface: no ground to stand on
-_HALVINGS = 24  # of the edges of faces that reach out of a ball
-_THIN = 64.0  # square of the longest edge over twice the area, from where on a triangle is thin
-_CORNERS = np.array([[[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]]])
+_MAX_BURIED_VOXELS = 0.05  # voxels below a solid's surface: no ground to stand on
+_EDGE_BISECTIONS = 24  # of the edges of faces that reach out of a ball
+_THIN_TRIANGLE_RATIO = 64.0  # square of the longest edge over twice the area, from where on a triangle is thin
+_CORNER_WEIGHTS = np.array([[[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]]])
 # The four triangles that the middles of the edges make, by the corners 0 1 2 and the middles 3 (of 0 1), 4 (of 1 2), 5 (of 2 0).
-_QUARTERS = np.array([[0, 3, 5], [3, 1, 4], [5, 4, 2], [3, 4, 5]])
+_QUARTER_CORNERS = np.array([[0, 3, 5], [3, 1, 4], [5, 4, 2], [3, 4, 5]])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -88,17 +88,17 @@ class FaceArea:
                 can_stand[rows] &= landed.mesh == first + k
                 up[rows] = ground.normal(landed)
             on_meshes = on_mesh.mesh < first
-            can_stand[on_meshes] &= volume.sample(place[on_meshes]) >= -_BURIED * volume.voxel
+            can_stand[on_meshes] &= volume.sample(place[on_meshes]) >= -_MAX_BURIED_VOXELS * volume.voxel
         return footing, up, can_stand
 
 
-def areas(world: World, on: tuple[str, ...], density: str | None, around: Point | None, radius: float | None) -> FaceArea:
+def areas(world: World, on: tuple[str, ...], density: str | None, around: PointMm | None, radius: float | None) -> FaceArea:
     """Return the faces of some surfaces and solids in their current position, within a ball and with the density of a map, if
     given.
 
     A ball that meets no face is enlarged until it extends its original radius beyond the nearest face."""
     mesh, local, corner, edge1, edge2, weight = _faces(world, on, density)
-    face, weights = np.arange(len(mesh)), np.broadcast_to(_CORNERS, (len(mesh), 3, 2))
+    face, weights = np.arange(len(mesh)), np.broadcast_to(_CORNER_WEIGHTS, (len(mesh), 3, 2))
     ball = None
     if around is not None and radius is not None and len(mesh):
         middle = np.asarray(around, np.float64) - world.origin
@@ -117,13 +117,13 @@ def areas(world: World, on: tuple[str, ...], density: str | None, around: Point 
     return FaceArea(world, mesh, local, corner, edge1, edge2, face, weights, cumulative, total, ball)
 
 
-_Faces = tuple[NDArray[np.int32], NDArray[np.int32], Floats, Floats, Floats, Floats]
+_FaceArrays = tuple[NDArray[np.int32], NDArray[np.int32], Floats, Floats, Floats, Floats]
 
 
-def _faces(world: World, on: tuple[str, ...], density: str | None) -> _Faces:
+def _faces(world: World, on: tuple[str, ...], density: str | None) -> _FaceArrays:
     """Mesh, number in it, corner, two edges and density at the corners (k, 3), of all live faces of some surfaces and solids."""
     ground = world.ground.meshes
-    face_groups: list[_Faces] = []
+    face_groups: list[_FaceArrays] = []
     if ground is not None:
         _, _, mesh, table = ground.triangles
         rows = np.flatnonzero(table.live & np.isin(mesh, [k for k, name in enumerate(ground.names) if name in on]))
@@ -150,14 +150,14 @@ def _faces_within(ball: tuple[Floats, float], corner: Floats, edge1: Floats, edg
     """Return triangles that cover the part of the faces in a ball: faces (m) and weights (m, 3, 2) of their corners. A triangle
     that reaches outside is cut into four while it is larger than half the radius."""
     middle, radius = ball
-    face, weights = np.arange(len(corner)), np.broadcast_to(_CORNERS, (len(corner), 3, 2))
+    face, weights = np.arange(len(corner)), np.broadcast_to(_CORNER_WEIGHTS, (len(corner), 3, 2))
     pieces: list[tuple[NDArray[np.int64], Floats]] = []
-    for step in range(_HALVINGS):
+    for step in range(_EDGE_BISECTIONS):
         at = corner[face][:, None] + weights[:, :, :1] * edge1[face][:, None] + weights[:, :, 1:] * edge2[face][:, None]
         centre = at.mean(axis=1)
         reach = np.sqrt(((at - centre[:, None]) ** 2).sum(axis=2).max(axis=1))
         near = np.sqrt(((centre - middle) ** 2).sum(axis=1)) <= reach + radius
-        small = near & ((reach <= radius / 4) | (step == _HALVINGS - 1))
+        small = near & ((reach <= radius / 4) | (step == _EDGE_BISECTIONS - 1))
         pieces.append((face[small], weights[small]))
         large = near & ~small
         face, weights = face[large], weights[large]
@@ -173,9 +173,9 @@ def _cut_triangles(face: NDArray[np.int64], weights: Floats, at: Floats) -> tupl
     cut into two at the midpoint of the longest edge: ever more of their quarters would lie in the ball."""
     sides = ((np.roll(at, -1, axis=1) - at) ** 2).sum(axis=2)
     across = np.cross(at[:, 1] - at[:, 0], at[:, 2] - at[:, 0])
-    thin = sides.max(axis=1) > _THIN * np.sqrt((across * across).sum(axis=1))
+    thin = sides.max(axis=1) > _THIN_TRIANGLE_RATIO * np.sqrt((across * across).sum(axis=1))
     middles = (weights + np.roll(weights, -1, axis=1)) / 2
-    quarters = np.concatenate([weights, middles], axis=1)[~thin][:, _QUARTERS].reshape(-1, 3, 2)
+    quarters = np.concatenate([weights, middles], axis=1)[~thin][:, _QUARTER_CORNERS].reshape(-1, 3, 2)
     row, first = np.flatnonzero(thin), sides[thin].argmax(axis=1)
     one, two, three = (weights[row, (first + k) % 3] for k in range(3))
     middle = middles[row, first]

@@ -10,15 +10,15 @@ import numpy as np
 from antdsl import limits
 from antdsl.fields.face_points import Floats, LatticeTooFine, count_slots, edge_pieces
 from antdsl.scene.geometry.meshes import mesh_area
-from antdsl.scene.setting import MeshData, Painted, Setting
+from antdsl.scene.setting import MeshData, PaintedValues, WorldSetting
 
-_FACE = 200  # bytes of a face with its vertices, links, normals and tree
-_VOXEL = 8  # of a distance, and of what a voxel is
-_CELL = 48  # of a field: two float32, its place, its neighbours
-_POINT = 64  # of a flow: a place and a vector in float64, its cost
+_BYTES_PER_FACE = 200  # bytes of a face with its vertices, links, normals and tree
+_BYTES_PER_VOXEL = 8  # of a distance, and of what a voxel is
+_BYTES_PER_CELL = 48  # of a field: two float32, its place, its neighbours
+_BYTES_PER_FLOW_POINT = 64  # of a flow: a place and a vector in float64, its cost
 # Measured with wandering agents far from one another, as the peak of a process with 20,000 and with 120,000 of them.
-_AGENT = 600  # of an agent, whatever its species: a footing, the results of walking, grids, its row of a frame
-_LEG = 550  # of a leg that walks
+_BYTES_PER_AGENT = 600  # of an agent, whatever its species: a footing, the results of walking, grids, its row of a frame
+_BYTES_PER_LEG = 550  # of a leg that walks
 
 
 class WorkEstimate(NamedTuple):
@@ -31,7 +31,7 @@ class WorkEstimate(NamedTuple):
 
 
 def world_work(
-    setting: Setting, fields: Mapping[str, tuple[tuple[str, ...], float]], agent_bytes: Mapping[str, int]
+    setting: WorldSetting, fields: Mapping[str, tuple[tuple[str, ...], float]], agent_bytes: Mapping[str, int]
 ) -> list[WorkEstimate]:
     """The work for each thing of a setting. `fields`: by name their surfaces and the edge (mm) of their cells; `agent_bytes`: the
     registers of one agent of each species, which a step has twice. Pairs of neighbours and contacts are not counted."""
@@ -47,36 +47,36 @@ def _make_estimate(thing: str, count: float, parts: str, each: int) -> WorkEstim
     return WorkEstimate(thing, _saturate(count), parts, _saturate(count * each))
 
 
-def _meshes(setting: Setting) -> Iterator[WorkEstimate]:
+def _meshes(setting: WorldSetting) -> Iterator[WorkEstimate]:
     for kind, meshes in (("surface", setting.surfaces), ("obstacle", setting.obstacles)):
         for name, mesh in meshes.items():
-            yield _make_estimate(f"{kind} {name}", len(mesh.faces), "faces", _FACE)
+            yield _make_estimate(f"{kind} {name}", len(mesh.faces), "faces", _BYTES_PER_FACE)
     for name, solid in setting.solids.items():
         across = np.ptp(solid.mesh.vertices, axis=0) / solid.voxel + 1 if len(solid.mesh.vertices) else np.zeros(3)
-        yield _make_estimate(f"solid {name}", float(np.prod(across)), "voxels at most", _VOXEL)
+        yield _make_estimate(f"solid {name}", float(np.prod(across)), "voxels at most", _BYTES_PER_VOXEL)
 
 
-def _fields(setting: Setting, fields: Mapping[str, tuple[tuple[str, ...], float]]) -> Iterator[WorkEstimate]:
+def _fields(setting: WorldSetting, fields: Mapping[str, tuple[tuple[str, ...], float]]) -> Iterator[WorkEstimate]:
     for name, (surfaces, edge) in fields.items():
         area = sum(mesh_area(setting.surfaces[each]) for each in surfaces if each in setting.surfaces)
-        yield _make_estimate(f"field {name}", area / edge / edge, "cells at least", _CELL)
+        yield _make_estimate(f"field {name}", area / edge / edge, "cells at least", _BYTES_PER_CELL)
 
 
-def _flows(setting: Setting) -> Iterator[WorkEstimate]:
+def _flows(setting: WorldSetting) -> Iterator[WorkEstimate]:
     longest = {name: _longest_edges(mesh) for name, mesh in setting.surfaces.items()} if setting.flows else {}
     extent = _extent(setting)
     for name, flow in setting.flows.items():
-        if isinstance(flow, Painted) or not longest:
+        if isinstance(flow, PaintedValues) or not longest:
             continue
         edges = np.concatenate([each if not flow.on or of in flow.on else np.zeros_like(each) for of, each in longest.items()])
         try:
             count = count_slots(edge_pieces(flow, edges, extent))
         except LatticeTooFine:  # which binding refuses
-            count = limits.FLOW_POINTS
-        yield _make_estimate(f"flow {name}", count, "points at most", _POINT)
+            count = limits.MAX_FLOW_POINTS
+        yield _make_estimate(f"flow {name}", count, "points at most", _BYTES_PER_FLOW_POINT)
 
 
-def _extent(setting: Setting) -> float:
+def _extent(setting: WorldSetting) -> float:
     """The longest side (mm) of the box around all surfaces."""
     boxes = [[mesh.vertices.min(axis=0), mesh.vertices.max(axis=0)] for mesh in setting.surfaces.values() if len(mesh.vertices)]
     corners = np.concatenate(boxes) if boxes else np.zeros((1, 3))
@@ -90,10 +90,12 @@ def _longest_edges(mesh: MeshData) -> Floats:
     return longest
 
 
-def _agents(setting: Setting, agent_bytes: Mapping[str, int]) -> Iterator[WorkEstimate]:
+def _agents(setting: WorldSetting, agent_bytes: Mapping[str, int]) -> Iterator[WorkEstimate]:
     counts: dict[str, int] = {}
     for crowd in setting.crowds:
         counts[crowd.species] = counts.get(crowd.species, 0) + crowd.count
     for name, count in counts.items():
         legs = len(setting.legs[name].length) if name in setting.legs else 0
-        yield _make_estimate(f"species {name}", count, "agents", 2 * agent_bytes.get(name, 0) + _AGENT + _LEG * legs)
+        yield _make_estimate(
+            f"species {name}", count, "agents", 2 * agent_bytes.get(name, 0) + _BYTES_PER_AGENT + _BYTES_PER_LEG * legs
+        )

@@ -31,7 +31,7 @@ def place_bodies(population: Population, buffer_name: str, threads: int) -> NDAr
     if n:
         columns = vec.vector_registers(now, "heading"), vec.vector_registers(now, "up"), now["size"]
         work = partial(_place_bodies, np.ascontiguousarray(population.position.T), *columns, bodies)
-        parallel.in_parts(work, n, threads, parallel.LIGHT)
+        parallel.in_parts(work, n, threads, parallel.MIN_LIGHT_ITEMS_PER_THREAD)
     return bodies
 
 

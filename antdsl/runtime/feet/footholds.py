@@ -8,10 +8,10 @@ from typing import Any
 
 import numpy as np
 
-from antdsl.casting.grid_rays import Grid, first_hit, prefetch_rays
+from antdsl.casting.grid_rays import GridTables, first_hit, prefetch_rays
 from antdsl.casting.nearest_faces import nearest_face
 from antdsl.casting.ray_walks import Rings, fetch_start, walked_hit
-from antdsl.casting.tolerances import FURTHER, RINGS, UNSURE
+from antdsl.casting.tolerances import FACE_BEYOND_GRID, MAX_SEARCH_RINGS, NEAREST_UNKNOWN
 from antdsl.machine_code.kernels import independent, inlined, kernel, scratch
 from antdsl.machine_code.kernels.types import BOOL, F32, F64, I16, I32, I64, U8, Array1, Array2, Array3
 from antdsl.numerics.kernel_vectors import dot, minus, of, plus, put_vector
@@ -87,7 +87,7 @@ def aim(
 
 @kernel
 def cast(
-    grid: Grid,
+    grid: GridTables,
     rings: Rings,
     box: tuple[Array1[F64], Array1[F64]],
     number: I64,
@@ -122,7 +122,7 @@ def cast(
                 if starts[k] >> FACE_BITS == number:
                     a, w = of(origins, k), of(displacements, k)
                     t, named = walked_hit(grid, rings, starts[k] & FACE, minus(a, zero), w)
-                    if named != UNSURE:
+                    if named != NEAREST_UNKNOWN:
                         rays[k - low] = 0
                     if named >= 0:
                         starts[k] = number << FACE_BITS | named
@@ -135,7 +135,7 @@ def cast(
             ray = rays[n]
             a, w = of(origins, ray), of(displacements, ray)
             t, named = first_hit(grid, minus(a, zero), w)
-            if named == FURTHER:
+            if named == FACE_BEYOND_GRID:
                 far[begin + count] = ray
                 count += 1
             elif named >= 0:
@@ -145,7 +145,7 @@ def cast(
 
 @kernel
 def find_nearest(
-    grid: Grid,
+    grid: GridTables,
     box: tuple[Array1[F64], Array1[F64]],
     number: I64,
     points: Array2[F64],
@@ -164,7 +164,7 @@ def find_nearest(
         point, most, inside = of(points, k), reach[k], True
         for axis in range(3):
             inside = inside and point[axis] - most <= high[axis] and point[axis] + most >= low[axis]
-        if inside and most > RINGS * shape[3]:
+        if inside and most > MAX_SEARCH_RINGS * shape[3]:
             far[begin + count] = k
             count += 1
         elif inside:

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl.casting.rays import RayScene
-from antdsl.ground.plane import Plane
+from antdsl.ground.plane import PlaneGround
 from antdsl.ground.solid_feelers import SolidFeelers
 from antdsl.numerics import parallel
 from antdsl.numerics import vectors as vec
@@ -101,7 +101,7 @@ class FootGround:
         most are expected to end on what bodies walk on, so that Open3D need not test first which do. Neither changes an
         answer."""
         hits, threads = GroundHits.none(origin.shape[1]), world.options.threads
-        if isinstance(world.ground, Plane):
+        if isinstance(world.ground, PlaneGround):
             _cast_on_plane(world, origin, displacement, hits)
         for k, name in enumerate(self.names):
             obstacle = world.obstacles.get(name)

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
 from antdsl.numerics.records import match_ids
-from antdsl.numerics.row_hash import RowHash, describe_columns
+from antdsl.numerics.row_hash import RowHasher, describe_columns
 from antdsl.numerics.sorting import stable_order
 from antdsl.program.tables.columns import FEET
 
@@ -75,8 +75,7 @@ class Feet:
     # What the feet of this step went over the ground, float32[2, n, L], ahead and aside in body lengths; None between steps.
     covered: NDArray[np.float32] | None = field(default=None)
     stood: NDArray[np.float64] | None = field(default=None)  # where bodies were before the ground went on, float64[3, n], NaN: no
-    rows: RowHash = field(default_factory=RowHash)  # of arrays that mostly stay where they are in memory
-    _ranks: NDArray[np.int32] | None = field(default=None, init=False)
+    rows: RowHasher = field(default_factory=RowHasher)  # of arrays that mostly stay where they are in memory
     _ranks: NDArray[np.int32] | None = field(default=None, init=False)
 
     @staticmethod
@@ -149,7 +148,8 @@ def _pick_rows(name: str, array: Array | None, at: NDArray[np.intp], new: NDArra
     else:
         picked = array.take(at, axis=axis)
     if new.size:
-        picked[(*(slice(None),) * axis, new)] = np.nan if name == "stood" else 0
+        rows: tuple[Any, ...] = (slice(None),) * axis
+        picked[(*rows, new)] = np.nan if name == "stood" else 0
     return picked
 
 

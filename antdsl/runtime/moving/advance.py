@@ -22,43 +22,43 @@ from numpy.typing import NDArray
 from antdsl.ground.mesh import walk as loop
 from antdsl.ground.mesh.surface import MeshGround
 from antdsl.ground.mesh.walk_events import CrowdWalk, WaitingAgents
-from antdsl.ground.mesh.walkers import Moved, Placed
-from antdsl.ground.plane import Plane
-from antdsl.ground.protocol import Footing, Ground, Move
+from antdsl.ground.mesh.walkers import FootingArrays, PoseArrays
+from antdsl.ground.plane import PlaneGround
+from antdsl.ground.protocol import Footing, Ground, GroundMove
 from antdsl.numerics import parallel
 from antdsl.numerics import vectors as vec
-from antdsl.numerics.vectors import Columns, Vector
+from antdsl.numerics.vectors import VectorArrays, VectorComponents
 from antdsl.runtime.moving.falling import limit_fall
-from antdsl.runtime.moving.heads import RAISED
+from antdsl.runtime.moving.heads import MIN_BODY_HEIGHT_SHARE
 from antdsl.runtime.moving.obstacles import slide, slow_velocities
 from antdsl.runtime.moving.orienting import orient_bodies
 from antdsl.runtime.moving.rises import find_walls
-from antdsl.runtime.moving.strides import Held, Outset, prepare_steps, walk_plane, walk_triangles
-from antdsl.runtime.moving.tilting import Posture, TurnLimits, follow_ground, limit_pace
+from antdsl.runtime.moving.strides import IntendedMotion, WaitingWalks, prepare_steps, walk_plane, walk_triangles
+from antdsl.runtime.moving.tilting import BodyPosture, TurnLimits, follow_ground, limit_pace
 from antdsl.runtime.moving.velocities import (
-    AT_ONCE,
-    FACE,
-    STANDS,
-    Abilities,
-    Arrival,
-    Bodies,
-    Drives,
-    Facing,
-    Limits,
+    FACE_REGISTER,
+    KINEMATIC_STEPS,
+    STANDING_STATE,
+    AgentAbilities,
+    AgentDrives,
+    ArrivalArrays,
+    ArrivalBodies,
+    ArrivalLimits,
+    ArrivalTimes,
+    GazeDirections,
+    MotionRegisters,
     PushTimes,
-    Registers,
-    Times,
-    Walked,
+    WalkedPoses,
     arrive_rows,
     share,
 )
 from antdsl.runtime.moving.walks import find_walkers, lead_walkers, walks_by_line
 from antdsl.runtime.world import Population, World
 
-LEAST = "min_speed"  # a register of those species alone that ask for it
+MIN_SPEED_REGISTER = "min_speed"  # a register of those species alone that ask for it
 _F = np.float32
-_ON_FACES = itemgetter("mesh", "face", "b1", "b2", "over")  # columns of footings, as kernels read them
-_ARRIVING = 64  # agents with separate arrival from which a thread pays off
+_FACE_COLUMNS = itemgetter("mesh", "face", "b1", "b2", "over")  # columns of footings, as kernels read them
+_ARRIVALS_PER_THREAD = 64  # agents with separate arrival from which a thread pays off
 
 
 def move_agents(world: World, population: Population, substep: int) -> None:
@@ -67,7 +67,7 @@ def move_agents(world: World, population: Population, substep: int) -> None:
         return
     dt = _F(world.dt / world.setting.substeps)
     others = world.setting.orient != "normal"
-    crowd = _Crowd.of(world, population, dt, others)
+    crowd = _CrowdStep.of(world, population, dt, others)
     previous_pose = (vec.copy(crowd.registers[1]), vec.copy(crowd.registers[3]), population.normal) if others else None
     crowd.prepare_steps(substep)
     crowd.bend_at_obstacles()
@@ -80,16 +80,26 @@ def move_agents(world: World, population: Population, substep: int) -> None:
     crowd.walk(world.ground)
     if previous_pose is not None:
         orient_bodies(world, population, *previous_pose)
-    previous, limits = Posture(*crowd.previous_axes, came_from), TurnLimits(crowd.most, population.now["max_turn"], dt)
+    previous, limits = BodyPosture(*crowd.previous_axes, came_from), TurnLimits(crowd.most, population.now["max_turn"], dt)
     (rows,) = population.get_buffers("following", 1, (n,), np.int64)
     work = partial(
-        follow_ground, crowd.state, previous, population.position, limits, tuple(walls), half, RAISED, up, heading, rows
+        follow_ground,
+        crowd.state,
+        previous,
+        population.position,
+        limits,
+        tuple(walls),
+        half,
+        MIN_BODY_HEIGHT_SHARE,
+        up,
+        heading,
+        rows,
     )
     parallel.in_parts(work, n, threads)
 
 
 @dataclass(slots=True)
-class _Crowd:
+class _CrowdStep:
     """A crowd on its way for `dt` of `frame_time` seconds: its registers position, velocity, heading and up, and the results of
     kernels, see `strides`. `previous_axes`: buffers for the previous up and heading of agents that must follow their feet
     afterwards. With `everyone`, all agents are such."""
@@ -99,11 +109,11 @@ class _Crowd:
     dt: np.float32
     frame_time: np.float32
     everyone: bool
-    registers: tuple[Vector, Vector, Vector, Vector]
-    velocity: Vector
-    step: Vector
-    looking: Vector
-    previous_axes: tuple[Vector, Vector]
+    registers: tuple[VectorArrays, VectorArrays, VectorArrays, VectorArrays]
+    velocity: VectorArrays
+    step: VectorArrays
+    looking: VectorArrays
+    previous_axes: tuple[VectorArrays, VectorArrays]
     long: NDArray[np.float32]
     most: NDArray[np.float32]
     reach: NDArray[np.float64]
@@ -112,7 +122,7 @@ class _Crowd:
     widest: float = nan  # size (mm) that is a number
 
     @staticmethod
-    def of(world: World, population: Population, dt: np.float32, everyone: bool) -> _Crowd:
+    def of(world: World, population: Population, dt: np.float32, everyone: bool) -> _CrowdStep:
         """A crowd before it sets out."""
         now, n = population.now, len(population)
         buffer = population.get_buffers("on the way", 17, (n,), np.float32)
@@ -123,7 +133,7 @@ class _Crowd:
         registers = tuple(vec.vector_registers(now, name) for name in ("position", "velocity", "heading", "up"))
         velocity, step, looking, up, heading = (buffer[k : k + 3] for k in range(0, 15, 3))
         columns = (registers, velocity, step, looking, (up, heading), *buffer[15:], reach, state)
-        return _Crowd(world, population, dt, _F(world.dt), everyone, *columns)  # type: ignore[arg-type]
+        return _CrowdStep(world, population, dt, _F(world.dt), everyone, *columns)  # type: ignore[arg-type]
 
     @property
     def threads(self) -> int:
@@ -132,14 +142,14 @@ class _Crowd:
     def prepare_steps(self, substep: int) -> None:
         """Compute the intended motion of all agents, without obstacles."""
         p, now, frame_time = self.population, self.population.now, self.frame_time
-        drive = Drives(vec.vector_registers(now, "push"), *self.registers[1:], p.normal)
-        abilities = Abilities(now["max_speed"], now["max_force"], now["mass"], now["response"], now["max_turn"])
-        keeps = LEAST in now
-        least = now[LEAST] if keeps else now["max_speed"]
-        times = PushTimes(frame_time * AT_ONCE, frame_time if substep == 0 else _F(0), self.dt)
-        outset = Outset(self.velocity, self.step, self.looking, self.long, self.most, self.reach, self.state)
+        drive = AgentDrives(vec.vector_registers(now, "push"), *self.registers[1:], p.normal)
+        abilities = AgentAbilities(now["max_speed"], now["max_force"], now["mass"], now["response"], now["max_turn"])
+        keeps = MIN_SPEED_REGISTER in now
+        least = now[MIN_SPEED_REGISTER] if keeps else now["max_speed"]
+        times = PushTimes(frame_time * KINEMATIC_STEPS, frame_time if substep == 0 else _F(0), self.dt)
+        outset = IntendedMotion(self.velocity, self.step, self.looking, self.long, self.most, self.reach, self.state)
         work = partial(prepare_steps, drive, abilities, keeps, least, now["size"], p.quarantined, times, outset)
-        results = parallel.in_parts(work, len(p), self.threads, parallel.LIGHT)
+        results = parallel.in_parts(work, len(p), self.threads, parallel.MIN_LIGHT_ITEMS_PER_THREAD)
         self.longest, self.widest = results[0] if len(results) == 1 else map(max, zip(*results, strict=True))
         if self.widest == -inf:
             self.widest = nan
@@ -160,31 +170,33 @@ class _Crowd:
         step = keep_least_speed(world, p, slide(world, p, intended_step, up, p.now["radius"]), up, self.dt)
         if step is not intended_step:
             work = partial(slow_velocities, intended_step, step, self.velocity, _F(1) / self.dt)
-            parallel.in_parts(work, len(p), self.threads, parallel.LIGHT)
+            parallel.in_parts(work, len(p), self.threads, parallel.MIN_LIGHT_ITEMS_PER_THREAD)
             self.step = step
 
     def walk(self, ground: Ground) -> None:
         """Walk over a ground to new positions, and update the agents there."""
         now = self.population.now
-        limits = Limits(now["max_speed"], now["max_turn"], now["response"])
-        times = Times(self.frame_time * AT_ONCE, self.dt, share(self.dt))
-        facing = Facing(FACE in now, vec.vector_registers(now, "~face") if FACE in now else self.registers[1], self.everyone)
-        bodies, registers = Bodies(self.most, self.state, *self.previous_axes), Registers._make(self.registers)
+        limits = ArrivalLimits(now["max_speed"], now["max_turn"], now["response"])
+        times = ArrivalTimes(self.frame_time * KINEMATIC_STEPS, self.dt, share(self.dt))
+        facing = GazeDirections(
+            FACE_REGISTER in now, vec.vector_registers(now, "~face") if FACE_REGISTER in now else self.registers[1], self.everyone
+        )
+        bodies, registers = ArrivalBodies(self.most, self.state, *self.previous_axes), MotionRegisters._make(self.registers)
         normals, old = np.empty((len(self.population), 3), np.float32), self.population.position
-        arrival = Arrival(old, self.step, self.velocity, limits, bodies, times, facing, registers, normals)
-        if isinstance(ground, Plane):
+        arrival = ArrivalArrays(old, self.step, self.velocity, limits, bodies, times, facing, registers, normals)
+        if isinstance(ground, PlaneGround):
             self._walk_plane(ground, arrival)
         elif not isinstance(ground, MeshGround) or not self._walk_meshes(ground, arrival):
             self._walk_ground(ground, arrival)
 
-    def _walk_plane(self, plane: Plane, arrival: Arrival) -> None:
+    def _walk_plane(self, plane: PlaneGround, arrival: ArrivalArrays) -> None:
         p, n = self.population, len(self.population)
         place = np.empty((n, 3))
         work = partial(walk_plane, plane.up, self.looking, arrival._replace(old=p.footing.point), place)
         parallel.in_parts(work, n, self.threads)
         p.footing, p.position, p.normal = Footing.on_plane(place), place, arrival.normals
 
-    def _walk_meshes(self, ground: MeshGround, arrival: Arrival) -> bool:
+    def _walk_meshes(self, ground: MeshGround, arrival: ArrivalArrays) -> bool:
         """Walk over the triangles of the ground. Returns False if it is not made of triangles."""
         p, n = self.population, len(self.population)
         walk = ground.crowd_walk(self.longest, self.widest)
@@ -192,14 +204,14 @@ class _Crowd:
             return False
         tables = walk.tables()
         to = Footing.on_faces(np.empty(n, np.int32), np.empty(n, np.int32), *np.empty((3, n)))
-        at, placed = Placed._make(_ON_FACES(p.footing.columns)), Placed._make(_ON_FACES(to.columns))
+        at, placed = FootingArrays._make(_FACE_COLUMNS(p.footing.columns)), FootingArrays._make(_FACE_COLUMNS(to.columns))
         place = np.empty((3, n))
         (how,) = p.get_buffers("how", 1, (n,), np.uint8)
         (reals,), (wholes,) = (
-            p.get_buffers("reals", 1, (loop.REALS, n), np.float64),
-            p.get_buffers("wholes", 1, (loop.WHOLES, n), np.int64),
+            p.get_buffers("reals", 1, (loop.FLOAT_ROW_COUNT, n), np.float64),
+            p.get_buffers("wholes", 1, (loop.INTEGER_ROW_COUNT, n), np.int64),
         )
-        stride_inputs, held = (at, p.now["size"], p.normal, self.looking), Held(reals, wholes, how)
+        stride_inputs, held = (at, p.now["size"], p.normal, self.looking), WaitingWalks(reals, wholes, how)
         work = partial(walk_triangles, *tables, *stride_inputs, arrival, held, placed, place)
         parts = parallel.in_parts(work, n, self.threads)
         if any([waiting or left for _, waiting, left in parts]):
@@ -210,7 +222,7 @@ class _Crowd:
     def _walk_waiting(
         self,
         ground: MeshGround,
-        arrival: Arrival,
+        arrival: ArrivalArrays,
         walk: CrowdWalk,
         waiting: WaitingAgents,
         to: Footing,
@@ -222,46 +234,51 @@ class _Crowd:
         p, n = self.population, len(self.population)
         above, ahead, direction = p.get_buffers("walked", 3, (3, n), np.float64)
         (distance,), (blocked,) = p.get_buffers("gone", 1, (n,), np.float64), p.get_buffers("blocked", 1, (n,), np.bool_)
-        placed, moved = Placed._make(_ON_FACES(to.columns)), Moved(place, above, ahead, direction, distance)
+        placed, moved = FootingArrays._make(_FACE_COLUMNS(to.columns)), PoseArrays(place, above, ahead, direction, distance)
         rows = walk.continue_waiting(waiting, how, placed, moved, blocked, self.threads)
         if waiting.left:
-            others = np.flatnonzero(how != loop.ENDS)
-            result = Move(to, place.T, above.T, ahead.T, direction.T, distance, blocked, np.zeros(n, np.bool_))
+            others = np.flatnonzero(how != loop.FINISHED_STATUS)
+            result = GroundMove(to, place.T, above.T, ahead.T, direction.T, distance, blocked, np.zeros(n, np.bool_))
             result.put(others, self._move_rows(ground, others))
             rows = np.union1d(rows, others)
         if len(rows):
-            self._arrive(rows, Walked(place, above, ahead, direction, blocked), arrival)
+            self._arrive(rows, WalkedPoses(place, above, ahead, direction, blocked), arrival)
 
-    def _walk_ground(self, ground: Ground, arrival: Arrival) -> None:
+    def _walk_ground(self, ground: Ground, arrival: ArrivalArrays) -> None:
         p, rows = self.population, np.arange(len(self.population))
         moved = self._move_rows(ground, slice(None))
         if self.world.solids:
             moved = limit_fall(self.world, p, moved, self.dt)
-        walked = Walked(moved.position.T, moved.up.T, moved.heading.T, moved.direction.T, moved.blocked)
+        walked = WalkedPoses(moved.position.T, moved.up.T, moved.heading.T, moved.direction.T, moved.blocked)
         self._arrive(rows, walked, arrival)
         p.footing, p.position, p.normal = moved.footing, moved.position, arrival.normals
 
-    def _move_rows(self, ground: Ground, rows: NDArray[np.intp] | slice) -> Move:
+    def _move_rows(self, ground: Ground, rows: NDArray[np.intp] | slice) -> GroundMove:
         """Where a ground moves some agents."""
         p = self.population
-        stands = self.state[rows] == STANDS
+        stands = self.state[rows] == STANDING_STATE
         heading = vec.choose(stands, vec.take(self.registers[2], rows), vec.take(self.looking, rows))
         vectors = vec.rows(vec.take(self.step, rows)), vec.rows(heading), p.normal[rows].astype(np.float64)
         size = p.now["size"][rows].astype(np.float64)
         return ground.move(p.footing.take(rows), *vectors, size, self.threads)
 
-    def _arrive(self, rows: NDArray[np.intp], walked: Walked, arrival: Arrival) -> None:
+    def _arrive(self, rows: NDArray[np.intp], walked: WalkedPoses, arrival: ArrivalArrays) -> None:
         work = partial(arrive_rows, rows, walked, arrival)
-        parallel.in_parts(work, len(rows), self.threads, _ARRIVING)
+        parallel.in_parts(work, len(rows), self.threads, _ARRIVALS_PER_THREAD)
 
 
-def keep_least_speed(world: World, population: Population, step: Vector, up: Columns, dt: np.float32) -> Vector:
+def keep_least_speed(
+    world: World, population: Population, step: VectorArrays, up: VectorComponents, dt: np.float32
+) -> VectorArrays:
     """Return steps (mm) that obstacles have bent. For agents that must keep moving, they have the least length in the same
     direction, if that is free."""
     now = population.now
-    if LEAST not in now or not world.plan.obstacles:
+    if MIN_SPEED_REGISTER not in now or not world.plan.obstacles:
         return step
-    size, least_length = vec.length(step), np.minimum(np.maximum(now[LEAST], _F(0)), np.maximum(now["max_speed"], _F(0))) * dt
+    size, least_length = (
+        vec.length(step),
+        np.minimum(np.maximum(now[MIN_SPEED_REGISTER], _F(0)), np.maximum(now["max_speed"], _F(0))) * dt,
+    )
     short = (size > _F(1e-9)) & (size < least_length * _F(0.999)) & ~population.quarantined & ~find_walkers(world, population)
     if not short.any():
         return step

@@ -13,18 +13,20 @@ from antdsl.numerics.kernel_vectors import Vec3, VectorColumns, dot, minus, of, 
 from antdsl.numerics.sorting import compact_indices
 
 _SEARCH_RADII = 1.6  # radii: how far beyond its axis an agent is looked about, more than one since it will yet be moved
-_PROCESS = 1.5  # widths that two are apart, up to which they may yet meet
-_OPPOSITE = -0.5  # cosine between two ways of standing, below which agents are on two sides of something
-_NOWHERE = 1e-6  # of a width: so near each other, two axes give no direction
-_ZERO = np.float32(0)
-_TOGETHER = 64  # agents with bounds computed in SIMD lanes
-_NOTHING = np.repeat([np.inf, -np.inf, 0.0], [4 * _TOGETHER, 4 * _TOGETHER, _TOGETHER]).reshape(9, _TOGETHER)
-_FETCHED = 32  # pairs of which the rows are prefetched before they are measured
-_MAY_MEET, _LOST = 1, 2  # flags of a pair: it may touch; it has no separation axis
-_BESIDE, _INSIDE = 1, 2  # what is known of a row: that it is near one that is in another, and that it is
+_CANDIDATE_DISTANCE_WIDTHS = 1.5  # widths that two are apart, up to which they may yet meet
+_OPPOSITE_SIDES_COSINE = -0.5  # cosine between two ways of standing, below which agents are on two sides of something
+_MIN_AXIS_DISTANCE_WIDTHS = 1e-6  # of a width: so near each other, two axes give no direction
+_FLOAT32_ZERO = np.float32(0)
+_AGENTS_PER_BATCH = 64  # agents with bounds computed in SIMD lanes
+_EMPTY_EXTREMES = np.repeat([np.inf, -np.inf, 0.0], [4 * _AGENTS_PER_BATCH, 4 * _AGENTS_PER_BATCH, _AGENTS_PER_BATCH]).reshape(
+    9, _AGENTS_PER_BATCH
+)
+_PREFETCH_GROUP_SIZE = 32  # pairs of which the rows are prefetched before they are measured
+_MAY_TOUCH_FLAG, _NO_AXIS_FLAG = 1, 2  # flags of a pair: it may touch; it has no separation axis
+_NEAR_OVERLAP_FLAG, _OVERLAPPING_FLAG = 1, 2  # what is known of a row: that it is near one that is in another, and that it is
 
 
-class Bodies(NamedTuple):
+class CapsuleArrays(NamedTuple):
     """Capsules of some rows: middle, ahead and up (3, k), half length and radius."""
 
     middle: Strided2[F64]
@@ -34,7 +36,7 @@ class Bodies(NamedTuple):
     radius: Array1[F64]
 
 
-class CrowdBodies(NamedTuple):
+class CrowdCapsules(NamedTuple):
     """Capsules of all agents, with vectors in the layout of registers."""
 
     middle: Array2[F64]
@@ -44,7 +46,7 @@ class CrowdBodies(NamedTuple):
     radius: Array1[F64]
 
 
-class Shape(NamedTuple):
+class CapsuleShape(NamedTuple):
     """A species' capsule, in body lengths: length, width and height of its axis, and the distance of its middle ahead of the
     feet."""
 
@@ -54,7 +56,7 @@ class Shape(NamedTuple):
     ahead: F64
 
 
-class Trunks(NamedTuple):
+class TrunkCapsules(NamedTuple):
     """Capsules of all agents, as `capsules.Crowd`. `shift`: the distance of their middles ahead of the feet (mm)."""
 
     half: Array1[F64]
@@ -64,14 +66,14 @@ class Trunks(NamedTuple):
     middle: Array2[F64]
 
 
-class Bounds(NamedTuple):
+class CrowdBounds(NamedTuple):
     """The least and the greatest x, y and z of middles, and the reach; NaN if one is not finite."""
 
     least: tuple[F64, F64, F64, F64]
     greatest: tuple[F64, F64, F64, F64]
 
 
-class Meetings(NamedTuple):
+class MeetingCounts(NamedTuple):
     """The number of pairs that may touch, of their rows, and of pairs without a direction; and the largest radius."""
 
     pairs: I64
@@ -88,7 +90,7 @@ def _read_vector(vectors: VectorColumns, i: I64) -> Vec3:
 
 def empty_extremes() -> NDArray[np.float64]:
     """Return empty bounds for `trunks`: above all, below all, and the number of values that are not finite."""
-    return _NOTHING.copy()
+    return _EMPTY_EXTREMES.copy()
 
 
 @kernel
@@ -97,19 +99,19 @@ def place_trunks(
     heading: VectorColumns,
     up: VectorColumns,
     size: Array1[F32],
-    shape: Shape,
+    shape: CapsuleShape,
     first: I64,
-    to: Trunks,
+    to: TrunkCapsules,
     extremes: Array2[F64],
-) -> Bounds:
+) -> CrowdBounds:
     """Compute the capsules of a species with positions (3, n), stored from `first` on. Returns the bounds of these and earlier
     species. `extremes` (9, 64): partial bounds, one column for every 64th agent; `empty_extremes` at first."""
     length, width, height, ahead = shape
     half, radius, shift, reach, middle = to
-    for begin in range(0, size.size, _TOGETHER):
-        for i in independent(begin, min(begin + _TOGETHER, size.size)):
+    for begin in range(0, size.size, _AGENTS_PER_BATCH):
+        for i in independent(begin, min(begin + _AGENTS_PER_BATCH, size.size)):
             row, column = first + i, i - begin
-            wide = np.float64(_ZERO if size[i] <= 0 else size[i])
+            wide = np.float64(_FLOAT32_ZERO if size[i] <= 0 else size[i])
             radius[row] = wide * width * 0.5
             half[row] = max(wide * length * 0.5 - radius[row], 0.0)
             reach[row] = half[row] + radius[row] * _SEARCH_RADII
@@ -124,11 +126,11 @@ def place_trunks(
                 extremes[8, column] += numbers[k] - numbers[k]
     x, y, z, far = extremes[0, 0], extremes[1, 0], extremes[2, 0], extremes[3, 0]
     u, v, w, wide, unknown = extremes[4, 0], extremes[5, 0], extremes[6, 0], extremes[7, 0], extremes[8, 0]
-    for k in range(1, _TOGETHER):
+    for k in range(1, _AGENTS_PER_BATCH):
         x, y, z, far = min(x, extremes[0, k]), min(y, extremes[1, k]), min(z, extremes[2, k]), min(far, extremes[3, k])
         u, v, w, wide = max(u, extremes[4, k]), max(v, extremes[5, k]), max(w, extremes[6, k]), max(wide, extremes[7, k])
         unknown += extremes[8, k]
-    return Bounds((x + unknown, y + unknown, z + unknown, far + unknown), (u, v, w, wide))
+    return CrowdBounds((x + unknown, y + unknown, z + unknown, far + unknown), (u, v, w, wide))
 
 
 @called
@@ -140,7 +142,7 @@ def _measure_gap(
     The nearest points of two segments follow C. Ericson, Real-Time Collision Detection, 2005, 5.1.9. If the capsule axes cross,
     the separation axis goes from middle to middle."""
     between = plus(one, other)
-    factor = 0.0 if dot(one, other) < _OPPOSITE else 1 / np.sqrt(max(dot(between, between), 1e-12))
+    factor = 0.0 if dot(one, other) < _OPPOSITE_SIDES_COSINE else 1 / np.sqrt(max(dot(between, between), 1e-12))
     between = times(between, factor)
     flat = minus(away, times(between, dot(away, between)))
     one, other = minus(a, times(between, dot(a, between))), minus(b, times(between, dot(b, between)))
@@ -158,16 +160,16 @@ def _measure_gap(
     margin = wide * wide - over * over
     gap = distance - np.sqrt(margin) if margin > 0 else np.inf
     lost = False
-    if distance <= wide * _NOWHERE:
+    if distance <= wide * _MIN_AXIS_DISTANCE_WIDTHS:
         separation, distance = flat, np.sqrt(dot(flat, flat))
-        lost = distance <= wide * _NOWHERE
+        lost = distance <= wide * _MIN_AXIS_DISTANCE_WIDTHS
     size = max(distance, 1e-300)
     return gap, (separation[0] / size, separation[1] / size, separation[2] / size), lost
 
 
 @called
 def measure_listed(
-    bodies: Bodies,
+    bodies: CapsuleArrays,
     displacement: Any,
     i: Array1[I64],
     j: Array1[I64],
@@ -195,7 +197,7 @@ def measure_listed(
 
 @kernel
 def measure_changed(
-    bodies: Bodies,
+    bodies: CapsuleArrays,
     displacement: Strided2[F64],
     i: Array1[I64],
     j: Array1[I64],
@@ -214,7 +216,7 @@ def measure_changed(
 
 @kernel
 def measure_before(
-    bodies: Bodies,
+    bodies: CapsuleArrays,
     walked: Strided2[F64],
     i: Array1[I64],
     j: Array1[I64],
@@ -226,8 +228,8 @@ def measure_before(
     """As `capsules.Near.before`, into `gap`, `direction` and `depth`. Returns the number of pairs without a separation axis,
     listed first in `lost`."""
     middle, ahead, up, half, radius = bodies
-    for start in range(0, i.size, _FETCHED):
-        for pair in range(min(start + _FETCHED, i.size), min(start + 2 * _FETCHED, i.size)):
+    for start in range(0, i.size, _PREFETCH_GROUP_SIZE):
+        for pair in range(min(start + _PREFETCH_GROUP_SIZE, i.size), min(start + 2 * _PREFETCH_GROUP_SIZE, i.size)):
             for side in range(2):
                 row = j[pair] if side else i[pair]
                 for axis in range(3):
@@ -235,7 +237,7 @@ def measure_before(
                         fetch_ahead(vectors, axis * depth.size + row)
                 fetch_ahead(half, row)
                 fetch_ahead(radius, row)
-        for pair in independent(start, min(start + _FETCHED, i.size)):
+        for pair in independent(start, min(start + _PREFETCH_GROUP_SIZE, i.size)):
             p, q = i[pair], j[pair]
             away = minus(minus(of(middle, p), of(walked, p)), minus(of(middle, q), of(walked, q)))
             gap[pair], (direction[0, pair], direction[1, pair], direction[2, pair]), nowhere = _measure_gap(
@@ -252,7 +254,7 @@ def measure_before(
 
 @kernel
 def find_meetings(
-    crowd: CrowdBodies,
+    crowd: CrowdCapsules,
     key: Array1[I64],
     i: Array1[I64],
     j: Array1[I64],
@@ -263,13 +265,13 @@ def find_meetings(
     number: Array1[I64],
     every: BOOL,
     dead: F64,
-) -> Meetings:
+) -> MeetingCounts:
     """Select the pairs `i` and `j` that may touch, as `capsules.find` does. They are moved to the front of `i`, `j`, `gap` and
     `direction`; `known` gets the indices of those without a separation axis. `number` is a work buffer. `every`: include pairs in
     which neither overlaps another by more than `dead` times the two collision radii."""
     middle, ahead, up, half, radius = crowd
-    for start in range(0, i.size, _FETCHED):
-        for pair in range(min(start + _FETCHED, i.size), min(start + 2 * _FETCHED, i.size)):
+    for start in range(0, i.size, _PREFETCH_GROUP_SIZE):
+        for pair in range(min(start + _PREFETCH_GROUP_SIZE, i.size), min(start + 2 * _PREFETCH_GROUP_SIZE, i.size)):
             for side in range(2):
                 row = j[pair] if side else i[pair]
                 for axis in range(3):
@@ -279,7 +281,7 @@ def find_meetings(
                 fetch_ahead(half, row)
                 fetch_ahead(radius, row)
                 fetch_ahead(key, row)
-        for pair in independent(start, min(start + _FETCHED, i.size)):
+        for pair in independent(start, min(start + _PREFETCH_GROUP_SIZE, i.size)):
             p, q = i[pair], j[pair]
             if key[p] > key[q]:
                 p, q = j[pair], i[pair]
@@ -295,7 +297,7 @@ def find_meetings(
                 wide,
             )
             i[pair], j[pair], gap[pair], (direction[0, pair], direction[1, pair], direction[2, pair]) = p, q, far, v
-            known[pair] = (_LOST if nowhere else _MAY_MEET) if far < wide * _PROCESS else 0
+            known[pair] = (_NO_AXIS_FLAG if nowhere else _MAY_TOUCH_FLAG) if far < wide * _CANDIDATE_DISTANCE_WIDTHS else 0
     number[:] = 0
     pairs, lost, widest = 0, 0, 0.0
     for pair in range(i.size):  # written whatever it is: no branch that is hard to foretell
@@ -308,7 +310,7 @@ def find_meetings(
         p, q = i[pair], j[pair]
         widest = max(max(widest, radius[p]), radius[q])
         if every or gap[pair] < (radius[p] + radius[q]) * -dead:
-            number[p], number[q] = _INSIDE, _INSIDE
+            number[p], number[q] = _OVERLAPPING_FLAG, _OVERLAPPING_FLAG
     if not every:
         near = pairs
         pairs = 0
@@ -318,8 +320,8 @@ def find_meetings(
             i[pairs], j[pairs], gap[pairs], known[pairs] = p, q, gap[pair], state
             direction[0, pairs], direction[1, pairs], direction[2, pairs] = v
             one, other = number[p], number[q]
-            if one == _INSIDE or other == _INSIDE:
-                number[p], number[q] = max(one, _BESIDE), max(other, _BESIDE)
+            if one == _OVERLAPPING_FLAG or other == _OVERLAPPING_FLAG:
+                number[p], number[q] = max(one, _NEAR_OVERLAP_FLAG), max(other, _NEAR_OVERLAP_FLAG)
                 pairs += 1
     count = 0
     for k in range(number.size):
@@ -328,14 +330,14 @@ def find_meetings(
         count += 1 if mark != 0 else 0
     for pair in range(pairs):
         i[pair], j[pair] = number[i[pair]], number[j[pair]]
-        nowhere = known[pair] == _LOST
+        nowhere = known[pair] == _NO_AXIS_FLAG
         known[lost] = pair
         lost += 1 if nowhere else 0
-    return Meetings(pairs, count, lost, widest)
+    return MeetingCounts(pairs, count, lost, widest)
 
 
 @kernel
-def gather_bodies(rows: Array1[I64], crowd: CrowdBodies, to: Bodies) -> None:
+def gather_bodies(rows: Array1[I64], crowd: CrowdCapsules, to: CapsuleArrays) -> None:
     """The capsules of some rows."""
     middle, ahead, up, half, radius = crowd
     for k in independent(0, rows.size):

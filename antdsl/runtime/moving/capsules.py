@@ -16,10 +16,10 @@ from numpy.typing import NDArray
 from antdsl.numerics import elementary, parallel, randomness
 from antdsl.numerics import vectors as vec
 from antdsl.runtime.moving.capsule_distances import (
-    Bodies,
-    CrowdBodies,
-    Shape,
-    Trunks,
+    CapsuleArrays,
+    CapsuleShape,
+    CrowdCapsules,
+    TrunkCapsules,
     empty_extremes,
     find_meetings,
     gather_bodies,
@@ -28,15 +28,15 @@ from antdsl.runtime.moving.capsule_distances import (
     place_trunks,
 )
 from antdsl.runtime.world import AXES, Population, World
-from antdsl.scene.library_bodies import CAPSULES, Capsule, body_for_species
+from antdsl.scene.library_bodies import CAPSULE_BY_BODY, Capsule, body_for_species
 from antdsl.senses.touching import Bounds, find_touching
 
 Floats = NDArray[np.float64]
 Rows = NDArray[np.intp]
 Flags = NDArray[np.bool_]
 
-_SPREAD = 0x9E3779B1  # an odd number, that numbers pairs of ids
-_SPECIES = 1 << 40  # more than there are ids of a species
+_PAIR_ID_MULTIPLIER = 0x9E3779B1  # an odd number, that numbers pairs of ids
+_SPECIES_KEY_STEP = 1 << 40  # more than there are ids of a species
 
 
 def capsule_of(world: World, species: str) -> Capsule:
@@ -47,11 +47,11 @@ def capsule_of(world: World, species: str) -> Capsule:
         return Capsule(own.length, own.width, own.height, own.ahead)
     for crowd in world.setting.crowds:
         if crowd.species == species and crowd.body:
-            return CAPSULES[crowd.body]
-    return CAPSULES[body_for_species(species)]
+            return CAPSULE_BY_BODY[crowd.body]
+    return CAPSULE_BY_BODY[body_for_species(species)]
 
 
-class Crowd:
+class CapsuleCrowd:
     """All agents of a world, species by species. Each property is read on access as one array: the current values, or those at
     the `start` of the step."""
 
@@ -61,7 +61,7 @@ class Crowd:
         self.species = self.species or list(world.populations.values())[:1]  # no agents: arrays of no rows
         self.first = np.array([*accumulate(map(len, self.species), initial=0)], np.intp)
         self._capsules = [capsule_of(world, population.name) for population in self.species]
-        self.key = self.of(lambda p: p.ids + k * _SPECIES if (k := self.species.index(p)) else p.ids)
+        self.key = self.of(lambda p: p.ids + k * _SPECIES_KEY_STEP if (k := self.species.index(p)) else p.ids)
         self.bounds = self._measure()  # of x, y and z of middles and of reaches
 
     def _measure(self) -> Bounds:
@@ -73,8 +73,8 @@ class Crowd:
             own = self._registers(population)
             place = np.ascontiguousarray(population.position.T)
             stands = (place, vec.vector_registers(own, "heading"), vec.vector_registers(own, "up"), own["size"])
-            shape = Shape(*map(float, (capsule.length, capsule.width, capsule.height, capsule.ahead)))
-            capsules = Trunks(self.half, self.radius, self.ahead, self.reach, self.middle)
+            shape = CapsuleShape(*map(float, (capsule.length, capsule.width, capsule.height, capsule.ahead)))
+            capsules = TrunkCapsules(self.half, self.radius, self.ahead, self.reach, self.middle)
             bounds = place_trunks(*stands, shape, first, capsules, extremes)
         return list(zip(bounds[:4], bounds[4:], strict=True))
 
@@ -95,7 +95,7 @@ class Crowd:
         for population, begin, end, first in zip(self.species, bounds, bounds[1:], firsts, strict=False):
             yield population, rows[begin:end] - first if first else rows[begin:end]
 
-    def vector(self, name: str) -> vec.Vector:
+    def vector(self, name: str) -> vec.VectorArrays:
         """The three registers of a vector."""
         x, y, z = (self.of(lambda p, axis=axis: self._registers(p)[f"{name}.{axis}"]) for axis in AXES)  # type: ignore[misc]
         return x, y, z
@@ -105,14 +105,14 @@ class Crowd:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class NearPairs:
+class NearbyPairs:
     """Pairs of capsules that are near each other. `rows` of the crowd that are in any pair, ascending. `i` and `j` index these;
     the first of a pair comes first by species and id. For each row, when the pairs were found: `middle`, `ahead` and `up` (3, k),
     `half` and `radius` (k), mm; `widest`: the largest radius of these. For each pair, as last measured: `gap` (m) mm, the
     distance to contact, negative for overlaps. `direction` (3, m): the separation axes, unit vectors from the second to the
     first."""
 
-    crowd: Crowd
+    crowd: CapsuleCrowd
     rows: Rows
     i: Rows
     j: Rows
@@ -126,9 +126,9 @@ class NearPairs:
     direction: Floats
 
     @property
-    def bodies(self) -> Bodies:
+    def bodies(self) -> CapsuleArrays:
         """Its capsules, as kernels read them."""
-        return Bodies(self.middle, self.ahead, self.up, self.half, self.radius)
+        return CapsuleArrays(self.middle, self.ahead, self.up, self.half, self.radius)
 
     def measure_before(self, walked: Floats) -> tuple[Floats, Floats, Floats]:
         """Return gaps and separation axes of all pairs before rows `walked` (3, k) mm, with current headings, and the greatest
@@ -152,12 +152,12 @@ class NearPairs:
             return
         crowd, i, j = self.crowd, self.i.take(which), self.j.take(which)
         first, second = (crowd.key.take(self.rows.take(k)) for k in (i, j))
-        kinds = (first // _SPECIES) * len(crowd.species) + second // _SPECIES
+        kinds = (first // _SPECIES_KEY_STEP) * len(crowd.species) + second // _SPECIES_KEY_STEP
         turn = np.empty(len(i), np.float32)
         for kind in np.unique(kinds):
             subset = np.flatnonzero(kinds == kind)
             one, other = (crowd.species[number].name for number in divmod(int(kind), len(crowd.species)))
-            ids = (first[subset] % _SPECIES) * _SPREAD + second[subset] % _SPECIES
+            ids = (first[subset] % _SPECIES_KEY_STEP) * _PAIR_ID_MULTIPLIER + second[subset] % _SPECIES_KEY_STEP
             turn[subset] = randomness.uniform(crowd.world.setting.seed, 0, one, f"parts from {other}", 0, ids)
         angle = turn * np.float32(2 * np.pi)
         normal = self.up.take(i, axis=1)
@@ -165,7 +165,7 @@ class NearPairs:
         direction[:, which] = side * elementary.cos(angle) + vec.stacked_cross(normal, side) * elementary.sin(angle)
 
 
-def find_near_pairs(crowd: Crowd, dead: float | None = None) -> NearPairs:
+def find_near_pairs(crowd: CapsuleCrowd, dead: float | None = None) -> NearbyPairs:
     """Return the pairs of a crowd that may touch. With `dead`, only pairs with a row that overlaps another by more than this
     share of both radii."""
     x, y, z = crowd.middle
@@ -173,13 +173,13 @@ def find_near_pairs(crowd: Crowd, dead: float | None = None) -> NearPairs:
     i, j, m = *parallel.contiguous(pairs.i, pairs.j), len(pairs.i)
     gap, direction, known = np.empty(m), np.empty((3, m)), np.empty(m, np.intp)
     rows, number = np.empty((2, len(crowd)), np.intp)
-    stand = CrowdBodies(crowd.middle, crowd.vector("heading"), crowd.vector("up"), crowd.half, crowd.radius)
+    stand = CrowdCapsules(crowd.middle, crowd.vector("heading"), crowd.vector("up"), crowd.half, crowd.radius)
     every = (True, 0.0) if dead is None else (False, dead)
     m, count, lost, widest = find_meetings(stand, crowd.key, i, j, gap, direction, known, rows, number, *every)
     rows, (middle, ahead, up), (half, radius) = rows[:count], np.empty((3, 3, count)), np.empty((2, count))
-    own = Bodies(middle, ahead, up, half, radius)
+    own = CapsuleArrays(middle, ahead, up, half, radius)
     gather_bodies(rows, stand, own)
-    near = NearPairs(crowd, rows, i[:m], j[:m], *own, widest, gap[:m], np.ascontiguousarray(direction[:, :m]))
+    near = NearbyPairs(crowd, rows, i[:m], j[:m], *own, widest, gap[:m], np.ascontiguousarray(direction[:, :m]))
     near.draw_directions(near.direction, known[:lost])
     return near
 
@@ -187,7 +187,7 @@ def find_near_pairs(crowd: Crowd, dead: float | None = None) -> NearPairs:
 def overlap_depths(world: World) -> Floats:
     """Return each agent's greatest penetration depth, in widths of its trunk; 0 apart. The result is float64[n], species by
     species."""
-    crowd = Crowd(world)
+    crowd = CapsuleCrowd(world)
     near = find_near_pairs(crowd)
     depth = np.zeros(len(crowd))
     depth[near.rows] = greatest_depths(len(near.rows), near.i, near.j, near.gap) / (2 * near.radius)

@@ -20,23 +20,23 @@ from numpy.typing import NDArray
 
 from antdsl.numerics import elementary
 from antdsl.numerics import vectors as vec
-from antdsl.numerics.vectors import Vector, dot
+from antdsl.numerics.vectors import VectorArrays, dot
 from antdsl.runtime.moving import corrections, cutting
-from antdsl.runtime.moving.capsules import Crowd, NearPairs, find_near_pairs
-from antdsl.runtime.moving.corrections import Corrections, FootPositions, fill_approach, fill_stances
-from antdsl.runtime.moving.separation import DEAD, FINE, arrays, restore_headings, separate_pairs
-from antdsl.runtime.world import PUSHED, World
+from antdsl.runtime.moving.capsules import CapsuleCrowd, NearbyPairs, find_near_pairs
+from antdsl.runtime.moving.corrections import CorrectionWalker, FootPositions, fill_approach, fill_stances
+from antdsl.runtime.moving.separation import DEAD_ZONE_SHARE, SUM_BITS, arrays, restore_headings, separate_pairs
+from antdsl.runtime.world import PUSHED_REGISTER, World
 
 Floats = NDArray[np.float64]
 Rows = NDArray[np.intp]
 Flags = NDArray[np.bool_]
 
 _F = np.float32
-_SOFT = 0.1  # s, in which two part by the most of their overlap
+_SOFT_CONTACT_SECONDS = 0.1  # s, in which two part by the most of their overlap
 
 
 @dataclass(frozen=True, slots=True)
-class Effort:
+class SolverEffort:
     """How much is done about overlaps in a substep. `looks`: how often pairs are measured again, each time with `sweeps` sweeps.
     `rounds`: the number of rounds; those after the first are for agents that the ground deflected or something held."""
 
@@ -50,36 +50,36 @@ class Effort:
         return self.looks == self.sweeps == self.rounds == 1
 
 
-EFFORTS: Mapping[str, Effort] = {"soft": Effort(1, 1, 1), "hard": Effort(12, 4, 3)}
+SOLVER_EFFORTS: Mapping[str, SolverEffort] = {"soft": SolverEffort(1, 1, 1), "hard": SolverEffort(12, 4, 3)}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Stances:
+class StartStances:
     """Positions (n, 3) mm of agents at the start of a substep, by species; with hard contacts also their headings."""
 
     positions: Mapping[str, Floats]
-    headings: Mapping[str, Vector]
+    headings: Mapping[str, VectorArrays]
 
 
-def record_stances(world: World) -> Stances | None:
+def record_stances(world: World) -> StartStances | None:
     """Return the current positions and headings of agents, for `resolve`; None if bodies take no room."""
     if world.setting.contacts == "off":
         return None
     species, headings = world.populations.items(), {}
     if world.setting.contacts == "hard":
         headings = {name: vec.copy(vec.vector_registers(population.now, "heading")) for name, population in species}
-    return Stances({name: population.position for name, population in species}, headings)
+    return StartStances({name: population.position for name, population in species}, headings)
 
 
-def resolve_contacts(world: World, began: Stances, dt: float) -> None:
+def resolve_contacts(world: World, began: StartStances, dt: float) -> None:
     """Move overlapping agents apart, after a substep of `dt` s that started at `began`."""
     if len(world) < 2:
         return
-    effort, crowd = EFFORTS[world.setting.contacts], Crowd(world)
-    near = find_near_pairs(crowd, DEAD if effort.is_single else None)
+    effort, crowd = SOLVER_EFFORTS[world.setting.contacts], CapsuleCrowd(world)
+    near = find_near_pairs(crowd, DEAD_ZONE_SHARE if effort.is_single else None)
     if not len(near.i):
         return
-    share = 1.0 if world.setting.contacts == "hard" else 1.0 - float(elementary.exp(_F(-dt / _SOFT)))
+    share = 1.0 if world.setting.contacts == "hard" else 1.0 - float(elementary.exp(_F(-dt / _SOFT_CONTACT_SECONDS)))
     agents, walked = _PairAgents.of(crowd, near, began, dt)
     gap, direction, depth = near.measure_before(walked)
     if world.setting.contacts == "hard":
@@ -88,7 +88,7 @@ def resolve_contacts(world: World, began: Stances, dt: float) -> None:
         near.measure(cut, changed)
     else:
         cut = np.zeros_like(near.middle)
-    which, held, walking = np.ones(len(near.i), np.bool_), agents.frozen, Corrections(crowd, began.positions, dt)
+    which, held, walking = np.ones(len(near.i), np.bool_), agents.frozen, CorrectionWalker(crowd, began.positions, dt)
     work = arrays(len(near.rows), len(near.i))
     for left in range(effort.rounds - 1, -1, -1):
         asked = _separate(near, agents, which, held, walked, depth, effort, share, cut, work)
@@ -111,7 +111,7 @@ def resolve_contacts(world: World, began: Stances, dt: float) -> None:
         walked[:, moved_rows] = (at[0] if len(at) == 1 else np.concatenate(at, axis=1)) - agents.start.take(moved_rows, axis=1)
 
 
-def _find_approach(crowd: Crowd, rows: Rows, dt: float) -> Floats:
+def _find_approach(crowd: CapsuleCrowd, rows: Rows, dt: float) -> Floats:
     """Return the displacement (3, k) mm of rows of a crowd in the same time before this substep, by their velocity then."""
     first, displacement = 0, np.empty((3, len(rows)))
     for population, own in crowd.split_rows(rows):
@@ -120,19 +120,19 @@ def _find_approach(crowd: Crowd, rows: Rows, dt: float) -> Floats:
     return displacement
 
 
-def _record_pushes(crowd: Crowd, rows: Rows, cut: Floats, moved_rows: Rows, requested_moves: Floats, got: Floats) -> None:
+def _record_pushes(crowd: CapsuleCrowd, rows: Rows, cut: Floats, moved_rows: Rows, requested_moves: Floats, got: Floats) -> None:
     """Add to the pushed distance of some rows of a crowd in this step, for species with a program that reads it. `rows` are
     ascending; `moved_rows` are their indices among those in pairs. Of the requested displacement `requested_moves`, (3, k) mm,
     only what others pushed counts, not what their own step was `cut` by. Of that, only the achieved part (`got`) counts."""
-    if not any(PUSHED in population.now for population in crowd.species):
+    if not any(PUSHED_REGISTER in population.now for population in crowd.species):
         return
     pushed = requested_moves - cut.take(moved_rows, axis=1)
     short = np.where((pushed == 0).all(axis=0), 0.0, got - (requested_moves - pushed))
     far = np.sqrt(dot(short, short)).astype(_F)
     first = 0
     for population, own in crowd.split_rows(rows):
-        if PUSHED in population.now:
-            population.now[PUSHED][own] += far[first : first + len(own)]
+        if PUSHED_REGISTER in population.now:
+            population.now[PUSHED_REGISTER][own] += far[first : first + len(own)]
         first += len(own)
 
 
@@ -151,7 +151,7 @@ class _PairAgents:
     frozen: Flags
 
     @staticmethod
-    def of(crowd: Crowd, near: NearPairs, began: Stances, dt: float) -> tuple[_PairAgents, Floats]:
+    def of(crowd: CapsuleCrowd, near: NearbyPairs, began: StartStances, dt: float) -> tuple[_PairAgents, Floats]:
         """Return these values, and the displacement (3, k) mm of agents from their start."""
         rows = near.rows
         vectors, (reach, mass), first = np.empty((3, 3, len(rows))), np.empty((2, len(rows))), 0
@@ -170,13 +170,13 @@ class _PairAgents:
 
 
 def _separate(
-    near: NearPairs,
+    near: NearbyPairs,
     agents: _PairAgents,
     which: Flags,
     held: Flags,
     walked: Floats,
     depth: Floats,
-    effort: Effort,
+    effort: SolverEffort,
     share: float,
     cut: Floats,
     work: tuple[Any, ...],
@@ -185,7 +185,7 @@ def _separate(
 
     Pairs are measured after steps were `cut` by (3, k) mm. Rows that are `held` are not moved farther. Rows have `walked` (3, k)
     mm; `depth` (k) mm: their overlap before. `work`: buffers for kernels."""
-    magic = np.ldexp(1.5, int(np.frexp(near.widest)[1]) + 1 - FINE + 52)
+    magic = np.ldexp(1.5, int(np.frexp(near.widest)[1]) + 1 - SUM_BITS + 52)
     which, displacement = which.copy(), cut.copy()
     looks, lost = effort.looks, np.empty(len(near.i), np.intp)
     bodies = (near.middle, near.ahead, near.up, near.half, near.radius)
@@ -197,7 +197,7 @@ def _separate(
     return displacement
 
 
-def _restore_headings(crowd: Crowd, near: NearPairs, stopped: Rows, facing: Mapping[str, Vector]) -> None:
+def _restore_headings(crowd: CapsuleCrowd, near: NearbyPairs, stopped: Rows, facing: Mapping[str, VectorArrays]) -> None:
     """Reset the headings of some rows of `near` to those before the substep: between others, an agent that cannot walk cannot
     turn either."""
     rows, last = near.rows.take(stopped), 0

@@ -8,33 +8,35 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl.ground.protocol import Move
+from antdsl.ground.protocol import GroundMove
 from antdsl.machine_code.kernels import BOOL, F32, F64, I64, Array1, Array2, Strided2, independent, inlined, kernel
 from antdsl.numerics import vectors as vec
 from antdsl.numerics.kernel_vectors import Vec3, Vec3F32, VectorColumns, dot, minus, of, plus, put_vector, times
-from antdsl.numerics.vectors import Columns, Vector
-from antdsl.runtime.moving.capsules import Crowd, NearPairs
+from antdsl.numerics.vectors import VectorArrays, VectorComponents
+from antdsl.runtime.moving.capsules import CapsuleCrowd, NearbyPairs
 from antdsl.runtime.moving.falling import find_airborne, push_airborne
 from antdsl.runtime.moving.obstacles import slide_some
 from antdsl.runtime.world import Population
 
 Flags = NDArray[np.bool_]
 
-_SEEN = 0.05  # of the room of two: an overlap for which more is walked
-_MISSED = 0.05  # of a radius: who ends so far from where it was to is looked at again
-_HELD = 0.5  # of the way it was to go: who comes on by less is held by an obstacle, a border or a fall, and others make the room
+_VISIBLE_OVERLAP_SHARE = 0.05  # of the room of two: an overlap for which more is walked
+_MISSED_RADIUS_SHARE = 0.05  # of a radius: who ends so far from where it was to is looked at again
+_HELD_DISTANCE_SHARE = (
+    0.5  # of the way it was to go: who comes on by less is held by an obstacle, a border or a fall, and others make the room
+)
 Floats = NDArray[np.float64]
 Rows = NDArray[np.intp]
 
-_LONGER = 1.005  # times the way allowed, above which a correction is not made: less is the rounding of a seam
-_BACK = 3  # times that one is led back which got farther than it may
-_ZERO, _ONE, _TINY, _LIGHTEST = np.float32(0), np.float32(1), np.float32(1e-12), 1e-30
+_DISTANCE_SLACK_FACTOR = 1.005  # times the way allowed, above which a correction is not made: less is the rounding of a seam
+_MAX_BACKTRACKS = 3  # times that one is led back which got farther than it may
+_FLOAT32_ZERO, _FLOAT32_ONE, _MIN_VECTOR_LENGTH, _MIN_MASS = np.float32(0), np.float32(1), np.float32(1e-12), 1e-30
 
 
-class Corrections:
+class CorrectionWalker:
     """Walks of agents of a crowd in one substep of `dt` s. `began`: start positions (n, 3) mm of each species."""
 
-    def __init__(self, crowd: Crowd, began: Mapping[str, Floats], dt: float) -> None:
+    def __init__(self, crowd: CapsuleCrowd, began: Mapping[str, Floats], dt: float) -> None:
         self._crowd, self._began, self._dt = crowd, began, dt
 
     def walk(self, rows: Rows, displacement: Floats) -> Floats:
@@ -66,7 +68,7 @@ class Corrections:
 
     def _prepare_walk(
         self, population: Population, rows: Rows, displacement: Floats
-    ) -> tuple[Vector, Columns, Floats, Floats, Floats]:
+    ) -> tuple[VectorArrays, VectorComponents, Floats, Floats, Floats]:
         """Return the inputs of a walk by (3, k) mm for some agents: step and ground normal, float32; the same normal and
         headings, float64 (k, 3); sizes (mm)."""
         now = population.now
@@ -86,14 +88,14 @@ class Corrections:
         )
         return (step[0], step[1], step[2]), feet, up.T, heading.T, size
 
-    def _lead_back(self, population: Population, rows: Rows, moved: Move, size: Floats) -> Rows | None:
+    def _lead_back(self, population: Population, rows: Rows, moved: GroundMove, size: Floats) -> Rows | None:
         """Move agents back towards the start that curved ground led farther than they may walk. Returns the ascending indices of
         rows that are then within range; None for all."""
-        for _ in range(_BACK):
+        for _ in range(_MAX_BACKTRACKS):
             far, most = self._measure_reach(population, rows, moved)
             if far is None:
                 return None
-            over = np.flatnonzero(far > most * _LONGER)
+            over = np.flatnonzero(far > most * _DISTANCE_SLACK_FACTOR)
             if not len(over):
                 break
             start = self._began[population.name][rows[over]]
@@ -102,16 +104,16 @@ class Corrections:
             threads = self._crowd.world.options.threads
             moved.put(over, ground.move(again.footing, back, again.heading, again.up, size[over], threads))
         far, most = self._measure_reach(population, rows, moved)
-        return None if far is None else np.flatnonzero(far <= most * _LONGER)
+        return None if far is None else np.flatnonzero(far <= most * _DISTANCE_SLACK_FACTOR)
 
-    def _measure_reach(self, population: Population, rows: Rows, moved: Move) -> tuple[Floats | None, Floats]:
+    def _measure_reach(self, population: Population, rows: Rows, moved: GroundMove) -> tuple[Floats | None, Floats]:
         """Return the distances (mm) of some agents from their start, None if no agent exceeds its limit, and these limits."""
         began, max_speed = self._began[population.name], population.now["max_speed"]
         far, most = np.empty((2, len(rows)))
         is_too_far = _find_too_far(rows, moved.position, began, population.position, max_speed, self._dt, far, most)
         return (far if is_too_far else None), most
 
-    def _apply_move(self, population: Population, rows: Rows, moved: Move) -> Floats:
+    def _apply_move(self, population: Population, rows: Rows, moved: GroundMove) -> Floats:
         """Write the corrected footings of some agents; return the displacements (3, k) mm. Bodies stay upright as they are, or
         they would overlap others again: they lean, and the next step turns them after their feet. The arrays written to were
         created by the walk of this substep, so they are not shared."""
@@ -165,8 +167,8 @@ def fill_stances(
         put_vector(start, k, start_point)
         put_vector(walked, k, minus(_read_row(place, row), start_point))
         normal[0, k], normal[1, k], normal[2, k] = feet[row, 0], feet[row, 1], feet[row, 2]
-        reach[k] = np.float64(_ZERO if max_speed[row] <= 0 else max_speed[row]) * dt
-        mass[k] = max(np.float64(weight[row]), _LIGHTEST)
+        reach[k] = np.float64(_FLOAT32_ZERO if max_speed[row] <= 0 else max_speed[row]) * dt
+        mass[k] = max(np.float64(weight[row]), _MIN_MASS)
 
 
 @kernel
@@ -221,7 +223,7 @@ def _find_too_far(
         displacement, walked = minus(_read_row(to, k), start), minus(_read_row(place, row), start)
         far[k] = np.sqrt(dot(displacement, displacement))
         most[k] = max(np.float64(max_speed[row]) * dt, np.sqrt(dot(walked, walked)))
-        is_too_far |= not far[k] <= most[k] * _LONGER
+        is_too_far |= not far[k] <= most[k] * _DISTANCE_SLACK_FACTOR
     return is_too_far
 
 
@@ -246,14 +248,14 @@ def _store_arrivals(
         put_vector(got, k, displacement)
         pushed = _to_float32(displacement)
         size = np.sqrt(dot(pushed, pushed))
-        good = size > _TINY and np.isfinite(size)
-        factor = _ONE / (size if good else _ONE)
+        good = size > _MIN_VECTOR_LENGTH and np.isfinite(size)
+        factor = _FLOAT32_ONE / (size if good else _FLOAT32_ONE)
         against = times(pushed, factor)
         if not good:
-            against = (size * _ZERO, size * _ZERO, size * _ZERO)
+            against = (size * _FLOAT32_ZERO, size * _FLOAT32_ZERO, size * _FLOAT32_ZERO)
         v = (velocity[0][row], velocity[1][row], velocity[2][row])
         back, most = -dot(v, against), size / dt
-        back = _ZERO if back <= 0 else back  # never -0
+        back = _FLOAT32_ZERO if back <= 0 else back  # never -0
         v = plus(v, times(against, most if most < back else back))
         v = minus(v, times(up, dot(v, up)))
         for axis in range(3):
@@ -268,7 +270,7 @@ def led(corrections: Floats) -> tuple[Rows, Floats]:
     return moved_rows[:count], requested_moves[:, :count]
 
 
-def find_missed(near: NearPairs, moved_rows: Rows, requested_moves: Floats, got: Floats, held: Flags) -> Flags:
+def find_missed(near: NearbyPairs, moved_rows: Rows, requested_moves: Floats, got: Floats, held: Flags) -> Flags:
     """Return which rows (k) are measured again. Rows `moved_rows` were to move by `requested_moves` (3, ..) mm and have moved by
     `got`. Updates their positions. Sets `held` (k) for rows that advanced too little; flags already set stay."""
     touched = np.zeros(len(held), np.bool_)
@@ -276,7 +278,7 @@ def find_missed(near: NearPairs, moved_rows: Rows, requested_moves: Floats, got:
     return touched
 
 
-def find_visible_pairs(near: NearPairs, touched: Flags) -> Flags | None:
+def find_visible_pairs(near: NearbyPairs, touched: Flags) -> Flags | None:
     """Return which pairs (m) have a row that is `touched` (k); None if none of them overlaps enough for another round."""
     which = np.empty(len(near.i), np.bool_)
     return which if _find_visible_pairs(near.i, near.j, near.gap, near.radius, touched, which) else None
@@ -307,11 +309,11 @@ def _find_missed(
 ) -> None:
     for n in independent(0, moved_rows.size):
         row, to, on = moved_rows[n], of(requested_moves, n), of(got, n)
-        short, far = minus(to, on), _MISSED * radius[row]
+        short, far = minus(to, on), _MISSED_RADIUS_SHARE * radius[row]
         put_vector(middle, row, plus(of(middle, row), on))
         if dot(short, short) > far * far:
             touched[row] = True
-            if dot(on, to) < _HELD * dot(to, to):
+            if dot(on, to) < _HELD_DISTANCE_SHARE * dot(to, to):
                 held[row] = True
 
 
@@ -325,5 +327,5 @@ def _find_visible_pairs(
     has_overlap = False
     for pair in range(i.size):
         if which[pair]:
-            has_overlap |= gap[pair] < -((radius[i[pair]] + radius[j[pair]]) * _SEEN)
+            has_overlap |= gap[pair] < -((radius[i[pair]] + radius[j[pair]]) * _VISIBLE_OVERLAP_SHARE)
     return has_overlap

@@ -11,19 +11,19 @@ from numpy.typing import NDArray
 from antdsl.machine_code.kernels import BOOL, F64, I64, Array1, Array2, independent, inlined, kernel
 from antdsl.numerics.kernel_vectors import Vec3, dot, minus, of, put_vector, times
 from antdsl.numerics.sorting import compact_indices
-from antdsl.runtime.moving.capsules import NearPairs
+from antdsl.runtime.moving.capsules import NearbyPairs
 
 Floats = NDArray[np.float64]
 Rows = NDArray[np.intp]
 Flags = NDArray[np.bool_]
 
-_FINE = 40  # digits of a term in a sum, below the widest overlap
-_GOES = 0.5  # of its way: who goes less is stopped
-_BENDS = 3  # times that a step is bent along those in its way, before it is cut
+_SUM_BITS = 40  # digits of a term in a sum, below the widest overlap
+_STOPPED_DISTANCE_SHARE = 0.5  # of its way: who goes less is stopped
+_MAX_DEFLECTIONS = 3  # times that a step is bent along those in its way, before it is cut
 
 
 def cut_steps(
-    near: NearPairs, approach: Floats, mass: Floats, walked: Floats, gap: Floats, direction: Floats
+    near: NearbyPairs, approach: Floats, mass: Floats, walked: Floats, gap: Floats, direction: Floats
 ) -> tuple[Floats, Rows, Flags]:
     """Cut and deflect steps of rows that `walked` (3, k) mm, so that no agent enters another. Returns the displacements (3, k) mm
     of that correction, the stopped rows, and flags (k) of rows that are cut or stopped. An agent that goes less than half of its
@@ -35,7 +35,7 @@ def cut_steps(
     previous displacement. The shared limits thus need no iteration between agents, and a pressing crowd stands still. Of two
     masses, the heavier is cut less."""
     most = max(walked.max(), -walked.min(), 1e-30)
-    magic = np.ldexp(1.5, int(np.frexp(most)[1]) + 2 - _FINE + 52)
+    magic = np.ldexp(1.5, int(np.frexp(most)[1]) + 2 - _SUM_BITS + 52)
     rows, pairs = len(near.rows), len(gap)
     (short, sums), part, changed = np.empty((2, 3, rows)), np.empty(rows), np.empty(rows, np.bool_)
     meeting_counts, bent_rows, stopped = np.empty((3, rows), np.intp)
@@ -104,7 +104,7 @@ def _bend_steps(
     part[:] = 1.0
     for k in independent(0, part.size):
         put_vector(cut, k, of(walked, k))
-    for bend in range(_BENDS):
+    for bend in range(_MAX_DEFLECTIONS):
         has_overlap = False
         for n in range(count):
             pair = pairs[n]
@@ -149,7 +149,7 @@ def _bend_steps(
         step = times(of(cut, k), part[k])
         short = minus(step, way_on)
         put_vector(cut, k, short)
-        held = dot(step, step) < _GOES * _GOES * dot(way_on, way_on)
+        held = dot(step, step) < _STOPPED_DISTANCE_SHARE * _STOPPED_DISTANCE_SHARE * dot(way_on, way_on)
         stopped[k] = 1 if held else 0
         changed[k] = held | (short[0] != 0) | (short[1] != 0) | (short[2] != 0)
     return compact_indices(stopped, part.size)

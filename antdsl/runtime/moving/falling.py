@@ -8,26 +8,28 @@ import dataclasses
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl.ground.protocol import Floats, Footing, Move
+from antdsl.ground.protocol import Floats, Footing, GroundMove
 from antdsl.numerics.vector_rows import length
 from antdsl.runtime.world import Population, World
 
 Rows = NDArray[np.intp]
 
-_LONGER = 1.005  # times the way allowed, above which a step is cut: less is the rounding of a seam
-_TOUCHES = 0.02  # of a body: how far from a solid who stands on it may be
-_LENGTHS = 7.5  # body lengths a second: falling speed of agents with a max_speed of 0
+_DISTANCE_SLACK_FACTOR = 1.005  # times the way allowed, above which a step is cut: less is the rounding of a seam
+_SOLID_CONTACT_PER_BODY = 0.02  # of a body: how far from a solid who stands on it may be
+_FALL_BODY_LENGTHS_PER_SECOND = 7.5  # body lengths a second: falling speed of agents with a max_speed of 0
 
 
-def limit_fall(world: World, population: Population, moved: Move, dt: np.float32) -> Move:
+def limit_fall(world: World, population: Population, moved: GroundMove, dt: np.float32) -> GroundMove:
     """Limit the result of a walk: agents that would exceed `max_speed` go only that far on the straight line to their target.
     They are then in the air of the solid that they fall from or come to. Their next step continues from there."""
     now, first = population.now, len(world.ground.names) - len(world.solids)
-    speed = np.where(now["max_speed"] > 0, now["max_speed"], now["size"] * np.float32(_LENGTHS)).astype(np.float64)
+    speed = np.where(now["max_speed"] > 0, now["max_speed"], now["size"] * np.float32(_FALL_BODY_LENGTHS_PER_SECOND)).astype(
+        np.float64
+    )
     displacement = moved.position - population.position
     far, most = length(displacement), speed * float(dt)
     from_solid, to_solid = population.footing.mesh >= first, moved.footing.mesh >= first
-    rows = np.flatnonzero((from_solid | to_solid) & (far > most * _LONGER))
+    rows = np.flatnonzero((from_solid | to_solid) & (far > most * _DISTANCE_SLACK_FACTOR))
     if not len(rows):
         return moved
     place = population.position[rows] + displacement[rows] * (most[rows] / far[rows])[:, None]
@@ -45,11 +47,13 @@ def find_airborne(world: World, population: Population, rows: Rows) -> Rows:
     is_airborne = np.zeros(len(rows), np.bool_)
     for number, volume in enumerate(world.solids.values(), first):
         subset = np.flatnonzero(mesh == number)
-        is_airborne[subset] = volume.sample(population.position[rows[subset]]) > population.now["size"][rows[subset]] * _TOUCHES
+        is_airborne[subset] = (
+            volume.sample(population.position[rows[subset]]) > population.now["size"][rows[subset]] * _SOLID_CONTACT_PER_BODY
+        )
     return np.flatnonzero(is_airborne)
 
 
-def push_airborne(world: World, population: Population, rows: Rows, displacement: Floats) -> Move:
+def push_airborne(world: World, population: Population, rows: Rows, displacement: Floats) -> GroundMove:
     """Return where pushes (k, 3) mm move agents in the air of a solid: straight ahead, but not into a solid."""
     place = population.position[rows] + displacement
     for volume in world.solids.values():
@@ -61,4 +65,4 @@ def push_airborne(world: World, population: Population, rows: Rows, displacement
         population.vector("heading")[rows],
     )
     no = np.zeros(len(rows), np.bool_)
-    return Move(Footing.on_solids(mesh, place), place, up, heading, heading, length(displacement), no, no)
+    return GroundMove(Footing.on_solids(mesh, place), place, up, heading, heading, length(displacement), no, no)

@@ -8,8 +8,8 @@ from numpy.typing import NDArray
 from antdsl.numerics import vectors as vec
 from antdsl.runtime.world import AXES, Population, World
 
-RAISED = 0.1  # of a body: how high its middle is over the feet, unless its clearance is more
-HEAD_DEPTH = 0.1  # of a body: a head that is no deeper inside but touches
+MIN_BODY_HEIGHT_SHARE = 0.1  # of a body: how high its middle is over the feet, unless its clearance is more
+HEAD_DEPTH_TOLERANCE = 0.1  # of a body: a head that is no deeper inside but touches
 
 
 def find_heads_inside(world: World, population: Population) -> NDArray[np.bool_]:
@@ -20,7 +20,7 @@ def find_heads_inside(world: World, population: Population) -> NDArray[np.bool_]
     tenth of a body behind that."""
     now = population.now
     size = now["size"].astype(np.float64)
-    high = np.maximum(RAISED * size, now["clearance"])
+    high = np.maximum(MIN_BODY_HEIGHT_SHARE * size, now["clearance"])
     middle, ahead = np.empty((2, 3, len(population)))
     for k, axis in enumerate(AXES):
         upright = now[f"up.{axis}"].astype(np.float64) + population.normal[:, k]
@@ -31,7 +31,7 @@ def find_heads_inside(world: World, population: Population) -> NDArray[np.bool_]
     if meshes is not None:
         which, part, normal = meshes.trace_normals(middle.T, ahead.T, world.options.threads)
         beyond = np.abs(vec.dot(ahead.take(which, axis=1), normal)) * (1 - part)
-        is_inside[which] = beyond > HEAD_DEPTH * size.take(which)
+        is_inside[which] = beyond > HEAD_DEPTH_TOLERANCE * size.take(which)
     for volume in world.solids.values():
-        is_inside |= volume.sample((middle + ahead).T) < -HEAD_DEPTH * size
+        is_inside |= volume.sample((middle + ahead).T) < -HEAD_DEPTH_TOLERANCE * size
     return is_inside

@@ -6,18 +6,18 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl.casting.curves import Curve
+from antdsl.casting.curves import SampledCurve
 from antdsl.casting.rays import RayScene
-from antdsl.ground.moving import Axes, MovingGround
-from antdsl.ground.protocol import Footing, Move
+from antdsl.ground.moving import FaceAxes, MovingGround
+from antdsl.ground.protocol import Footing, GroundMove
 from antdsl.numerics import vectors as vec
-from antdsl.numerics.vectors import Vector
+from antdsl.numerics.vectors import VectorArrays
 from antdsl.runtime.moving.obstacles import obstacle_mesh
 from antdsl.runtime.world import AXES, Population, World
 
-_CURVE_PIECE = 1.0  # mm: queries for the nearest point and direction split a curve into pieces of this length
-_MARGIN = np.float32(0.5)  # of the radius: how far an obstacle that comes near keeps an agent's centre off
-_PUSHES = 4  # ways out that are tried in one step
+_CURVE_SPACING_MM = 1.0  # mm: queries for the nearest point and direction split a curve into pieces of this length
+_OBSTACLE_MARGIN_SHARE = np.float32(0.5)  # of the radius: how far an obstacle that comes near keeps an agent's centre off
+_MAX_PUSH_DIRECTIONS = 4  # ways out that are tried in one step
 _F = np.float32
 
 
@@ -82,9 +82,9 @@ def vertices_at(world: World, name: str, frame: int) -> NDArray[np.float64]:
     return moves.meshes[name].vertices_at(mesh.vertices, frame - moves.first) - world.origin
 
 
-def make_curve(points: NDArray[np.float64]) -> Curve:
+def make_curve(points: NDArray[np.float64]) -> SampledCurve:
     """Return a curve that is ready for queries."""
-    return Curve(points, _CURVE_PIECE)
+    return SampledCurve(points, _CURVE_SPACING_MM)
 
 
 def ground_velocity(world: World, population: Population) -> NDArray[np.float64] | None:
@@ -121,7 +121,7 @@ def rest_positions(world: World, footing: Footing, place: NDArray[np.float64]) -
     return place
 
 
-def rotate_from_rest(world: World, population: Population, rows: NDArray[np.intp] | slice, vectors: Vector) -> Vector:
+def rotate_from_rest(world: World, population: Population, rows: NDArray[np.intp] | slice, vectors: VectorArrays) -> VectorArrays:
     """Return vectors (three float32 arrays) of the ground at rest, rotated to the current ground below each agent."""
     ground = moving_ground(world)
     if ground is None:
@@ -139,7 +139,7 @@ def rotate_from_rest(world: World, population: Population, rows: NDArray[np.intp
     return turned_vectors
 
 
-def move_from_rest(world: World, population: Population, rows: NDArray[np.intp] | slice, positions: Vector) -> Vector:
+def move_from_rest(world: World, population: Population, rows: NDArray[np.intp] | slice, positions: VectorArrays) -> VectorArrays:
     """Return the current positions of places (three float32 arrays) near agents on the ground at rest. All ground near an agent
     is assumed to have moved like its own face."""
     ground = moving_ground(world)
@@ -163,7 +163,7 @@ def _make_ray_scene(world: World, name: str, frame: int) -> RayScene:
     return RayScene(vertices_at(world, name, frame), mesh.faces, brief=True)
 
 
-def _find_riders(ground: MovingGround | None, population: Population) -> tuple[NDArray[np.intp], Axes | None]:
+def _find_riders(ground: MovingGround | None, population: Population) -> tuple[NDArray[np.intp], FaceAxes | None]:
     """Return the rows of agents on moving ground, and the frames of their faces before it moves."""
     if ground is None:
         return np.empty(0, np.intp), None
@@ -171,7 +171,7 @@ def _find_riders(ground: MovingGround | None, population: Population) -> tuple[N
     return rows, ground.axes(population.footing.take_on_meshes(rows))
 
 
-def _carry_riders(ground: MovingGround, population: Population, rows: NDArray[np.intp], previous_axes: Axes) -> None:
+def _carry_riders(ground: MovingGround, population: Population, rows: NDArray[np.intp], previous_axes: FaceAxes) -> None:
     """Rotate the position, up, heading and velocity of agents on moved ground as their face has turned."""
     footing = population.footing.take_on_meshes(rows)
     next_axes = ground.axes(footing)
@@ -193,7 +193,7 @@ def _carry_riders(ground: MovingGround, population: Population, rows: NDArray[np
             now[f"{name}.{axis}"][rows] = component
 
 
-def _rotate_vectors(previous_axes: Axes, next_axes: Axes, v: NDArray[np.float64]) -> NDArray[np.float64]:
+def _rotate_vectors(previous_axes: FaceAxes, next_axes: FaceAxes, v: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return vectors (3, n) with unchanged components along the axes of a frame that has turned."""
     parts = [(a[0] * v[0] + a[1] * v[1]) + a[2] * v[2] for a in previous_axes]
     turned: NDArray[np.float64] = (parts[0] * next_axes[0] + parts[1] * next_axes[1]) + parts[2] * next_axes[2]
@@ -208,9 +208,9 @@ def _push_out(world: World, population: Population, name: str) -> None:
     """Walk agents out of an obstacle that has reached them, away from its nearest face, until its margin is free."""
     scene, now = obstacle_mesh(world, name), population.now
     place = vec.vector_registers(now, "position")
-    margin = np.maximum(now["radius"], _F(0)) * _MARGIN
+    margin = np.maximum(now["radius"], _F(0)) * _OBSTACLE_MARGIN_SHARE
     rows = np.flatnonzero(scene.clearance(*place) <= margin)
-    for _ in range(_PUSHES):
+    for _ in range(_MAX_PUSH_DIRECTIONS):
         if not len(rows):
             return
         gap, out = scene.signed_distances(*vec.take(place, rows), margin[rows], world.options.threads)
@@ -236,7 +236,7 @@ def _push_out(world: World, population: Population, name: str) -> None:
         _apply_move(population, rows, moved)
 
 
-def _apply_move(population: Population, rows: NDArray[np.intp], moved: Move) -> None:
+def _apply_move(population: Population, rows: NDArray[np.intp], moved: GroundMove) -> None:
     """Place some agents where a push has moved them; their velocity continues along the ground there."""
     footing = population.footing.copy()  # a snapshot may have the one from before
     footing.put(rows, moved.footing)

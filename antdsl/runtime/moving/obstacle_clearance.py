@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl.casting.tolerances import FAR_OFF
+from antdsl.casting.tolerances import ROUNDING_BOUND
 from antdsl.numerics import vectors as vec
 from antdsl.runtime.world import Population, World
 
-_SLACK = np.float32(FAR_OFF)
+_ROUNDING_SLACK = np.float32(ROUNDING_BOUND)
 
 
 def cached_clearance(world: World, population: Population, obstacle: str) -> NDArray[np.float32]:
@@ -25,4 +25,4 @@ def cached_clearance(world: World, population: Population, obstacle: str) -> NDA
 
 def may_touch(clear: NDArray[np.float32], reach: NDArray[np.float32]) -> NDArray[np.bool_]:
     """Return which agents may have a face within `reach` (mm)."""
-    return clear <= reach * (1 + _SLACK) + _SLACK
+    return clear <= reach * (1 + _ROUNDING_SLACK) + _ROUNDING_SLACK

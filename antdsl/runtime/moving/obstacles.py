@@ -8,29 +8,31 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl.casting.grid_rays import AHEAD, Grid, cast_feeler
+from antdsl.casting.grid_rays import PREFETCH_GROUP_SIZE, GridTables, cast_feeler
 from antdsl.casting.nearest_faces import prefetch_around, prefetch_lists, signed_distance
 from antdsl.casting.rays import RayScene
-from antdsl.casting.tolerances import FURTHER
+from antdsl.casting.tolerances import FACE_BEYOND_GRID
 from antdsl.machine_code.kernels import BOOL, F32, I64, Array1, Array2, Strided2, independent, inlined, kernel, scratch
 from antdsl.numerics import parallel
 from antdsl.numerics import vectors as vec
 from antdsl.numerics.kernel_vectors import Vec3F32, VectorColumns, dot, minus, plus, times
-from antdsl.numerics.vectors import Columns, Vector
+from antdsl.numerics.vectors import VectorArrays, VectorComponents
 from antdsl.runtime.moving.obstacle_clearance import cached_clearance
 from antdsl.runtime.world import Population, World
 
 _F = np.float32
-_ZERO, _HALF, _ONE, _FAR = _F(0), _F(0.5), _F(1), _F(np.inf)
-_LEAST = _F(1e-9)  # mm: a shorter step is none
-_TINY = _F(1e-12)  # as `vectors.unit`
-_MARGIN = _F(0.5)  # of the radius: how near the centre comes to a face that it walks into
-_SLACK = _F(1e-4)  # as `obstacle_clearance`
-_WIDER = _F(1) + _SLACK
-_LOOKS, _LONGER = 1 + 1e-6, _F(1) + _F(1e-6)  # more than rounding makes of a distance, or a path shorter
+_FLOAT32_ZERO, _FLOAT32_HALF, _FLOAT32_ONE, _FLOAT32_INFINITY = _F(0), _F(0.5), _F(1), _F(np.inf)
+_MIN_STEP_MM = _F(1e-9)  # mm: a shorter step is none
+_MIN_VECTOR_LENGTH = _F(1e-12)  # as `vectors.unit`
+_CENTRE_MARGIN_SHARE = _F(0.5)  # of the radius: how near the centre comes to a face that it walks into
+_CLEARANCE_SLACK = _F(1e-4)  # as `obstacle_clearance`
+_RADIUS_SLACK_FACTOR = _F(1) + _CLEARANCE_SLACK
+_RAY_SLACK_FACTOR, _STEP_SLACK_FACTOR = 1 + 1e-6, _F(1) + _F(1e-6)  # more than rounding makes of a distance, or a path shorter
 
 
-def slide(world: World, population: Population, step: Vector, up: Columns, radius: NDArray[np.float32]) -> Vector:
+def slide(
+    world: World, population: Population, step: VectorArrays, up: VectorComponents, radius: NDArray[np.float32]
+) -> VectorArrays:
     """Return the step (mm) of every agent, bent along the obstacles in its way. `up` is the normal of the ground."""
     names = _obstacle_names(world)
     if names:
@@ -42,7 +44,9 @@ def slide(world: World, population: Population, step: Vector, up: Columns, radiu
     return step
 
 
-def slide_some(world: World, population: Population, rows: NDArray[np.intp], step: Vector, up: Columns) -> Vector:
+def slide_some(
+    world: World, population: Population, rows: NDArray[np.intp], step: VectorArrays, up: VectorComponents
+) -> VectorArrays:
     """As `slide`, for some agents, from their current positions within a step that began elsewhere."""
     names = _obstacle_names(world)
     if names:
@@ -53,7 +57,9 @@ def slide_some(world: World, population: Population, rows: NDArray[np.intp], ste
     return step
 
 
-def _measure_drift(population: Population, rows: NDArray[np.intp]) -> tuple[Vector, NDArray[np.float32], NDArray[np.float32]]:
+def _measure_drift(
+    population: Population, rows: NDArray[np.intp]
+) -> tuple[VectorArrays, NDArray[np.float32], NDArray[np.float32]]:
     """Return positions of some agents, their radii, and an upper bound of their distance (mm) from the start of the step."""
     positions, start = (vec.vector_registers(registers, "position") for registers in (population.now, population.start))
     place, radius, drift = np.empty((3, len(rows)), np.float32), *np.empty((2, len(rows)), np.float32)
@@ -76,13 +82,16 @@ def obstacle_mesh(world: World, name: str) -> RayScene:
 def _is_at_start(population: Population, threads: int) -> bool:
     """Return whether all agents are still where the step began; this is false after a first substep."""
     now, start = vec.vector_registers(population.now, "position"), vec.vector_registers(population.start, "position")
-    return all(parallel.in_parts(partial(is_unchanged, now, start), len(population), threads, parallel.LIGHT))
+    return all(
+        parallel.in_parts(partial(is_unchanged, now, start), len(population), threads, parallel.MIN_LIGHT_ITEMS_PER_THREAD)
+    )
 
 
 def _slide_along(
-    scene: RayScene, place: Vector, step: Vector, up: Columns, radius: NDArray[np.float32], clear: NDArray[np.float32],
+    scene: RayScene, place: VectorArrays, step: VectorArrays, up: VectorComponents, radius: NDArray[np.float32],
+    clear: NDArray[np.float32],
     threads: int,
-) -> Vector:  # fmt: skip
+) -> VectorArrays:  # fmt: skip
     """Return the steps (mm) of agents at `place`, bent along one obstacle. `clear` (mm): a lower bound of their distance from
     it."""
     n = len(radius)
@@ -91,7 +100,7 @@ def _slide_along(
         (rows, hit_rows), columns, faces = np.empty((2, n), np.int64), np.empty((10, n), np.float32), np.empty((4, n), np.float32)
         normals = np.stack(up) if isinstance(up, tuple) else up
         work = partial(bend_steps, tables, place, step, normals, radius, clear, rows, columns, hit_rows, faces)
-        parts = parallel.in_parts(work, n, threads, parallel.LIGHT)
+        parts = parallel.in_parts(work, n, threads, parallel.MIN_LIGHT_ITEMS_PER_THREAD)
         if not any([left for _, _, _, left in parts]):
             return _turn_at_hits(scene, step, rows, columns, hit_rows, faces, parts, threads)
     rows, columns = np.empty(n, np.int64), np.empty((9, n), np.float32)
@@ -118,9 +127,9 @@ def _slide_along(
 
 
 def _turn_at_hits(
-    scene: RayScene, step: Vector, rows: NDArray[np.int64], columns: NDArray[np.float32], hit_rows: NDArray[np.int64],
+    scene: RayScene, step: VectorArrays, rows: NDArray[np.int64], columns: NDArray[np.float32], hit_rows: NDArray[np.int64],
     hits: NDArray[np.float32], parts: list[tuple[int, int, int, int]], threads: int,
-) -> Vector:  # fmt: skip
+) -> VectorArrays:  # fmt: skip
     """Return the steps, with those deflected by the kernel `along` replaced. Steps that also hit a face are turned aside from
     it."""
     rows, columns = parallel.join_parts(parts, rows, columns)
@@ -137,7 +146,7 @@ def _turn_at_hits(
     return _replace_rows(step, rows, columns[3:6])
 
 
-def _replace_rows(step: Vector, rows: NDArray[np.int64], own: NDArray[np.float32]) -> Vector:
+def _replace_rows(step: VectorArrays, rows: NDArray[np.int64], own: NDArray[np.float32]) -> VectorArrays:
     """Steps, of some rows their own (3, k)."""
     to = np.empty((3, len(step[0])), np.float32)
     replace_rows(step, rows, own, to)
@@ -145,8 +154,9 @@ def _replace_rows(step: Vector, rows: NDArray[np.int64], own: NDArray[np.float32
 
 
 def _turn_aside(
-    scene: RayScene, place: Columns, step: Columns, up: Columns, margin: NDArray[np.float32], hit_rows: NDArray[np.intp],
-    free: NDArray[np.float32], normal: Vector, threads: int,
+    scene: RayScene, place: VectorComponents, step: VectorComponents, up: VectorComponents, margin: NDArray[np.float32],
+    hit_rows: NDArray[np.intp],
+    free: NDArray[np.float32], normal: VectorArrays, threads: int,
 ) -> None:  # fmt: skip
     """Bend, in place, the steps of agents that `hit_rows` a face with this normal after `free` mm."""
     u, intended_steps = vec.take(up, hit_rows), vec.take(step, hit_rows)
@@ -168,11 +178,11 @@ def _turn_aside(
 
 
 def _find_hits(
-    scene: RayScene, place: Vector, step: Vector, margin: NDArray[np.float32], threads: int
-) -> tuple[NDArray[np.intp], NDArray[np.float32], Vector]:
+    scene: RayScene, place: VectorArrays, step: VectorArrays, margin: NDArray[np.float32], threads: int
+) -> tuple[NDArray[np.intp], NDArray[np.float32], VectorArrays]:
     """Which agents meet a face on their step, how much of the step (mm) is free, and the face's normal."""
     size = vec.length(step)
-    going = np.flatnonzero(size > _LEAST)
+    going = np.flatnonzero(size > _MIN_STEP_MM)
     size, margin = size[going], margin[going]
     direction = vec.scale(vec.take(step, going), _F(1) / size)
     hits = scene.cast_feelers(vec.take(place, going), direction, size + margin, threads)
@@ -195,8 +205,8 @@ def _measure_step(step: VectorColumns, radius: Array1[F32], clear: Array1[F32], 
     """Return the length of a step, its margin, and whether it may touch an obstacle."""
     vector = (step[0][i], step[1][i], step[2][i])
     size = np.sqrt(dot(vector, vector))
-    margin = (_ZERO if radius[i] <= 0 else radius[i]) * _MARGIN
-    return size, margin, size > _LEAST and clear[i] <= (size + margin) * _WIDER + _SLACK
+    margin = (_FLOAT32_ZERO if radius[i] <= 0 else radius[i]) * _CENTRE_MARGIN_SHARE
+    return size, margin, size > _MIN_STEP_MM and clear[i] <= (size + margin) * _RADIUS_SLACK_FACTOR + _CLEARANCE_SLACK
 
 
 @inlined
@@ -207,11 +217,11 @@ def _keep_margin(
     face."""
     wall = minus(out, times(up, dot(out, up)))
     long = np.sqrt(dot(wall, wall))
-    if long > _TINY and np.isfinite(long):
-        wall = times(wall, _ONE / long)
+    if long > _MIN_VECTOR_LENGTH and np.isfinite(long):
+        wall = times(wall, _FLOAT32_ONE / long)
     else:
-        wall = (_ZERO, _ZERO, _ZERO)
-    least, half = margin - gap, size * _HALF
+        wall = (_FLOAT32_ZERO, _FLOAT32_ZERO, _FLOAT32_ZERO)
+    least, half = margin - gap, size * _FLOAT32_HALF
     least = (half if half < least else least) - dot(step, wall)
     if not least <= 0:
         step = plus(step, times(wall, least))
@@ -219,11 +229,11 @@ def _keep_margin(
     if long > size:
         step = times(step, size / long)
     if gap < 0:
-        clear = _FAR  # nothing holds who is inside
+        clear = _FLOAT32_INFINITY  # nothing holds who is inside
     elif not gap <= clear:
         clear = gap
     size = np.sqrt(dot(step, step))
-    return step, size, size > _LEAST and clear <= (size + margin) * _WIDER + _SLACK
+    return step, size, size > _MIN_STEP_MM and clear <= (size + margin) * _RADIUS_SLACK_FACTOR + _CLEARANCE_SLACK
 
 
 class TouchCounts(NamedTuple):
@@ -238,7 +248,7 @@ class TouchCounts(NamedTuple):
 
 @kernel
 def bend_steps(
-    grid: Grid,
+    grid: GridTables,
     place: VectorColumns,
     step: VectorColumns,
     up: Strided2[F32],
@@ -262,9 +272,9 @@ def bend_steps(
             rows[asking] = i
             asking += 1
     count, hit, left = 0, 0, 0
-    cubes = scratch(9 * AHEAD, I64)
-    for low in range(begin, asking, AHEAD):
-        high = min(low + AHEAD, asking)
+    cubes = scratch(9 * PREFETCH_GROUP_SIZE, I64)
+    for low in range(begin, asking, PREFETCH_GROUP_SIZE):
+        high = min(low + PREFETCH_GROUP_SIZE, asking)
         for n in range(low, high):
             i = rows[n]
             prefetch_around(grid, (place[0][i], place[1][i], place[2][i]), cubes, n - low)
@@ -273,8 +283,10 @@ def bend_steps(
             i = rows[n]
             size, margin, _ = _measure_step(step, radius, clear, i)
             at, above = (place[0][i], place[1][i], place[2][i]), (up[0, i], up[1, i], up[2, i])
-            gap, out = signed_distance(grid, at, np.float64((size + margin) * _WIDER + _SLACK) * _LOOKS)
-            if gap == _FAR:
+            gap, out = signed_distance(
+                grid, at, np.float64((size + margin) * _RADIUS_SLACK_FACTOR + _CLEARANCE_SLACK) * _RAY_SLACK_FACTOR
+            )
+            if gap == _FLOAT32_INFINITY:
                 continue
             left += 1 if gap != gap else 0
             new_step, size, may_touch = _keep_margin(
@@ -285,12 +297,12 @@ def bend_steps(
             for axis in range(3):
                 columns[axis, k], columns[3 + axis, k], columns[6 + axis, k] = at[axis], new_step[axis], above[axis]
             if may_touch:
-                normal, face = cast_feeler(grid, at, times(new_step, _ONE / size), size + margin)
-                left += 1 if face == FURTHER else 0
+                normal, face = cast_feeler(grid, at, times(new_step, _FLOAT32_ONE / size), size + margin)
+                left += 1 if face == FACE_BEYOND_GRID else 0
                 if face >= 0:
                     h = begin + hit
                     free = _F(normal[3]) - margin
-                    free = _ZERO if free < _ZERO else size if free > size else free
+                    free = _FLOAT32_ZERO if free < _FLOAT32_ZERO else size if free > size else free
                     hit_rows[h], hits[0, h] = count, free
                     hits[1, h], hits[2, h], hits[3, h] = _F(normal[0]), _F(normal[1]), _F(normal[2])
                     hit += 1
@@ -356,7 +368,7 @@ def keep_margins(
         new_steps[0, i], new_steps[1, i], new_steps[2, i] = step
         if may_touch:
             going[count] = i
-            inverse = _ONE / size
+            inverse = _FLOAT32_ONE / size
             for k in range(3):
                 rays[k, count], rays[3 + k, count] = near[3 + k, i], step[k] * inverse
             rays[6, count], rays[7, count], rays[8, count] = size + margin, size, margin
@@ -393,4 +405,4 @@ def measure_drift(
         to = (place[0][row], place[1][row], place[2][row])
         displacement = minus(to, (start[0][row], start[1][row], start[2][row]))
         at[0, k], at[1, k], at[2, k] = to
-        radius[k], drift[k] = wide[row], np.sqrt(dot(displacement, displacement)) * _LONGER
+        radius[k], drift[k] = wide[row], np.sqrt(dot(displacement, displacement)) * _STEP_SLACK_FACTOR

@@ -12,27 +12,27 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl.numerics.vectors import Vector, dot, stacked_cross
+from antdsl.numerics.vectors import VectorArrays, dot, stacked_cross
 from antdsl.runtime.world import AXES, Population, World
 
 Floats = NDArray[np.float64]
 
-_TURNED = 0.0087  # sine of the least turn of a direction, half a degree, that tells of a plane
-_BEND_SHARE = 0.1  # of that turn: how far the ground's normal may turn in the same step
+_MIN_TURN_SINE = 0.0087  # sine of the least turn of a direction, half a degree, that tells of a plane
+_MAX_NORMAL_TURN_SHARE = 0.1  # of that turn: how far the ground's normal may turn in the same step
 # cosine of 10 degrees: greatest angle between the ground's normal and an up computed from turns or retained
-_NEAR = 0.984807753012208
-_FAR = 0.7071067811865476  # cosine of 45 degrees: the same of what two probes say
+_MAX_TILT_COSINE = 0.984807753012208
+_MAX_PROBE_TILT_COSINE = 0.7071067811865476  # cosine of 45 degrees: the same of what two probes say
 
 
 def orient_bodies(
-    world: World, population: Population, previous_velocity: Vector, previous_up: Vector, normal: NDArray[np.float32]
+    world: World, population: Population, previous_velocity: VectorArrays, previous_up: VectorArrays, normal: NDArray[np.float32]
 ) -> None:
     """Orient bodies as the scene requests, starting from their orientation on the ground's normal; changes up and heading.
 
     `previous_velocity`, `previous_up` and `normal` (n, 3) are the velocity, the up of the body and the normal below the feet
     before the step."""
     ground = population.normal.T.astype(np.float64)
-    up = _METHODS[world.setting.orient](
+    up = _UP_ESTIMATORS[world.setting.orient](
         world, population, np.stack(previous_velocity).astype(np.float64), np.stack(previous_up), normal, ground
     )
     heading = population.vector("heading").T
@@ -61,18 +61,18 @@ def _up_from_turns(
     across = stacked_cross(one, other)
     sine = np.sqrt(dot(across, across))
     bend = normal.T.astype(np.float64) - ground
-    plain = (sine >= _TURNED) & (np.sqrt(dot(bend, bend)) <= _BEND_SHARE * sine)
+    plain = (sine >= _MIN_TURN_SINE) & (np.sqrt(dot(bend, bend)) <= _MAX_NORMAL_TURN_SHARE * sine)
     up = _normalise_or(across, ground)
     up = np.where(dot(up, ground) < 0, -up, up)  # which way round it turned tells nothing of which side it stands on
-    up = np.where(plain & (dot(up, ground) >= _NEAR), up, previous_up.astype(np.float64))
+    up = np.where(plain & (dot(up, ground) >= _MAX_TILT_COSINE), up, previous_up.astype(np.float64))
     return _limit_tilt(up, ground)
 
 
 def _limit_tilt(up: Floats, ground: Floats) -> Floats:
     """Return up vectors (3, n), limited to 10 degrees from the ground's normals, in the plane of both."""
     aside = _normalise_or(up - ground * dot(up, ground), np.zeros_like(up))
-    most = ground * _NEAR + aside * np.sqrt(1.0 - _NEAR * _NEAR)
-    return np.where(dot(up, ground) < _NEAR, _normalise_or(most, ground), up)
+    most = ground * _MAX_TILT_COSINE + aside * np.sqrt(1.0 - _MAX_TILT_COSINE * _MAX_TILT_COSINE)
+    return np.where(dot(up, ground) < _MAX_TILT_COSINE, _normalise_or(most, ground), up)
 
 
 def _up_from_probes(
@@ -97,7 +97,7 @@ def _up_from_probes(
     size = np.sqrt(dot(up, up))
     sound = (size > 0.1 * reach * reach) & (reach > 0)
     up = np.where(sound, _normalise_or(up, ground), ground)
-    return np.where(dot(up, ground) < _FAR, ground, up)
+    return np.where(dot(up, ground) < _MAX_PROBE_TILT_COSINE, ground, up)
 
 
 def _normalise_or(v: Floats, otherwise: Floats) -> Floats:
@@ -107,4 +107,4 @@ def _normalise_or(v: Floats, otherwise: Floats) -> Floats:
     return np.where(good, v / np.where(good, size, 1.0), otherwise)
 
 
-_METHODS: dict[str, Callable[..., Floats]] = {"turns": _up_from_turns, "probes": _up_from_probes}
+_UP_ESTIMATORS: dict[str, Callable[..., Floats]] = {"turns": _up_from_turns, "probes": _up_from_probes}

@@ -14,23 +14,23 @@ from antdsl.machine_code.kernels import BOOL, F32, F64, I32, I64, Array1, Array2
 from antdsl.numerics import vectors as vec
 from antdsl.numerics.elementary_loops import atan2
 from antdsl.numerics.kernel_vectors import VectorColumns, cross, dot, minus, of, plus, times
-from antdsl.numerics.vectors import Vector
-from antdsl.runtime.moving.velocities import FACE, STANDS
+from antdsl.numerics.vectors import VectorArrays
+from antdsl.runtime.moving.velocities import FACE_REGISTER, STANDING_STATE
 from antdsl.runtime.world import Population, World
 
 Floats = NDArray[np.float64]
 # Of looks: the agent, half a body, the step (mm), its direction and the ground's normal.
-Looks = tuple[Array1[I64], Array1[F64], Array1[F64], Strided2[F64], Strided2[F64]]
+WallRays = tuple[Array1[I64], Array1[F64], Array1[F64], Strided2[F64], Strided2[F64]]
 
 _F = np.float32
-_STEEP = 0.7071067811865476  # cosine of the least turn of the ground that is a wall; less is smooth, or a slope
-_EYE = 0.03  # of a body: how high above the feet a ray looks for walls
-_ASIDE = 0.97  # cosine of the angle between look and step above which one ray tells of both
-_FEW = 512  # agents for which memory is always allocated
-WIDEST = 3.0  # half bodies before a wall within which a body tilts, at most
+_WALL_TURN_COSINE = 0.7071067811865476  # cosine of the least turn of the ground that is a wall; less is smooth, or a slope
+_EYE_HEIGHT_PER_BODY = 0.03  # of a body: how high above the feet a ray looks for walls
+_SAME_RAY_COSINE = 0.97  # cosine of the angle between look and step above which one ray tells of both
+_MIN_BUFFER_AGENTS = 512  # agents for which memory is always allocated
+MAX_TILT_DISTANCE_HALVES = 3.0  # half bodies before a wall within which a body tilts, at most
 
 
-class Walls(NamedTuple):
+class WallsAhead(NamedTuple):
     """Walls before some agents, lengths in mm.
 
     `wall` (3, k): normals on the agents' side; `ahead` (3, k): direction; `angle` (radians): between ground and wall. `far`:
@@ -44,12 +44,12 @@ class Walls(NamedTuple):
     half: Floats
 
 
-_NO_WALLS = Walls(*np.empty((2, 3, 0)), *np.empty((4, 0)))
+_NO_WALLS = WallsAhead(*np.empty((2, 3, 0)), *np.empty((4, 0)))
 
 
 def find_walls(
-    world: World, population: Population, looking: Vector, step: Vector, reach: Floats, state: NDArray[np.int32]
-) -> Walls:
+    world: World, population: Population, looking: VectorArrays, step: VectorArrays, reach: Floats, state: NDArray[np.int32]
+) -> WallsAhead:
     """Find walls within `reach` (mm) of agents, along their heading over the ground and along their step (mm). Of two walls, the
     one that tilts the body further counts. An agent that walks backward with a separate facing direction has no head in its
     direction of motion. `state` of an agent becomes the number of its wall. `looking` has the headings of leaning agents only,
@@ -60,20 +60,23 @@ def find_walls(
     rows = meshes.rows_near_rises(population.footing, population.position, reach, world.options.threads)
     if not len(rows):
         return _NO_WALLS
-    now, most = population.now, max(_FEW, 1 << len(rows).bit_length())  # the same memory while about as many look out
+    now, most = (
+        population.now,
+        max(_MIN_BUFFER_AGENTS, 1 << len(rows).bit_length()),
+    )  # the same memory while about as many look out
     (which,) = population.get_buffers("looks", 1, (2 * most,), np.int64)
     halves, sizes = population.get_buffers("sizes", 2, (2 * most,), np.float64)
     ahead, normal, origin, ray = population.get_buffers("ways", 4, (3, 2 * most), np.float64)
     looks = (which, halves, sizes, ahead, normal)
-    face, heading = vec.vector_registers(now, "~face") if FACE in now else step, vec.vector_registers(now, "heading")
-    directions = Directions(heading, looking, state, step, FACE in now, face)
+    face, heading = vec.vector_registers(now, "~face") if FACE_REGISTER in now else step, vec.vector_registers(now, "heading")
+    directions = BodyDirections(heading, looking, state, step, FACE_REGISTER in now, face)
     count = fill_looks(rows, now["size"], population.position, population.normal, directions, looks, origin, ray)
     hit, part, wall = meshes.trace_normals(origin[:, :count].T, ray[:, :count].T, world.options.threads)
     if not len(hit):
         return _NO_WALLS
     lengths, wall_normals, along = np.empty((4, len(hit))), *np.empty((2, 3, len(hit)))
     count = fill_walls(len(rows), looks, hit, part, wall, wall_normals, along, *lengths, state)
-    return Walls(wall_normals[:, :count], along[:, :count], *lengths[:, :count])
+    return WallsAhead(wall_normals[:, :count], along[:, :count], *lengths[:, :count])
 
 
 @inlined
@@ -87,10 +90,10 @@ def half_size(size: F32) -> F64:
 def fill_reach(size: Array1[F32], reach: Array1[F64]) -> None:
     """Write how far (mm) ahead bodies of sizes (mm) search for walls."""
     for i in independent(0, size.size):
-        reach[i] = WIDEST * half_size(size[i])
+        reach[i] = MAX_TILT_DISTANCE_HALVES * half_size(size[i])
 
 
-class Directions(NamedTuple):
+class BodyDirections(NamedTuple):
     """Headings of agents; `looking`: those along the ground, for agents that lean by their `state`; their steps; whether `face`
     has directions to face."""
 
@@ -108,8 +111,8 @@ def fill_looks(
     size: Array1[F32],
     position: Strided2[F64],
     normal: Array2[F32],
-    directions: Directions,
-    looks: Looks,
+    directions: BodyDirections,
+    looks: WallRays,
     origin: Array2[F64],
     ray: Array2[F64],
 ) -> I64:
@@ -123,7 +126,7 @@ def fill_looks(
     count = rows.size
     for k in range(rows.size):
         i, half = rows[k], half_size(size[rows[k]])
-        if state[i] == STANDS:
+        if state[i] == STANDING_STATE:
             looking[0][i], looking[1][i], looking[2][i] = heading[0][i], heading[1][i], heading[2][i]
         up = (np.float64(normal[i, 0]), np.float64(normal[i, 1]), np.float64(normal[i, 2]))
         ahead = (np.float64(looking[0][i]), np.float64(looking[1][i]), np.float64(looking[2][i]))
@@ -136,12 +139,12 @@ def fill_looks(
         else:
             direction = ahead
         same = dot(direction, ahead)
-        aside = same < _ASIDE
+        aside = same < _SAME_RAY_COSINE
         if aside and faces and same < 0 and (face[0][i] != 0 or face[1][i] != 0 or face[2][i] != 0):
             aside = False
         place = (position[i, 0], position[i, 1], position[i, 2])
-        start = plus(place, times(up, 2 * _EYE * half))
-        reach = WIDEST * half
+        start = plus(place, times(up, 2 * _EYE_HEIGHT_PER_BODY * half))
+        reach = MAX_TILT_DISTANCE_HALVES * half
         at = k
         for turn in range(2):
             if turn == 0 or aside:
@@ -159,7 +162,7 @@ def fill_looks(
 @kernel
 def fill_walls(
     first: I64,
-    looks: Looks,
+    looks: WallRays,
     hit: Array1[I64],
     part: Array1[F64],
     hit_normals: Strided2[F64],
@@ -206,11 +209,11 @@ def fill_walls(
                 cosine, aside = dot(up, normal), cross(up, normal)
                 sine = max(np.sqrt(dot(aside, aside)), 1e-6)
                 turned = np.float64(atan2(_F(sine), _F(cosine)))
-                long = halves[h] * min(max(turned / sine, 2.0), WIDEST)
-                high, reach = 2 * _EYE * halves[h], WIDEST * halves[h]
+                long = halves[h] * min(max(turned / sine, 2.0), MAX_TILT_DISTANCE_HALVES)
+                high, reach = 2 * _EYE_HEIGHT_PER_BODY * halves[h], MAX_TILT_DISTANCE_HALVES * halves[h]
                 away = max(part[k] * reach - high * cosine / sine, 0.0)
                 tilt = (1.0 - away / long) * turned
-                if cosine < _STEEP and away < long + 2 * sizes[h] and (not has_wall or tilt > best):
+                if cosine < _WALL_TURN_COSINE and away < long + 2 * sizes[h] and (not has_wall or tilt > best):
                     best, has_wall = tilt, True
                     angle[count], far[count], over[count], half[count] = turned, away, long, halves[h]
                     for axis in range(3):

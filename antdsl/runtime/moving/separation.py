@@ -10,43 +10,47 @@ from numpy.typing import NDArray
 from antdsl.machine_code.kernels import BOOL, F64, I64, Array1, Array2, Array3, Strided2, called, independent, inlined, kernel
 from antdsl.numerics.kernel_vectors import Vec3, VectorColumns, dot, minus, of, plus, put_vector, times
 from antdsl.numerics.sorting import compact_indices
-from antdsl.runtime.moving.capsule_distances import Bodies, measure_listed
+from antdsl.runtime.moving.capsule_distances import CapsuleArrays, measure_listed
 from antdsl.runtime.moving.cutting import add_rounded, negate
 
-DEAD = 5e-4  # of the two collision radii: overlaps up to this move no agent, so that resting agents stay at rest
-FINE = 40  # digits of a term in a sum, below the widest overlap
-_SHARES = 1 << 20  # a share is a multiple of one in so many
-_SPREADS = 3  # contacts along which the lock values spread
-_OUTWARD = 10.0  # times the difference of two agents, by which the outer one moves more in a dense cluster
-_PRESSED = 1.0  # the same among those who are hardly in each other: there a crowd that presses must not be thrown about
-_LEAST = 1 / 64  # of the whole: what the inner one makes room for at least
-_EAGER = 1.5  # times the mean of its contacts, by which an agent in a dense cluster is moved
-_STEEPEST = 0.1  # square of the part of a way that lies along the ground, below which one goes no farther for it
+DEAD_ZONE_SHARE = 5e-4  # of the two collision radii: overlaps up to this move no agent, so that resting agents stay at rest
+SUM_BITS = 40  # digits of a term in a sum, below the widest overlap
+_SHARE_RESOLUTION = 1 << 20  # a share is a multiple of one in so many
+_LOCK_SPREAD_CONTACTS = 3  # contacts along which the lock values spread
+_OUTER_SHARE_FACTOR = 10.0  # times the difference of two agents, by which the outer one moves more in a dense cluster
+_SHALLOW_OUTER_SHARE_FACTOR = (
+    1.0  # the same among those who are hardly in each other: there a crowd that presses must not be thrown about
+)
+_MIN_INNER_SHARE = 1 / 64  # of the whole: what the inner one makes room for at least
+_CLUSTER_OVERRELAXATION = 1.5  # times the mean of its contacts, by which an agent in a dense cluster is moved
+_MIN_SQUARED_GROUND_PART = 0.1  # square of the part of a way that lies along the ground, below which one goes no farther for it
 # radii: an agent counts as in a dense cluster from half this previous penetration depth on, and fully from one and a half times
 # it
-_HEAP_DEPTH = 0.4
-_RESTS = 0.01  # of its allowed distance: an agent that goes less rests, and presses no other
-_YIELD = 0.3  # of the way that it may walk: how far one that was free is pushed by others in a substep
-_ONE, _TINY = np.float32(1), np.float32(1e-12)  # as `vectors.unit`
-_MAGIC = 1.5 * 2.0 ** (52 - FINE)
+_CLUSTER_DEPTH_RADII = 0.4
+_RESTING_DISTANCE_SHARE = 0.01  # of its allowed distance: an agent that goes less rests, and presses no other
+_FREE_AGENT_PUSH_SHARE = 0.3  # of the way that it may walk: how far one that was free is pushed by others in a substep
+_FLOAT32_ONE, _MIN_VECTOR_LENGTH = np.float32(1), np.float32(1e-12)  # as `vectors.unit`
+_ROUNDING_MAGIC = 1.5 * 2.0 ** (52 - SUM_BITS)
 
-Pairs = tuple[Array1[I64], Array1[I64], Array1[F64], Array2[F64], Array1[BOOL]]  # i, j, gap, way, and which count
+PairArrays = tuple[Array1[I64], Array1[I64], Array1[F64], Array2[F64], Array1[BOOL]]  # i, j, gap, way, and which count
 # Masses, yields, reaches, depths and who is held; normals of the ground, walked and cut, as `contacts` has them
-Stand = tuple[
+AgentArrays = tuple[
     Array1[F64], Array1[F64], Array1[F64], Array1[F64], Array1[BOOL], Strided2[F64], Strided2[F64], Strided2[F64]
 ]  # fmt: skip
 # Work buffers. For rows: two vectors, seven numbers, three integers and a condition. For pairs: six numbers, two vectors and four
 # integers. Also all pairs around each row, and where those of each row start, below 0 until they are requested.
-Buffers = tuple[
+SolverBuffers = tuple[
     Array2[F64], Array2[F64], Array2[F64], Array2[I64], Array1[BOOL], Array2[F64], Array3[F64], Array2[I64], Array1[I64],
     Array1[I64],
 ]  # fmt: skip
 
-_WEIGHT, _LOCKED, _SPREAD, _LIGHT, _HEAPED, _MOST, _PUSH_LIMIT = range(7)  # numbers of rows
-_NUMBER, _ROW_LIST, _CONTACTS = 0, 1, 2  # whole numbers of rows
-_NONE = -1  # number of a row that is in no pair of a look
-_DEAD_ZONE, _DEPTH, _LEVEL, _SHARE = 0, 1, 2, 4  # numbers of pairs, of the last two one of each side
-_CHOSEN, _FIRST, _SECOND, _TOUCHING = range(4)  # whole numbers of pairs
+_WEIGHT_ROW, _LOCKED_ROW, _SPREAD_ROW, _INVERSE_MASS_ROW, _CLUSTER_SHARE_ROW, _MAX_CORRECTION_ROW, _PUSH_LIMIT_ROW = range(
+    7
+)  # numbers of rows
+_NUMBER_ROW, _ROW_LIST_ROW, _CONTACTS_ROW = 0, 1, 2  # whole numbers of rows
+_NO_ROW = -1  # number of a row that is in no pair of a look
+_DEAD_ZONE_ROW, _DEPTH_ROW, _GROUND_PART_ROW, _SHARE_ROW = 0, 1, 2, 4  # numbers of pairs, of the last two one of each side
+_CHOSEN_PAIR_ROW, _FIRST_AGENT_ROW, _SECOND_AGENT_ROW, _TOUCHING_PAIR_ROW = range(4)  # whole numbers of pairs
 
 
 def arrays(rows: int, pairs: int) -> tuple[NDArray[Any], ...]:
@@ -60,7 +64,7 @@ def arrays(rows: int, pairs: int) -> tuple[NDArray[Any], ...]:
 
 @inlined
 def _round_term(term: F64) -> F64:
-    return (term + _MAGIC) - _MAGIC
+    return (term + _ROUNDING_MAGIC) - _ROUNDING_MAGIC
 
 
 @kernel
@@ -83,8 +87,8 @@ def restore_headings(
         direction = (previous_heading[0][row], previous_heading[1][row], previous_heading[2][row])
         direction = minus(direction, times(above, dot(direction, above)))
         size = np.sqrt(dot(direction, direction))
-        if size > _TINY and np.isfinite(size):
-            direction = times(direction, _ONE / size)
+        if size > _MIN_VECTOR_LENGTH and np.isfinite(size):
+            direction = times(direction, _FLOAT32_ONE / size)
         else:
             direction = (heading[0][row], heading[1][row], heading[2][row])
         for axis in range(3):
@@ -102,16 +106,16 @@ def _maximum(numbers: Array1[F64], count: I64) -> F64:
 
 
 @called
-def _share_overlap(m: I64, count: I64, buffers: Buffers, light: Array1[F64], heap_share: Array1[F64]) -> None:
+def _share_overlap(m: I64, count: I64, buffers: SolverBuffers, light: Array1[F64], heap_share: Array1[F64]) -> None:
     """Compute the shares of the overlap by which the first and second of each pair move; they add up to 1. The lighter agent
     moves more, and so does the less locked one. Applies to the first `m` pairs of `buffers`, among the first `count` rows.
 
     An agent is locked if it deeply overlaps others that deeply overlap others. The value adds up overlaps along contacts
     repeatedly: power iteration to the first eigenvector of the contact graph. That decreases from the middle of a dense cluster
     to its rim."""
-    locked, spread = buffers[2][_LOCKED], buffers[2][_SPREAD]
-    numbers, first, second = buffers[5], buffers[7][_FIRST], buffers[7][_SECOND]
-    depth = numbers[_DEPTH]
+    locked, spread = buffers[2][_LOCKED_ROW], buffers[2][_SPREAD_ROW]
+    numbers, first, second = buffers[5], buffers[7][_FIRST_AGENT_ROW], buffers[7][_SECOND_AGENT_ROW]
+    depth = numbers[_DEPTH_ROW]
     deepest = _maximum(depth, m)
     for k in range(count):
         locked[k] = 0.0
@@ -120,7 +124,7 @@ def _share_overlap(m: I64, count: I64, buffers: Buffers, light: Array1[F64], hea
             part = _round_term(depth[n] / deepest)
             locked[first[n]] += part
             locked[second[n]] += part
-    for _ in range(_SPREADS):
+    for _ in range(_LOCK_SPREAD_CONTACTS):
         for k in range(count):
             spread[k] = locked[k]
         for n in range(m):
@@ -132,13 +136,15 @@ def _share_overlap(m: I64, count: I64, buffers: Buffers, light: Array1[F64], hea
             locked[k] = _round_term(spread[k] / highest)
     for n in range(m):
         p, q = first[n], second[n]
-        outward = _PRESSED + (_OUTWARD - _PRESSED) * max(heap_share[p], heap_share[q])
+        outward = _SHALLOW_OUTER_SHARE_FACTOR + (_OUTER_SHARE_FACTOR - _SHALLOW_OUTER_SHARE_FACTOR) * max(
+            heap_share[p], heap_share[q]
+        )
         outer = 0.5 + outward * (locked[q] - locked[p]) / max(locked[p] + locked[q], 1e-300)
-        outer = min(max(outer, _LEAST), 1 - _LEAST)
-        one = light[p] * outer * numbers[_LEVEL, n]
-        total = one + light[q] * (1 - outer) * numbers[_LEVEL + 1, n]
-        part = np.rint(one / max(total, 1e-300) * _SHARES) / _SHARES
-        numbers[_SHARE, n], numbers[_SHARE + 1, n] = part, 1 - part if total > 0 else 0.0
+        outer = min(max(outer, _MIN_INNER_SHARE), 1 - _MIN_INNER_SHARE)
+        one = light[p] * outer * numbers[_GROUND_PART_ROW, n]
+        total = one + light[q] * (1 - outer) * numbers[_GROUND_PART_ROW + 1, n]
+        part = np.rint(one / max(total, 1e-300) * _SHARE_RESOLUTION) / _SHARE_RESOLUTION
+        numbers[_SHARE_ROW, n], numbers[_SHARE_ROW + 1, n] = part, 1 - part if total > 0 else 0.0
 
 
 @inlined
@@ -154,16 +160,16 @@ def _limit_correction(correction: Vec3, middle: Vec3, limit: F64) -> Vec3:
 
 @kernel
 def separate_pairs(
-    bodies: Bodies,
-    pairs: Pairs,
-    stand: Stand,
+    bodies: CapsuleArrays,
+    pairs: PairArrays,
+    stand: AgentArrays,
     displacement: Array2[F64],
     magic: F64,
     looks: I64,
     sweeps: I64,
     slow: F64,
     lost: Array1[I64],
-    buffers: Buffers,
+    buffers: SolverBuffers,
 ) -> tuple[I64, I64]:
     """Separate pairs in several looks, each with its sweeps, by a share `slow` of their overlap; change `gap`, `direction`,
     `which` and `displacement`.
@@ -171,12 +177,12 @@ def separate_pairs(
     If pairs have no separation axis, returns the number of remaining looks and of these pairs, listed first in `lost`."""
     radius = bodies.radius
     i, j, gap, direction, which = pairs
-    number, row_list, changed = buffers[3][_NUMBER], buffers[3][_ROW_LIST], buffers[4]
-    chosen, touching, starts, row_pairs = buffers[7][_CHOSEN], buffers[7][_TOUCHING], buffers[8], buffers[9]
+    number, row_list, changed = buffers[3][_NUMBER_ROW], buffers[3][_ROW_LIST_ROW], buffers[4]
+    chosen, touching, starts, row_pairs = buffers[7][_CHOSEN_PAIR_ROW], buffers[7][_TOUCHING_PAIR_ROW], buffers[8], buffers[9]
     for pair in independent(0, i.size):
         touching[pair] = 1 if which[pair] and gap[pair] < _dead_gap(radius, i, j, pair) else 0
     touch = compact_indices(touching, i.size)
-    number[:] = _NONE
+    number[:] = _NO_ROW
     changed[:] = False
     alone = looks == 1 and sweeps == 1  # then only agents that touch another are moved
     if touch and not alone and starts[0] < 0:
@@ -214,7 +220,7 @@ def separate_pairs(
 @inlined
 def _dead_gap(radius: Array1[F64], i: Array1[I64], j: Array1[I64], pair: I64) -> F64:
     """The gap of a pair below which it counts."""
-    return -((radius[i[pair]] + radius[j[pair]]) * DEAD)
+    return -((radius[i[pair]] + radius[j[pair]]) * DEAD_ZONE_SHARE)
 
 
 @called
@@ -235,32 +241,41 @@ def _group_pairs(i: Array1[I64], j: Array1[I64], starts: Array1[I64], row_pairs:
 
 
 @called
-def _find_limits(radius: Array1[F64], stand: Stand, row_list: Array1[I64], count: I64, of_rows: Array2[F64]) -> None:
+def _find_limits(radius: Array1[F64], stand: AgentArrays, row_list: Array1[I64], count: I64, of_rows: Array2[F64]) -> None:
     """Compute four values for some rows: mobility, degree of being in a dense cluster, and how far each may get and be pushed."""
     mass, yields, reach, depth, held, _, walked, _ = stand
-    light, heap_share, most, push_limit = of_rows[_LIGHT], of_rows[_HEAPED], of_rows[_MOST], of_rows[_PUSH_LIMIT]
+    light, heap_share, most, push_limit = (
+        of_rows[_INVERSE_MASS_ROW],
+        of_rows[_CLUSTER_SHARE_ROW],
+        of_rows[_MAX_CORRECTION_ROW],
+        of_rows[_PUSH_LIMIT_ROW],
+    )
     for k in independent(0, count):
         row = row_list[k]
         displacement = of(walked, row)
         size = np.sqrt(dot(displacement, displacement))
         far = max(reach[row], size)
-        most[k], push_limit[k] = far, min(far * _YIELD + depth[row], far) * yields[row]
-        heap_share[k] = 1.0 if size <= _RESTS * far else min(max(depth[row] / (radius[row] * _HEAP_DEPTH) - 0.5, 0.0), 1.0)
+        most[k], push_limit[k] = far, min(far * _FREE_AGENT_PUSH_SHARE + depth[row], far) * yields[row]
+        heap_share[k] = (
+            1.0
+            if size <= _RESTING_DISTANCE_SHARE * far
+            else min(max(depth[row] / (radius[row] * _CLUSTER_DEPTH_RADII) - 0.5, 0.0), 1.0)
+        )
         light[k] = 0.0 if held[row] else 1 / mass[row]
 
 
 @called
 def _run_look(
     radius: Array1[F64],
-    pairs: Pairs,
+    pairs: PairArrays,
     touch: I64,
-    stand: Stand,
+    stand: AgentArrays,
     displacement: Array2[F64],
     magic: F64,
     sweeps: I64,
     slow: F64,
     alone: BOOL,
-    buffers: Buffers,
+    buffers: SolverBuffers,
 ) -> tuple[BOOL, I64]:
     """Make one look and its sweeps, with `touch` touching pairs: for all pairs of their rows, or for these `alone`.
 
@@ -268,10 +283,20 @@ def _run_look(
     i, j, gap, direction, which = pairs
     normal, walked, cut = stand[5], stand[6], stand[7]
     new_displacement, sums, of_rows, wholes, changed, numbers, side_directions, indices, starts, row_pairs = buffers
-    light, heap_share, most, far = of_rows[_LIGHT], of_rows[_HEAPED], of_rows[_MOST], of_rows[_PUSH_LIMIT]
-    number, row_list, contacts = wholes[_NUMBER], wholes[_ROW_LIST], wholes[_CONTACTS]
-    weight, least = of_rows[_WEIGHT], numbers[_DEAD_ZONE]
-    chosen, first, second, those = indices[_CHOSEN], indices[_FIRST], indices[_SECOND], indices[_TOUCHING]
+    light, heap_share, most, far = (
+        of_rows[_INVERSE_MASS_ROW],
+        of_rows[_CLUSTER_SHARE_ROW],
+        of_rows[_MAX_CORRECTION_ROW],
+        of_rows[_PUSH_LIMIT_ROW],
+    )
+    number, row_list, contacts = wholes[_NUMBER_ROW], wholes[_ROW_LIST_ROW], wholes[_CONTACTS_ROW]
+    weight, least = of_rows[_WEIGHT_ROW], numbers[_DEAD_ZONE_ROW]
+    chosen, first, second, those = (
+        indices[_CHOSEN_PAIR_ROW],
+        indices[_FIRST_AGENT_ROW],
+        indices[_SECOND_AGENT_ROW],
+        indices[_TOUCHING_PAIR_ROW],
+    )
     m, count = 0, 0
     if not touch:
         return False, count
@@ -304,22 +329,22 @@ def _run_look(
         least[n] = -_dead_gap(radius, i, j, pair)
         first[n], second[n] = number[i[pair]], number[j[pair]]
     for k in range(count):
-        number[row_list[k]] = _NONE
+        number[row_list[k]] = _NO_ROW
     _find_limits(radius, stand, row_list, count, of_rows)
     for n in range(m):
         pair = chosen[n]
-        numbers[_DEPTH, n] = -gap[pair] if gap[pair] < -least[n] else 0.0
+        numbers[_DEPTH_ROW, n] = -gap[pair] if gap[pair] < -least[n] else 0.0
         v = of(direction, pair)
         for side in range(2):
             up = of(normal, j[pair] if side else i[pair])
             along = minus(v, times(up, dot(v, up)))
             side_directions[side, n, 0], side_directions[side, n, 1], side_directions[side, n, 2] = along
-            numbers[_LEVEL + side, n] = dot(along, along)
+            numbers[_GROUND_PART_ROW + side, n] = dot(along, along)
             v = negate(v)
     _share_overlap(m, count, buffers, light, heap_share)
     for side in range(2):
         for n in range(m):
-            factor = numbers[_SHARE + side, n] / max(numbers[_LEVEL + side, n], _STEEPEST)
+            factor = numbers[_SHARE_ROW + side, n] / max(numbers[_GROUND_PART_ROW + side, n], _MIN_SQUARED_GROUND_PART)
             for axis in range(3):
                 side_directions[side, n, axis] *= factor
     for k in range(count):
@@ -347,13 +372,13 @@ def _run_look(
                         ),
                         magic,
                     )
-                    weight[k] += numbers[_SHARE + side, n]
+                    weight[k] += numbers[_SHARE_ROW + side, n]
                     contacts[k] += 1
         if not touching:
             break
         for k in range(count):
             at = row_list[k]
-            part = (1 + (_EAGER - 1) * heap_share[k] if contacts[k] > 1 else 1.0) / max(weight[k], 1.0)
+            part = (1 + (_CLUSTER_OVERRELAXATION - 1) * heap_share[k] if contacts[k] > 1 else 1.0) / max(weight[k], 1.0)
             target = plus(of(new_displacement, k), times(of(sums, k), part))
             target = _limit_correction(target, negate(of(cut, at)), far[k])
             put_vector(new_displacement, k, _limit_correction(target, of(walked, at), most[k]))

@@ -9,30 +9,38 @@ import numpy as np
 
 from antdsl.ground.mesh.stretches import final_pose
 from antdsl.ground.mesh.walk import (  # fmt: skip
-    ENDS,
-    LEFT_OUT,
-    ROWS_AHEAD,
-    WAITS,
+    FINISHED_STATUS,
+    LEFT_OUT_STATUS,
+    PREFETCH_EIGHTS,
+    WAITING_STATUS,
     compact_waiting,
     prefetch_faces,
     store_footing,
     store_waiting,
     walk_agent,
 )
-from antdsl.ground.mesh.walkers import Clearances, Placed, Surface
+from antdsl.ground.mesh.walkers import ClearanceTables, FootingArrays, SurfaceTables
 from antdsl.ground.plane import walk_straight
 from antdsl.machine_code.kernels import fetch_ahead, independent, inlined, kernel, three
 from antdsl.machine_code.kernels.types import BOOL, F32, F64, I32, I64, U8, Array1, Array2
 from antdsl.numerics.kernel_vectors import Vec3, VectorColumns, dot, times
-from antdsl.runtime.moving.rises import WIDEST, half_size
+from antdsl.runtime.moving.rises import MAX_TILT_DISTANCE_HALVES, half_size
 from antdsl.runtime.moving.tilting import begin_stance
-from antdsl.runtime.moving.velocities import STANDS, Abilities, Arrival, Drives, PushTimes, apply_push, arrive_agent
+from antdsl.runtime.moving.velocities import (
+    STANDING_STATE,
+    AgentAbilities,
+    AgentDrives,
+    ArrivalArrays,
+    PushTimes,
+    apply_push,
+    arrive_agent,
+)
 
 _F = np.float32
-_ZERO = _F(0)
+_FLOAT32_ZERO = _F(0)
 
 
-class Outset(NamedTuple):
+class IntendedMotion(NamedTuple):
     """The intended motion of agents: velocities, the `step` (mm) in `dt`, and `looking`, the heading along the ground of agents
     that lean. Also the length of the step, the largest tilt (radians), how far ahead (mm) it searches for walls, and how bodies
     stand, `state`."""
@@ -46,7 +54,7 @@ class Outset(NamedTuple):
     state: Array1[I32]
 
 
-class Held(NamedTuple):
+class WaitingWalks(NamedTuple):
     """Values of agents that wait, see `walk`, and the status of each agent."""
 
     reals: Array2[F64]
@@ -56,14 +64,14 @@ class Held(NamedTuple):
 
 @kernel
 def prepare_steps(
-    drive: Drives,
-    abilities: Abilities,
+    drive: AgentDrives,
+    abilities: AgentAbilities,
     keeps: BOOL,
     min_speed: Array1[F32],
     size: Array1[F32],
     quarantined: Array1[BOOL],
     times_of: PushTimes,
-    outset: Outset,
+    outset: IntendedMotion,
     begin: I64,
     end: I64,
 ) -> tuple[F64, F64]:
@@ -76,14 +84,14 @@ def prepare_steps(
         u = three(normal, i)
         v = apply_push(drive, u, abilities, keeps, min_speed, times_of, i)
         if quarantined[i]:
-            v = (_ZERO, _ZERO, _ZERO)
+            v = (_FLOAT32_ZERO, _FLOAT32_ZERO, _FLOAT32_ZERO)
         displacement = times(v, dt)
         for k in range(3):
             to[k][i], step[k][i] = v[k], displacement[k]
         long[i] = np.sqrt(dot(displacement, displacement))
         begin_stance(i, up, heading, normal, max_speed, size, max_turn, dt, most, looking, state)
-        reach[i] = WIDEST * half_size(size[i])
-    longest, greatest = _ZERO, _F(-np.inf)
+        reach[i] = MAX_TILT_DISTANCE_HALVES * half_size(size[i])
+    longest, greatest = _FLOAT32_ZERO, _F(-np.inf)
     for i in range(begin, end):
         longest = long[i] if long[i] > longest and np.isfinite(long[i]) else longest
         greatest = size[i] if size[i] > greatest else greatest
@@ -93,22 +101,22 @@ def prepare_steps(
 @inlined
 def _level_heading(heading: VectorColumns, looking: VectorColumns, state: Array1[I32], i: I64) -> Vec3:
     """The heading along the ground, in float64."""
-    if state[i] == STANDS:
+    if state[i] == STANDING_STATE:
         return np.float64(heading[0][i]), np.float64(heading[1][i]), np.float64(heading[2][i])
     return np.float64(looking[0][i]), np.float64(looking[1][i]), np.float64(looking[2][i])
 
 
 @kernel
 def walk_triangles(
-    surface: Surface,
-    near: Clearances,
-    at: Placed,
+    surface: SurfaceTables,
+    near: ClearanceTables,
+    at: FootingArrays,
     size: Array1[F32],
     normal: Array2[F32],
     looking: VectorColumns,
-    arrival: Arrival,
-    held: Held,
-    placed: Placed,
+    arrival: ArrivalArrays,
+    held: WaitingWalks,
+    placed: FootingArrays,
     place: Array2[F64],
     begin: I64,
     end: I64,
@@ -118,9 +126,9 @@ def walk_triangles(
     mesh, face, b1s, b2s, overs = at
     first, step, how = surface.first, arrival.step, held.how
     registers, heading, state = arrival.registers, arrival.registers.heading, arrival.bodies.state
-    for group in range(begin - 8 * ROWS_AHEAD, end, 8):
+    for group in range(begin - 8 * PREFETCH_EIGHTS, end, 8):
         # Columns are prefetched, too: there are more of them than a processor prefetches automatically.
-        k = group + 8 * ROWS_AHEAD
+        k = group + 8 * PREFETCH_EIGHTS
         for columns in (arrival.velocity, step, *registers, arrival.limits):
             for each in columns:
                 fetch_ahead(each, k)
@@ -133,9 +141,9 @@ def walk_triangles(
             fetch_ahead(each, 3 * k + 16)
         for each in (mesh, face):
             fetch_ahead(each, k + 64)
-        prefetch_faces(surface, mesh, face, max(group + 8 * ROWS_AHEAD, begin), min(group + 8 * ROWS_AHEAD + 8, end))
+        prefetch_faces(surface, mesh, face, max(group + 8 * PREFETCH_EIGHTS, begin), min(group + 8 * PREFETCH_EIGHTS + 8, end))
         for i in independent(max(group, begin), min(group + 8, end)):
-            how[i] = LEFT_OUT
+            how[i] = LEFT_OUT_STATUS
             if mesh[i] < 0 or face[i] < 0:
                 continue
             displacement = (np.float64(step[0][i]), np.float64(step[1][i]), np.float64(step[2][i]))
@@ -147,10 +155,10 @@ def walk_triangles(
             f, weights = first[mesh[i]] + face[i], (b1s[i], b2s[i])
             walk = walk_agent(surface, near, True, f, weights, overs[i], long, displacement, look, up)
             if walk.stop.event:
-                how[i] = WAITS
+                how[i] = WAITING_STATUS
                 store_waiting(held.reals, held.wholes, i, np.float64(size[i]), walk)
                 continue
-            how[i] = ENDS
+            how[i] = FINISHED_STATUS
             # No edge leads to another mesh.
             store_footing(placed, i, mesh[i], walk.walker.face - first[mesh[i]], walk.over, walk.walker)
             pose = final_pose(surface.table, walk.walker, walk.over)
@@ -162,7 +170,9 @@ def walk_triangles(
 
 
 @kernel
-def walk_plane(plane: Array1[F64], looking: VectorColumns, arrival: Arrival, place: Array2[F64], begin: I64, end: I64) -> None:
+def walk_plane(
+    plane: Array1[F64], looking: VectorColumns, arrival: ArrivalArrays, place: Array2[F64], begin: I64, end: I64
+) -> None:
     """Walk agents from `begin` to before `end` perpendicular to the unit vector `plane` to points `place` (n, 3), and update them
     as by `arrive`."""
     at, step, heading, state = arrival.old, arrival.step, arrival.registers.heading, arrival.bodies.state

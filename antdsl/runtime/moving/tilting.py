@@ -32,27 +32,29 @@ from antdsl.numerics.kernel_vectors import (
     times,
     unit,
 )  # fmt: skip
-from antdsl.numerics.vectors import Vector
+from antdsl.numerics.vectors import VectorArrays
 from antdsl.runtime.moving.rises import fill_reach, find_walls
-from antdsl.runtime.moving.velocities import LEANS, STANDS
+from antdsl.runtime.moving.velocities import LEANING_STATE, STANDING_STATE
 from antdsl.runtime.world import Population, World
 
 # Of walls: normal and direction ahead (3, k), angle, how far, over how much.
 WallArrays = tuple[Strided2[F64], Strided2[F64], Array1[F64], Array1[F64], Array1[F64]]
 
 _F = np.float32
-_ZERO, _ONE, _PI = _F(0), _F(1), _F(np.pi)
+_FLOAT32_ZERO, _FLOAT32_ONE, _FLOAT32_PI = _F(0), _F(1), _F(np.pi)
 _RIGHT_ANGLE = _F(np.pi / 2)
-_LEAST = _F(np.pi / 4)  # rad/s that a body tilts at least: one that turns slower still comes round an edge
-_OPPOSITE = 0.05  # sine of an angle near half a turn, below which its axis is drowned in rounding: it goes over the head then
-_STEEP = 0.9  # as `vectors.across`
-_WAITING = _F(0.05)  # of a velocity: retained by an agent that waits for its body
+_MIN_TILT_RATE = _F(np.pi / 4)  # rad/s that a body tilts at least: one that turns slower still comes round an edge
+_OPPOSITE_SINE = (
+    0.05  # sine of an angle near half a turn, below which its axis is drowned in rounding: it goes over the head then
+)
+_STEEP_COSINE = 0.9  # as `vectors.across`
+_WAITING_VELOCITY_SHARE = _F(0.05)  # of a velocity: retained by an agent that waits for its body
 
 
 def settle_bodies(world: World, population: Population, rows: NDArray[np.intp]) -> None:
     """Tilt new bodies at once as far as the rises ahead require, so that their heads are free."""
     n, now = len(population), population.now
-    state, reach, rest = np.full(n, STANDS, np.int32), np.empty(n), np.zeros(n, np.float32)
+    state, reach, rest = np.full(n, STANDING_STATE, np.int32), np.empty(n), np.zeros(n, np.float32)
     x, y, z = np.empty((3, n), np.float32)
     fill_reach(now["size"], reach)
     *walls, _ = find_walls(world, population, (x, y, z), (rest, rest, rest), reach, state)
@@ -78,7 +80,7 @@ def restore_bodies(population: Population) -> None:
     population.laid = None
 
 
-def _pose_registers(values: dict[str, NDArray[Any]]) -> tuple[Vector, Vector]:
+def _pose_registers(values: dict[str, NDArray[Any]]) -> tuple[VectorArrays, VectorArrays]:
     return vec.vector_registers(values, "up"), vec.vector_registers(values, "heading")
 
 
@@ -95,7 +97,7 @@ def _perpendicular(v: Vec3, up: Vec3) -> Vec3:
     size = np.sqrt(dot(flat, flat))
     if size > 1e-6:
         return divide(flat, size)
-    axis = (0.0, 1.0, 0.0) if abs(up[0]) > _STEEP else (1.0, 0.0, 0.0)
+    axis = (0.0, 1.0, 0.0) if abs(up[0]) > _STEEP_COSINE else (1.0, 0.0, 0.0)
     side = minus(axis, times(up, dot(axis, up)))
     return times(side, 1 / np.sqrt(dot(side, side)))
 
@@ -118,7 +120,7 @@ def _turn_axis(one: Vec3, other: Vec3, ahead: Vec3) -> tuple[Vec3, F64, F64]:
     turn, where the axis is undefined, the rotation goes over `ahead`."""
     axis, cosine = cross(one, other), min(max(dot(one, other), -1.0), 1.0)
     sine = np.sqrt(dot(axis, axis))
-    if sine > _OPPOSITE or cosine > 0:
+    if sine > _OPPOSITE_SINE or cosine > 0:
         return divide(axis, max(sine, 1e-300)), cosine, sine
     return unit(cross(one, ahead)), cosine, sine
 
@@ -169,17 +171,17 @@ def begin_stance(
 ) -> None:
     """Compute how body i stands at the start of a step: its tilt limit (radians) `most`, its `state` without walls, and, if it
     leans, its heading along the ground, into `looking`."""
-    walking = _maximum(max_speed[i], _ZERO) / (size[i] if size[i] > 0 else _ONE) * _RIGHT_ANGLE
-    rate = _maximum(max_turn[i], _ZERO)
+    walking = _maximum(max_speed[i], _FLOAT32_ZERO) / (size[i] if size[i] > 0 else _FLOAT32_ONE) * _RIGHT_ANGLE
+    rate = _maximum(max_turn[i], _FLOAT32_ZERO)
     if not rate < walking and rate == rate:
         rate = walking
     if walking != walking:
         rate = walking
-    rate = _maximum(rate, _LEAST)
-    most[i] = (rate if np.isfinite(rate) else _PI / dt) * dt
-    state[i] = STANDS
+    rate = _maximum(rate, _MIN_TILT_RATE)
+    most[i] = (rate if np.isfinite(rate) else _FLOAT32_PI / dt) * dt
+    state[i] = STANDING_STATE
     if _is_leaning(up, normal, i):
-        state[i] = LEANS
+        state[i] = LEANING_STATE
         level_heading = _turn_heading(_read_vector(heading, i), _read_vector(up, i), row64(normal, i))
         looking[0][i], looking[1][i], looking[2][i] = _F(level_heading[0]), _F(level_heading[1]), _F(level_heading[2])
 
@@ -279,7 +281,7 @@ def limit_pace(
     zero = (0.0, 0.0, 0.0)
     for i in range(begin, end):
         j = state[i]
-        if j == STANDS:
+        if j == STANDING_STATE:
             continue
         own_step, stands = _read_vector(step, i), _read_vector(up, i)
         size = np.sqrt(dot(own_step, own_step))
@@ -296,13 +298,13 @@ def limit_pace(
             limit = free / max(towards, 0.05) if towards > 0.05 else np.inf
         lag = min(1.0, 2.0 * max(dot(stands, target_up), 0.0))
         part = _F(min(lag, min(max(limit / max(size, 1e-300), 0.0), 1.0)))
-        speed_part = _maximum(part, _WAITING)
+        speed_part = _maximum(part, _WAITING_VELOCITY_SHARE)
         for k in range(3):
             step[k][i] = step[k][i] * part
             velocity[k][i] = velocity[k][i] * speed_part
 
 
-class Posture(NamedTuple):
+class BodyPosture(NamedTuple):
     """Up and heading of bodies, and their positions (n, 3)."""
 
     up: VectorColumns
@@ -321,7 +323,7 @@ class TurnLimits(NamedTuple):
 @kernel
 def follow_ground(
     state: Array1[I32],
-    previous: Posture,
+    previous: BodyPosture,
     place: Strided2[F64],
     limits: TurnLimits,
     walls: WallArrays,
@@ -342,7 +344,7 @@ def follow_ground(
     count = begin
     for row in range(begin, end):
         rows[count] = row
-        count += state[row] != STANDS
+        count += state[row] != STANDING_STATE
     for k in independent(begin, count):
         i = rows[k]
         j = state[i]

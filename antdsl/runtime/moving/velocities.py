@@ -13,33 +13,33 @@ import numpy as np
 from antdsl.machine_code.kernels import BOOL, F32, F64, I32, I64, Array1, Array2, Strided2, called, inlined, kernel, put_three
 from antdsl.numerics import elementary
 from antdsl.numerics.elementary_loops import atan2, cos_sin
-from antdsl.numerics.kernel_vectors import Pose, Vec3F32, VectorColumns, cross, dot, flat, minus, plus, times
+from antdsl.numerics.kernel_vectors import AgentPose, Vec3F32, VectorColumns, cross, dot, flat, minus, plus, times
 
 _F = np.float32
-_ZERO, _HALF, _ONE = _F(0), _F(0.5), _F(1)
-_TINY, _STEEP = _F(1e-12), _F(0.9)  # as `vectors.unit` and `vectors.across`
-_PI = _F(np.pi)
-_SURELY = _F(1e-3)  # of a cosine: an angle that is less by as much needs no inverse tangent
-_HEADING_TIME = 0.1  # s, of the heading on its way to the direction of movement (T22)
-FACE = "~face.x"  # a register of those species alone that ask for it
-SLOW = _F(0.1)  # of max_speed: below it the heading follows more and more slowly
-BOUNCE = _F(0.3)  # of the speed into the border of an open surface that is turned back
-BEYOND = _F(1.005)  # times the greatest turn, up to which rounding may bring one
-LEVEL = _F(1e-3)  # sine of the angle to the body's up below which a way to face says nothing
-AT_ONCE = _F(1.0001)  # steps: who responds within that is kinematic
-LEAST_TURN = _F(1e-12)  # rad2 more than the greatest turn that are rounding
-TWELFTH, NINETIETH = _F(1 / 12), _F(1 / 90)  # of the series of an angle's square
+_FLOAT32_ZERO, _FLOAT32_HALF, _FLOAT32_ONE = _F(0), _F(0.5), _F(1)
+_MIN_VECTOR_LENGTH, _STEEP_COSINE = _F(1e-12), _F(0.9)  # as `vectors.unit` and `vectors.across`
+_FLOAT32_PI = _F(np.pi)
+_SAFE_COSINE_MARGIN = _F(1e-3)  # of a cosine: an angle that is less by as much needs no inverse tangent
+_HEADING_SECONDS = 0.1  # s, of the heading on its way to the direction of movement (T22)
+FACE_REGISTER = "~face.x"  # a register of those species alone that ask for it
+SLOW_SPEED_SHARE = _F(0.1)  # of max_speed: below it the heading follows more and more slowly
+BOUNCE_SPEED_SHARE = _F(0.3)  # of the speed into the border of an open surface that is turned back
+TURN_SLACK_FACTOR = _F(1.005)  # times the greatest turn, up to which rounding may bring one
+MIN_FACE_SINE = _F(1e-3)  # sine of the angle to the body's up below which a way to face says nothing
+KINEMATIC_STEPS = _F(1.0001)  # steps: who responds within that is kinematic
+MIN_SQUARED_TURN = _F(1e-12)  # rad2 more than the greatest turn that are rounding
+ANGLE_COEFFICIENT_1_12, ANGLE_COEFFICIENT_1_90 = _F(1 / 12), _F(1 / 90)  # of the series of an angle's square
 
-LEANS, STANDS, HASTENS = -1, -2, -3
+LEANING_STATE, STANDING_STATE, HURRYING_STATE = -1, -2, -3
 
 
 @cache
 def share(dt: np.float32) -> np.float32:
     """Return the share of the turn towards the movement that is done in a substep."""
-    return _F(1.0 - float(elementary.exp(_F(-float(dt) / _HEADING_TIME))))
+    return _F(1.0 - float(elementary.exp(_F(-float(dt) / _HEADING_SECONDS))))
 
 
-class Drives(NamedTuple):
+class AgentDrives(NamedTuple):
     """What moves agents: push, velocity, heading and up, and the normal (n, 3) of the ground."""
 
     push: VectorColumns
@@ -49,7 +49,7 @@ class Drives(NamedTuple):
     normal: Array2[F32]
 
 
-class Abilities(NamedTuple):
+class AgentAbilities(NamedTuple):
     """Abilities of agents, by their names in programs."""
 
     max_speed: Array1[F32]
@@ -68,7 +68,7 @@ class PushTimes(NamedTuple):
     dt: F32
 
 
-class Limits(NamedTuple):
+class ArrivalLimits(NamedTuple):
     """Of agents that arrive."""
 
     max_speed: Array1[F32]
@@ -76,7 +76,7 @@ class Limits(NamedTuple):
     response: Array1[F32]
 
 
-class Bodies(NamedTuple):
+class ArrivalBodies(NamedTuple):
     """The tilt limit of each body, its state, and buffers for the previous up and heading."""
 
     most: Array1[F32]
@@ -85,7 +85,7 @@ class Bodies(NamedTuple):
     heading: VectorColumns
 
 
-class Times(NamedTuple):
+class ArrivalTimes(NamedTuple):
     """The longest response of agents that face their movement at once, the time, and the share of a turn that is done in it."""
 
     at_once: F32
@@ -93,7 +93,7 @@ class Times(NamedTuple):
     share: F32
 
 
-class Facing(NamedTuple):
+class GazeDirections(NamedTuple):
     """Whether there are directions to face, the directions, and whether all bodies have to follow their feet."""
 
     is_set: BOOL
@@ -101,7 +101,7 @@ class Facing(NamedTuple):
     everyone: BOOL
 
 
-class Registers(NamedTuple):
+class MotionRegisters(NamedTuple):
     """Those that a step changes."""
 
     position: VectorColumns
@@ -110,22 +110,22 @@ class Registers(NamedTuple):
     up: VectorColumns
 
 
-class Arrival(NamedTuple):
+class ArrivalArrays(NamedTuple):
     """The input of `arrive_rows`: positions (n, 3), steps and velocities from before the walk, and the arrays for results; for up
     also `normals` (n, 3)."""
 
     old: Strided2[F64]
     step: VectorColumns
     velocity: VectorColumns
-    limits: Limits
-    bodies: Bodies
-    times: Times
-    facing: Facing
-    registers: Registers
+    limits: ArrivalLimits
+    bodies: ArrivalBodies
+    times: ArrivalTimes
+    facing: GazeDirections
+    registers: MotionRegisters
     normals: Array2[F32]
 
 
-class Walked(NamedTuple):
+class WalkedPoses(NamedTuple):
     """Position, up, heading and direction (3, n) after a walk, and which agents are blocked."""
 
     place: Strided2[F64]
@@ -137,7 +137,7 @@ class Walked(NamedTuple):
 
 @inlined
 def apply_push(
-    drive: Drives, up: Vec3F32, abilities: Abilities, keeps: BOOL, min_speed: Array1[F32], times_of: PushTimes, i: I64
+    drive: AgentDrives, up: Vec3F32, abilities: AgentAbilities, keeps: BOOL, min_speed: Array1[F32], times_of: PushTimes, i: I64
 ) -> Vec3F32:
     """Return the velocity of agent i after its push along the ground with normal `up`, within the limits of speed and turn: see
     `strides.set_out`."""
@@ -145,24 +145,28 @@ def apply_push(
     max_speed, max_force, mass, response, max_turn = abilities
     at_once, first, dt = times_of
     wish = flat((push[0][i], push[1][i], push[2][i]), up)
-    wish = times(wish, _ONE / maximum(length(wish), _ONE))
+    wish = times(wish, _FLOAT32_ONE / maximum(length(wish), _FLOAT32_ONE))
     previous_velocity = flat((velocity[0][i], velocity[1][i], velocity[2][i]), up)
     time = first if response[i] <= at_once else dt
     gain = max_force[i] / mass[i]
-    gain = (gain if np.isfinite(gain) else _ZERO) * time
+    gain = (gain if np.isfinite(gain) else _FLOAT32_ZERO) * time
     v = plus(previous_velocity, times(wish, gain))
-    speed, most = length(v), maximum(max_speed[i], _ZERO)
+    speed, most = length(v), maximum(max_speed[i], _FLOAT32_ZERO)
     if speed > most:
-        v = times(v, most / (speed if speed > 0 else _ONE))
-    v = (v[0] if np.isfinite(v[0]) else _ZERO, v[1] if np.isfinite(v[1]) else _ZERO, v[2] if np.isfinite(v[2]) else _ZERO)
+        v = times(v, most / (speed if speed > 0 else _FLOAT32_ONE))
+    v = (
+        v[0] if np.isfinite(v[0]) else _FLOAT32_ZERO,
+        v[1] if np.isfinite(v[1]) else _FLOAT32_ZERO,
+        v[2] if np.isfinite(v[2]) else _FLOAT32_ZERO,
+    )
     if keeps:
-        least = _minimum(maximum(min_speed[i], _ZERO), maximum(max_speed[i], _ZERO))
+        least = _minimum(maximum(min_speed[i], _FLOAT32_ZERO), maximum(max_speed[i], _FLOAT32_ZERO))
         v = _raise_speed(v, previous_velocity, flat((heading[0][i], heading[1][i], heading[2][i]), up), least)
     if np.isfinite(max_turn[i]):
-        most = maximum(max_turn[i], _ZERO) * time
-        turn = min(most, _PI)
+        most = maximum(max_turn[i], _FLOAT32_ZERO) * time
+        turn = min(most, _FLOAT32_PI)
         both = length(v) * length(previous_velocity)
-        if not (dot(v, previous_velocity) > (cos_sin(turn)[0] + _SURELY) * both and both > _TINY):
+        if not (dot(v, previous_velocity) > (cos_sin(turn)[0] + _SAFE_COSINE_MARGIN) * both and both > _MIN_VECTOR_LENGTH):
             v = _limit_turn(v, previous_velocity, up, most)
     return v
 
@@ -178,9 +182,9 @@ def _raise_speed(velocity: Vec3F32, previous_velocity: Vec3F32, heading: Vec3F32
     if not good:
         ahead, good = _normalise(heading)
         if not good:
-            ahead = (_ZERO * least, _ZERO * least, _ZERO * least)
+            ahead = (_FLOAT32_ZERO * least, _FLOAT32_ZERO * least, _FLOAT32_ZERO * least)
     along = dot(velocity, ahead)
-    increase = np.sqrt(maximum((least * least - square) + along * along, _ZERO)) - along
+    increase = np.sqrt(maximum((least * least - square) + along * along, _FLOAT32_ZERO)) - along
     return plus(velocity, times(ahead, increase))
 
 
@@ -210,7 +214,7 @@ def _limit_turn(velocity: Vec3F32, previous_velocity: Vec3F32, up: Vec3F32, most
 
 
 @inlined
-def arrive_agent(i: I64, pose: Pose, blocked: BOOL, arrival: Arrival) -> None:
+def arrive_agent(i: I64, pose: AgentPose, blocked: BOOL, arrival: ArrivalArrays) -> None:
     """Write the position, up, heading and direction of agent i after its walk, in float64: see `arrive_rows`."""
     place, above, ahead, direction = pose
     old, step, velocity, limits, bodies, times_of, facing, registers, normals = arrival
@@ -223,28 +227,28 @@ def arrive_agent(i: I64, pose: Pose, blocked: BOOL, arrival: Arrival) -> None:
     v = (velocity[0][i], velocity[1][i], velocity[2][i])
     v = times((_F(direction[0]), _F(direction[1]), _F(direction[2])), length(v))
     if blocked:
-        rate = _ONE / dt
+        rate = _FLOAT32_ONE / dt
         travel = (_F(place[0] - old[i, 0]), _F(place[1] - old[i, 1]), _F(place[2] - old[i, 2]))
         travel = times(travel, rate)
         lost = minus(times((step[0][i], step[1][i], step[2][i]), rate), travel)
-        v = minus(travel, times(lost, BOUNCE))
+        v = minus(travel, times(lost, BOUNCE_SPEED_SHARE))
     v = flat(v, u)
     h = (_F(ahead[0]), _F(ahead[1]), _F(ahead[2]))
     previous_heading, was = (heading[0][i], heading[1][i], heading[2][i]), (up[0][i], up[1][i], up[2][i])
     chord = minus(u, was)
-    free = most[i] if state[i] == STANDS else _ZERO
+    free = most[i] if state[i] == STANDING_STATE else _FLOAT32_ZERO
     square, limit = dot(chord, chord), free * free
     tilt = _squared_angle(square)
     hasty = tilt > limit
     wish = (face[0][i], face[1][i], face[2][i])
     h = _turn_heading(h, v, u, faces, wish, max_speed[i], max_turn[i], response[i] <= at_once, _minimum(tilt, limit), dt, part)
     heading_change, aside = minus(h, previous_heading), minus(cross(u, h), cross(was, previous_heading))
-    square = (dot(heading_change, heading_change) + dot(chord, chord) + dot(aside, aside)) * _HALF
-    limit = maximum(max_turn[i], _ZERO) * dt * BEYOND
-    hasty = hasty or _squared_angle(square) > limit * limit + LEAST_TURN
-    if (hasty or everyone) and state[i] == STANDS:
-        state[i] = HASTENS
-    if state[i] != STANDS:
+    square = (dot(heading_change, heading_change) + dot(chord, chord) + dot(aside, aside)) * _FLOAT32_HALF
+    limit = maximum(max_turn[i], _FLOAT32_ZERO) * dt * TURN_SLACK_FACTOR
+    hasty = hasty or _squared_angle(square) > limit * limit + MIN_SQUARED_TURN
+    if (hasty or everyone) and state[i] == STANDING_STATE:
+        state[i] = HURRYING_STATE
+    if state[i] != STANDING_STATE:
         for k in range(3):
             to_up[k][i], to_heading[k][i] = was[k], previous_heading[k]
     for k in range(3):
@@ -253,7 +257,7 @@ def arrive_agent(i: I64, pose: Pose, blocked: BOOL, arrival: Arrival) -> None:
 
 
 @kernel
-def arrive_rows(rows: Array1[I64], walked: Walked, arrival: Arrival, begin: I64, end: I64) -> None:
+def arrive_rows(rows: Array1[I64], walked: WalkedPoses, arrival: ArrivalArrays, begin: I64, end: I64) -> None:
     """Write velocity, heading, position and up of `rows` from `begin` to before `end` after the walk into the registers. Bodies
     get a `state` that says so in two cases. Either their up turns by more than `most` (radians), or they turn by more than
     `BEYOND` times `max_turn` allows. For bodies that do not stand as their feet do, the previous up and heading are stored
@@ -261,7 +265,7 @@ def arrive_rows(rows: Array1[I64], walked: Walked, arrival: Arrival, begin: I64,
     place, above, ahead, direction, blocked = walked
     for j in range(begin, end):
         i = rows[j]
-        pose = Pose(
+        pose = AgentPose(
             (place[0, i], place[1, i], place[2, i]),
             (above[0, i], above[1, i], above[2, i]),
             (ahead[0, i], ahead[1, i], ahead[2, i]),
@@ -274,7 +278,7 @@ def arrive_rows(rows: Array1[I64], walked: Walked, arrival: Arrival, begin: I64,
 def _squared_angle(square: F32) -> F32:
     """Return the square of an angle, by the first terms of its series in the squared chord of unit vectors. Beyond 1 rad the
     result is too small."""
-    return square * (_ONE + square * (TWELFTH + square * NINETIETH))
+    return square * (_FLOAT32_ONE + square * (ANGLE_COEFFICIENT_1_12 + square * ANGLE_COEFFICIENT_1_90))
 
 
 @inlined
@@ -304,7 +308,7 @@ def _turn_heading(
     if faces:
         facing, good = _normalise(wish)
         along = flat(facing if good else up, up)
-        faced = length(along) > LEVEL
+        faced = length(along) > MIN_FACE_SINE
         facing, good = _normalise(along)
         if faced and good:
             direction = facing
@@ -316,15 +320,15 @@ def _turn_heading(
         direction, good = _normalise(flat(side, up))
         if not good:
             direction = left
-    eager = _minimum(length(velocity) / maximum(max_speed * SLOW, _F(1e-6)), _ONE)
+    eager = _minimum(length(velocity) / maximum(max_speed * SLOW_SPEED_SHARE, _F(1e-6)), _FLOAT32_ONE)
     if faced:
-        eager = _ONE
-    change = times(minus(direction, heading), _ONE if at_once else part * eager)
+        eager = _FLOAT32_ONE
+    change = times(minus(direction, heading), _FLOAT32_ONE if at_once else part * eager)
     if np.isfinite(max_turn):
-        size, most = length(change), maximum(max_turn, _ZERO) * dt
-        most = np.sqrt(maximum(most * most - tilt, _ZERO))
+        size, most = length(change), maximum(max_turn, _FLOAT32_ZERO) * dt
+        most = np.sqrt(maximum(most * most - tilt, _FLOAT32_ZERO))
         if size > most:
-            change = times(change, most / (size if size > 0 else _ONE))
+            change = times(change, most / (size if size > 0 else _FLOAT32_ONE))
     turned, good = _normalise(flat(plus(heading, change), up))
     if not good:
         return heading
@@ -352,12 +356,12 @@ def length(a: Vec3F32) -> F32:
 def _normalise(a: Vec3F32) -> tuple[Vec3F32, BOOL]:
     """Length 1, and whether there is a direction."""
     size = length(a)
-    good = size > _TINY and np.isfinite(size)
-    return times(a, _ONE / (size if good else _ONE)), good
+    good = size > _MIN_VECTOR_LENGTH and np.isfinite(size)
+    return times(a, _FLOAT32_ONE / (size if good else _FLOAT32_ONE)), good
 
 
 @inlined
 def _perpendicular(up: Vec3F32) -> Vec3F32:
-    steep = abs(up[0]) > _STEEP
-    side = flat((_ZERO if steep else _ONE, _ONE if steep else _ZERO, _ZERO), up)
-    return times(side, _ONE / length(side))
+    steep = abs(up[0]) > _STEEP_COSINE
+    side = flat((_FLOAT32_ZERO if steep else _FLOAT32_ONE, _FLOAT32_ONE if steep else _FLOAT32_ZERO, _FLOAT32_ZERO), up)
+    return times(side, _FLOAT32_ONE / length(side))

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl.numerics import vectors as vec
-from antdsl.numerics.vectors import Vector
+from antdsl.numerics.vectors import VectorArrays
 from antdsl.runtime.world import AXES, Population, World
 from antdsl.scene.setting import WalkData
 
@@ -54,7 +54,7 @@ def start_walks(world: World, population: Population, rows: Rows) -> None:
                 now[f"{name}.{axis}"][own] = start[f"{name}.{axis}"][own] = component
 
 
-def lead_walkers(world: World, population: Population, velocity: Vector, up: Vector) -> Vector:
+def lead_walkers(world: World, population: Population, velocity: VectorArrays, up: VectorArrays) -> VectorArrays:
     """Return velocities in which agents guided by the scene continue in their direction, at the scene's speed. They stop after
     the scene's distance since their birth."""
     velocities = velocity

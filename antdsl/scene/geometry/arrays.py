@@ -15,14 +15,14 @@ from typing import IO, Any
 import numpy as np
 from numpy.typing import NDArray
 
-MEMBERS = 4096
-MAGIC = b"\x93NUMPY\x01\x00"
-DTYPES = ("<f4", "<f8", "<i4", "<i8", "<i2", "|i1", "|u1", "<u2", "<u4", "<u8", "|b1")
-_HEADER = re.compile(
+MAX_ARCHIVE_MEMBERS = 4096
+NPY_MAGIC = b"\x93NUMPY\x01\x00"
+ALLOWED_DTYPES = ("<f4", "<f8", "<i4", "<i8", "<i2", "|i1", "|u1", "<u2", "<u4", "<u8", "|b1")
+_HEADER_PATTERN = re.compile(
     r"\{'descr': '([<|][fiub][1248])', 'fortran_order': (False), 'shape': (\((?:[0-9]{1,18}, ?)*(?:[0-9]{1,18})?,?\)), *\} *\n?",
     re.ASCII,
 )
-_NAME = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.\-#>|/]*", re.ASCII)
+_MEMBER_NAME_PATTERN = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.\-#>|/]*", re.ASCII)
 
 
 class ArrayFileError(Exception):
@@ -48,14 +48,14 @@ def read_archive(file: IO[bytes], size: int, only: Container[str] | None = None)
 def _read_members(archive: zipfile.ZipFile, size: int, only: Container[str] | None) -> dict[str, NDArray[Any]]:
     """Return the arrays of an open archive of `size` bytes. Raises ArrayFileError, or an error of zipfile, with the reason."""
     entries = archive.infolist()
-    if len(entries) > MEMBERS:
-        raise ArrayFileError(f"has {len(entries):,} arrays, more than {MEMBERS:,}")
+    if len(entries) > MAX_ARCHIVE_MEMBERS:
+        raise ArrayFileError(f"has {len(entries):,} arrays, more than {MAX_ARCHIVE_MEMBERS:,}")
     if sum(entry.file_size for entry in entries) > size:
         raise ArrayFileError("says it holds more than its own size")
     arrays: dict[str, NDArray[Any]] = {}
     for entry in entries:
         name = entry.filename.removesuffix(".npy")
-        if not entry.filename.endswith(".npy") or not _NAME.fullmatch(name) or ".." in name or "//" in name:
+        if not entry.filename.endswith(".npy") or not _MEMBER_NAME_PATTERN.fullmatch(name) or ".." in name or "//" in name:
             raise ArrayFileError(f"has a member with an invalid name `{entry.filename[:40]!r}`")
         if name in arrays:
             raise ArrayFileError(f"has two arrays `{name}`")
@@ -68,11 +68,11 @@ def _read_members(archive: zipfile.ZipFile, size: int, only: Container[str] | No
 
 def parse_npy(data: bytes, name: str) -> NDArray[Any]:
     """Return one array from the bytes of an .npy file, version 1. The shape is checked against the number of bytes before use."""
-    if not data.startswith(MAGIC) or len(data) < 10:
+    if not data.startswith(NPY_MAGIC) or len(data) < 10:
         raise ArrayFileError(f"has an array `{name}` of an unknown kind")
     length = int.from_bytes(data[8:10], "little")
-    header = _HEADER.fullmatch(data[10 : 10 + length].decode("latin-1"))
-    if header is None or header[1] not in DTYPES:
+    header = _HEADER_PATTERN.fullmatch(data[10 : 10 + length].decode("latin-1"))
+    if header is None or header[1] not in ALLOWED_DTYPES:
         raise ArrayFileError(f"has an array `{name}` with an unknown header")
     shape = tuple(int(part) for part in re.findall("[0-9]+", header[3]))
     dtype = np.dtype(header[1])

@@ -15,12 +15,12 @@ from antdsl.scene.staging.cached import cached_per_mesh
 
 if TYPE_CHECKING:
     from antdsl.scene.setting import MeshData, SolidData
-    from antdsl.scene.staging.stage_scene import Staging
+    from antdsl.scene.staging.stage_scene import SceneStaging
 
 Floats = NDArray[np.float64]
 Index = NDArray[np.int64]
 
-_WELD = 16.0  # so that what lies nearer than a millionth of the extent is one place
+_WELD_SUBDIVISIONS = 16.0  # so that what lies nearer than a millionth of the extent is one place
 
 
 def to_voxels(corners: Floats) -> tuple[Index, int]:
@@ -51,7 +51,9 @@ def count_inside_out(vertices: Floats, faces: NDArray[np.int32]) -> tuple[int, i
         return 0, 0
     corners = vertices[faces]
     low, high = corners.min(axis=(0, 1)), corners.max(axis=(0, 1))
-    face, direction, first, count = _group_edges(to_voxels((corners - low) * (_WELD / max(float((high - low).max()), 1e-12)))[0])
+    face, direction, first, count = _group_edges(
+        to_voxels((corners - low) * (_WELD_SUBDIVISIONS / max(float((high - low).max()), 1e-12)))[0]
+    )
     one = first[count == 2]
     odd = direction[one] == direction[one + 1]  # faces that are wound alike pass the edge between them in opposite directions
     piece = _connect_nodes(len(faces), face[one], face[one + 1])
@@ -108,7 +110,7 @@ def _count_wrong_sides(mesh: MeshData) -> tuple[int, int]:
     return count_inside_out(mesh.vertices, mesh.faces)
 
 
-def check_sides(staging: Staging) -> None:
+def check_sides(staging: SceneStaging) -> None:
     """Warn of obstacles with parts that face inward: agents would be held inside instead of outside."""
     for name, mesh in staging.obstacles.items():
         inward, mixed = _count_wrong_sides(mesh)
@@ -128,7 +130,7 @@ def count_border_edges(mesh: MeshData) -> int:
 
 def _border_edge_table(corners: Floats) -> stored_tables.Tables:
     low, high = corners.min(axis=(0, 1)), corners.max(axis=(0, 1))
-    _, _, _, count = _group_edges(to_voxels((corners - low) * (_WELD / max(float((high - low).max()), 1e-12)))[0])
+    _, _, _, count = _group_edges(to_voxels((corners - low) * (_WELD_SUBDIVISIONS / max(float((high - low).max()), 1e-12)))[0])
     return {"count": np.array([(count == 1).sum()], np.int64)}
 
 

@@ -19,14 +19,18 @@ from antdsl.diagnostics.model import printable
 from antdsl.scene.geometry.arrays import to_float64
 from antdsl.scene.geometry.polygons import strip_triangles
 
-_COMPONENTS = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
-_WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT4": 16}
-_EXPORT = "export it again, as glTF 2.0"
-_NODES = 65_536
-TRIANGLES, STRIP, FAN = 4, 5, 6  # modes of primitives
+_DTYPE_BY_COMPONENT = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
+_COMPONENTS_BY_TYPE = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT4": 16}
+_EXPORT_AGAIN_HELP = "export it again, as glTF 2.0"
+_MAX_NODES = 65_536
+TRIANGLES_MODE, STRIP_MODE, FAN_MODE = 4, 5, 6  # modes of primitives
 # What a reader must know to understand a file at all. Others change how it looks, and are passed over.
-_COMPRESSED = {"KHR_draco_mesh_compression": "Draco", "EXT_meshopt_compression": "meshopt", "KHR_meshopt_compression": "meshopt"}
-_HARMLESS = (
+_UNSUPPORTED_EXTENSIONS = {
+    "KHR_draco_mesh_compression": "Draco",
+    "EXT_meshopt_compression": "meshopt",
+    "KHR_meshopt_compression": "meshopt",
+}
+_IGNORED_EXTENSIONS = (
     "KHR_mesh_quantization",
     "KHR_texture_transform",
     "KHR_materials_",
@@ -45,7 +49,7 @@ class GltfError(Exception):
         self.help, self.code = help, code
 
 
-class Gltf:
+class GltfDocument:
     """The file's JSON with checked access: every requested index and kind is validated. Raises GltfError with the reason."""
 
     def __init__(self, data: bytes, beside: Callable[[str, int], bytes]) -> None:
@@ -53,18 +57,20 @@ class Gltf:
         text, self._binary = _split_chunks(data)
         self.tree = _parse_json(text)
         self._beside = beside
-        self._left = limits.BODY_BYTES
+        self._left = limits.MAX_BODY_FILE_BYTES
         self._buffers: dict[int, bytes] = {}
         self._kept: dict[int, NDArray[Any]] = {}
         self._decoded = 0
         self._tops: dict[str, list[dict[str, Any]]] = {}
         version = str(self.get_object(self.tree, "asset").get("version", ""))
         if not version.startswith("2."):
-            raise GltfError(f"is glTF {version[:10] or 'without a version'}; only 2.0 is supported", _EXPORT)
+            raise GltfError(f"is glTF {version[:10] or 'without a version'}; only 2.0 is supported", _EXPORT_AGAIN_HELP)
         for name in map(str, self.get_list(self.tree, "extensionsRequired")):
-            if name in _COMPRESSED:
-                raise GltfError(f"is compressed with {_COMPRESSED[name]}, which is not read", "export it without compression")
-            if not name.startswith(_HARMLESS):
+            if name in _UNSUPPORTED_EXTENSIONS:
+                raise GltfError(
+                    f"is compressed with {_UNSUPPORTED_EXTENSIONS[name]}, which is not read", "export it without compression"
+                )
+            if not name.startswith(_IGNORED_EXTENSIONS):
                 raise GltfError(f"needs the extension `{name[:60]}`, which is not read", "export it without")
 
     # ---- JSON
@@ -73,21 +79,21 @@ class Gltf:
         """An object, empty where there is none."""
         value = holder.get(key, {})
         if not isinstance(value, dict):
-            raise GltfError(f"has a `{key}` that is not an object", _EXPORT)
+            raise GltfError(f"has a `{key}` that is not an object", _EXPORT_AGAIN_HELP)
         return value
 
     def get_list(self, holder: dict[str, Any], key: str) -> list[Any]:
         """A list, empty where there is none."""
         items = holder.get(key, [])
         if not isinstance(items, list):
-            raise GltfError(f"has `{key}` that are no list", _EXPORT)
+            raise GltfError(f"has `{key}` that are no list", _EXPORT_AGAIN_HELP)
         return items
 
     def get_objects(self, holder: dict[str, Any], key: str) -> list[dict[str, Any]]:
         """A list of objects, empty where there is none."""
         items = self.get_list(holder, key)
         if not all(isinstance(each, dict) for each in items):
-            raise GltfError(f"has `{key}` that are not objects", _EXPORT)
+            raise GltfError(f"has `{key}` that are not objects", _EXPORT_AGAIN_HELP)
         return items
 
     def get_index(self, holder: dict[str, Any], key: str, count: int) -> int | None:
@@ -97,7 +103,7 @@ class Gltf:
     def check_index(self, value: Any, what: str, count: int) -> int:
         """A number of one of `count` things."""
         if isinstance(value, bool) or not isinstance(value, int) or not 0 <= value < count:
-            raise GltfError(f"names `{what}` {str(value)[:20]}, of which there are {count:,}", _EXPORT)
+            raise GltfError(f"names `{what}` {str(value)[:20]}, of which there are {count:,}", _EXPORT_AGAIN_HELP)
         return value
 
     def top(self, key: str) -> list[dict[str, Any]]:
@@ -111,7 +117,7 @@ class Gltf:
         numbers = holder.get(key, otherwise)
         right = isinstance(numbers, list | tuple) and len(numbers) == len(otherwise)
         if not right or not all(isinstance(x, int | float) and not isinstance(x, bool) and abs(x) < 1e30 for x in numbers):
-            raise GltfError(f"has a `{key}` that is not {len(otherwise)} numbers", _EXPORT)
+            raise GltfError(f"has a `{key}` that is not {len(otherwise)} numbers", _EXPORT_AGAIN_HELP)
         return np.array(numbers, np.float64)
 
     def name(self, holder: dict[str, Any], otherwise: str) -> str:
@@ -131,20 +137,23 @@ class Gltf:
             self._kept[number] = self._accessor_values(accessors[number], number)
         values = self._kept[number]
         if width is not None and values.shape[1] != width:
-            raise GltfError(f"has an accessor {number} of {values.shape[1]} numbers where {width} are needed", _EXPORT)
+            raise GltfError(f"has an accessor {number} of {values.shape[1]} numbers where {width} are needed", _EXPORT_AGAIN_HELP)
         return values
 
     def _accessor_values(self, accessor: dict[str, Any], number: int) -> NDArray[Any]:
-        kind, width = _COMPONENTS.get(_as_integer(accessor.get("componentType"))), _WIDTHS.get(str(accessor.get("type")))
+        kind, width = (
+            _DTYPE_BY_COMPONENT.get(_as_integer(accessor.get("componentType"))),
+            _COMPONENTS_BY_TYPE.get(str(accessor.get("type"))),
+        )
         count = accessor.get("count")
         if kind is None or width is None or isinstance(count, bool) or not isinstance(count, int) or count < 0:
-            raise GltfError(f"has an accessor {number} of a kind that is not known", _EXPORT)
+            raise GltfError(f"has an accessor {number} of a kind that is not known", _EXPORT_AGAIN_HELP)
         size = np.dtype(kind).itemsize * width
         self._decoded += count * max(size, 8 * width)
-        if self._decoded > 4 * limits.BODY_BYTES:
+        if self._decoded > 4 * limits.MAX_BODY_FILE_BYTES:
             raise GltfError(f"has an accessor {number} of {count:,} values, more than are read", code="too-large")
         if width == 16 and np.dtype(kind).itemsize < 4:
-            raise GltfError(f"has an accessor {number} of a kind that is not known", _EXPORT)
+            raise GltfError(f"has an accessor {number} of a kind that is not known", _EXPORT_AGAIN_HELP)
         if "bufferView" in accessor:
             raw = self._read_rows(accessor["bufferView"], accessor.get("byteOffset", 0), count, kind, width)
         else:
@@ -160,14 +169,14 @@ class Gltf:
 
     def _apply_sparse(self, sparse: dict[str, Any], raw: NDArray[Any], kind: str, width: int) -> NDArray[Any]:
         indices, values, count = self.get_object(sparse, "indices"), self.get_object(sparse, "values"), sparse.get("count")
-        index_kind = _COMPONENTS.get(_as_integer(indices.get("componentType")))
+        index_kind = _DTYPE_BY_COMPONENT.get(_as_integer(indices.get("componentType")))
         if index_kind is None or isinstance(count, bool) or not isinstance(count, int) or not 0 <= count <= len(raw):
-            raise GltfError("has a sparse accessor that is invalid", _EXPORT)
+            raise GltfError("has a sparse accessor that is invalid", _EXPORT_AGAIN_HELP)
         rows = self._read_rows(indices.get("bufferView"), indices.get("byteOffset", 0), count, index_kind, 1)[:, 0].astype(
             np.int64
         )
         if len(rows) and (rows.min() < 0 or rows.max() >= len(raw)):
-            raise GltfError("has a sparse accessor that refers to missing values", _EXPORT)
+            raise GltfError("has a sparse accessor that refers to missing values", _EXPORT_AGAIN_HELP)
         dense_values = raw.copy()
         dense_values[rows] = self._read_rows(values.get("bufferView"), values.get("byteOffset", 0), count, kind, width)
         return dense_values
@@ -180,7 +189,7 @@ class Gltf:
         size = np.dtype(kind).itemsize * width
         for value in (start, offset, length, stride):
             if isinstance(value, bool) or not isinstance(value, int) or not 0 <= value < 2**40:
-                raise GltfError("has a buffer view that is invalid", _EXPORT)
+                raise GltfError("has a buffer view that is invalid", _EXPORT_AGAIN_HELP)
         stride = stride or size
         if stride < size or (count and start + stride * (count - 1) + size > length):
             raise GltfError(f"has a buffer view of {length:,} bytes, too few for its content", "a part of it is missing")
@@ -199,7 +208,7 @@ class Gltf:
             data = self._fetch_buffer(buffers[number], number)
             self._left -= len(data)
             if self._left < 0:
-                raise GltfError(f"has buffers of more than {limits.BODY_BYTES:,} bytes", code="too-large")
+                raise GltfError(f"has buffers of more than {limits.MAX_BODY_FILE_BYTES:,} bytes", code="too-large")
             self._buffers[number] = data
         return self._buffers[number]
 
@@ -212,11 +221,11 @@ class Gltf:
         if uri[:5].lower() == "data:":
             head, comma, body = uri.partition(",")
             if not comma or not head.lower().endswith(";base64"):
-                raise GltfError(f"has a buffer {number} that is not written as base64", _EXPORT)
+                raise GltfError(f"has a buffer {number} that is not written as base64", _EXPORT_AGAIN_HELP)
             try:
                 return b64decode(body, validate=True)
             except (binascii.Error, ValueError):
-                raise GltfError(f"has a buffer {number} that is not written as base64", _EXPORT) from None
+                raise GltfError(f"has a buffer {number} that is not written as base64", _EXPORT_AGAIN_HELP) from None
         return self._beside(unquote(uri), self._left)
 
 
@@ -232,7 +241,7 @@ def _split_chunks(data: bytes) -> tuple[bytes, bytes | None]:
         raise GltfError("ends before its header", "a part of it is missing")
     version, length = struct.unpack_from("<II", data, 4)
     if version != 2:
-        raise GltfError(f"is a binary glTF {version}, and 2 is read", _EXPORT)
+        raise GltfError(f"is a binary glTF {version}, and 2 is read", _EXPORT_AGAIN_HELP)
     if length > len(data):
         raise GltfError(f"says it has {length:,} bytes, and has {len(data):,}", "a part of it is missing")
     chunks: list[tuple[int, bytes]] = []
@@ -244,21 +253,21 @@ def _split_chunks(data: bytes) -> tuple[bytes, bytes | None]:
         chunks.append((kind, data[at + 8 : at + 8 + size]))
         at += 8 + size
     if not chunks or chunks[0][0] != 0x4E4F534A:
-        raise GltfError("has no JSON", _EXPORT)
+        raise GltfError("has no JSON", _EXPORT_AGAIN_HELP)
     binary = next((body for kind, body in chunks[1:] if kind == 0x004E4942), None)
     return chunks[0][1], binary
 
 
 def _parse_json(text: bytes) -> dict[str, Any]:
-    if len(text) > limits.BODY_TEXT_BYTES:
-        words = f"has more than {limits.BODY_TEXT_BYTES:,} bytes of JSON"
+    if len(text) > limits.MAX_BODY_JSON_BYTES:
+        words = f"has more than {limits.MAX_BODY_JSON_BYTES:,} bytes of JSON"
         raise GltfError(words, "write its buffers to a .bin file", "too-large")
     try:
         document = json.loads(text.decode("utf-8-sig"), parse_constant=_refuse_constant)
     except (ValueError, RecursionError):
-        raise GltfError("is not glTF: its JSON cannot be read", _EXPORT) from None
+        raise GltfError("is not glTF: its JSON cannot be read", _EXPORT_AGAIN_HELP) from None
     if not isinstance(document, dict):
-        raise GltfError("is not glTF: its JSON is not an object", _EXPORT)
+        raise GltfError("is not glTF: its JSON is not an object", _EXPORT_AGAIN_HELP)
     return document
 
 
@@ -269,17 +278,17 @@ def _refuse_constant(word: str) -> float:
 # ---- nodes
 
 
-def node_parents(file: Gltf) -> list[int]:
+def node_parents(file: GltfDocument) -> list[int]:
     """Return the parent of each node, -1 for a root. Raises GltfError if the nodes are not a tree."""
     nodes = file.top("nodes")
-    if len(nodes) > _NODES:
+    if len(nodes) > _MAX_NODES:
         raise GltfError(f"has {len(nodes):,} nodes, more than are read", code="too-large")
     parents = [-1] * len(nodes)
     for number, node in enumerate(nodes):
         for child in file.get_list(node, "children"):
             child = file.check_index(child, "node", len(nodes))
             if parents[child] >= 0 or child == number:
-                raise GltfError(f"has a node {child} with two parents", _EXPORT, "bad-rig")
+                raise GltfError(f"has a node {child} with two parents", _EXPORT_AGAIN_HELP, "bad-rig")
             parents[child] = number
     state = [0] * len(nodes)  # 1: being followed, 2: known to lead to a root
     for start in range(len(nodes)):
@@ -290,20 +299,20 @@ def node_parents(file: Gltf) -> list[int]:
             path.append(at)
             at = parents[at]
         if at >= 0 and state[at] == 1:
-            raise GltfError(f"has nodes that hang below each other in a circle, {at} among them", _EXPORT, "bad-rig")
+            raise GltfError(f"has nodes that hang below each other in a circle, {at} among them", _EXPORT_AGAIN_HELP, "bad-rig")
         for each in path:
             state[each] = 2
     return parents
 
 
-def scene_roots(file: Gltf) -> list[int]:
+def scene_roots(file: GltfDocument) -> list[int]:
     """Return the root nodes of the file's scene; none if it has no scene."""
     nodes, scenes = file.top("nodes"), file.top("scenes")
     scene = file.get_index(file.tree, "scene", len(scenes)) or 0
     return [file.check_index(root, "node", len(nodes)) for root in file.get_list(scenes[scene], "nodes")] if scenes else []
 
 
-def nodes_below(file: Gltf, roots: Iterable[int]) -> list[int]:
+def nodes_below(file: GltfDocument, roots: Iterable[int]) -> list[int]:
     """Return the nodes and all their descendants, parents first, children in the order of the file."""
     nodes, ordered_nodes = file.top("nodes"), []
     visited: set[int] = set()
@@ -312,7 +321,7 @@ def nodes_below(file: Gltf, roots: Iterable[int]) -> list[int]:
         ordered_nodes.append(waiting.pop())
         waiting += reversed(file.get_list(nodes[ordered_nodes[-1]], "children"))
         if ordered_nodes[-1] in visited:
-            raise GltfError("has a scene that names a node twice", _EXPORT)
+            raise GltfError("has a scene that names a node twice", _EXPORT_AGAIN_HELP)
         visited.add(ordered_nodes[-1])
     return ordered_nodes
 
@@ -320,20 +329,20 @@ def nodes_below(file: Gltf, roots: Iterable[int]) -> list[int]:
 # ---- triangles
 
 
-def primitive_triangles(file: Gltf, primitive: dict[str, Any], points: int) -> tuple[NDArray[np.int64], int]:
+def primitive_triangles(file: GltfDocument, primitive: dict[str, Any], points: int) -> tuple[NDArray[np.int64], int]:
     """Return the triangles (n, 3) of a primitive with `points` points: a list, a strip or a fan. Also return how many corners
     remain at the end, too few for a triangle."""
     corners = file.read_accessor(primitive["indices"], 1)[:, 0].astype(np.int64) if "indices" in primitive else np.arange(points)
-    mode = primitive.get("mode", TRIANGLES)
-    if mode == STRIP:
+    mode = primitive.get("mode", TRIANGLES_MODE)
+    if mode == STRIP_MODE:
         triangles = strip_triangles(corners)
-    elif mode == TRIANGLES or len(corners) < 3:
+    elif mode == TRIANGLES_MODE or len(corners) < 3:
         triangles = corners[: len(corners) // 3 * 3].reshape(-1, 3)
     else:
         triangles = np.stack([corners[1:-1], corners[2:], np.full(len(corners) - 2, corners[0])], axis=1)
-    over = len(corners) % 3 if mode == TRIANGLES or len(corners) < 3 else 0
-    if len(triangles) > limits.MESH_FACES:
-        raise GltfError(f"has more than {limits.MESH_FACES:,} triangles", code="too-large")
+    over = len(corners) % 3 if mode == TRIANGLES_MODE or len(corners) < 3 else 0
+    if len(triangles) > limits.MAX_MESH_FACES:
+        raise GltfError(f"has more than {limits.MAX_MESH_FACES:,} triangles", code="too-large")
     if len(triangles) and (triangles.min() < 0 or triangles.max() >= points):
-        raise GltfError("has a triangle that names a point which is not there", _EXPORT)
+        raise GltfError("has a triangle that names a point which is not there", _EXPORT_AGAIN_HELP)
     return triangles, over

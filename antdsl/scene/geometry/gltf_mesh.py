@@ -14,19 +14,19 @@ from antdsl.diagnostics.model import printable
 from antdsl.scene.geometry import gltf_file
 from antdsl.scene.geometry.import_notes import ImportNotes
 from antdsl.scene.geometry.matrices import apply_transforms, compose, determinant, still, transform_of_parts
-from antdsl.scene.geometry.mesh_text import VERTICES, MeshError
+from antdsl.scene.geometry.mesh_text import MAX_VERTICES, MeshError
 from antdsl.scene.geometry.polygons import PolygonMesh
 
 Floats = NDArray[np.float64]
-Beside = Callable[[str, int], bytes]
+SiblingReader = Callable[[str, int], bytes]
 
-_DRACO = "KHR_draco_mesh_compression"
-_INSTANCES = "EXT_mesh_gpu_instancing"
-_VISIBILITY = "KHR_node_visibility"
-_MODES = ("points", "lines", "lines", "lines")
+_DRACO_EXTENSION = "KHR_draco_mesh_compression"
+_INSTANCING_EXTENSION = "EXT_mesh_gpu_instancing"
+_VISIBILITY_EXTENSION = "KHR_node_visibility"
+_NON_SURFACE_MODES = ("points", "lines", "lines", "lines")
 
 
-def read_gltf_mesh(data: bytes, notes: ImportNotes, part: str | None, beside: Beside) -> PolygonMesh:
+def read_gltf_mesh(data: bytes, notes: ImportNotes, part: str | None, beside: SiblingReader) -> PolygonMesh:
     """Return all meshes of the file's scene. With `part`, only those at and below the nodes of that name (or with a mesh of that
     name).
 
@@ -34,12 +34,12 @@ def read_gltf_mesh(data: bytes, notes: ImportNotes, part: str | None, beside: Be
     notes.form = "binary glTF" if data[:4] == b"glTF" else "glTF"
     try:
         with np.errstate(all="ignore"):
-            return _read_scene(gltf_file.Gltf(data, beside), notes, part)
+            return _read_scene(gltf_file.GltfDocument(data, beside), notes, part)
     except gltf_file.GltfError as why:
         raise MeshError(str(why), why.help) from None
 
 
-def _read_scene(file: gltf_file.Gltf, notes: ImportNotes, part: str | None) -> PolygonMesh:
+def _read_scene(file: gltf_file.GltfDocument, notes: ImportNotes, part: str | None) -> PolygonMesh:
     nodes, meshes = file.top("nodes"), file.top("meshes")
     parents = gltf_file.node_parents(file)
     roots = gltf_file.scene_roots(file) or [number for number, parent in enumerate(parents) if parent < 0]
@@ -52,7 +52,7 @@ def _read_scene(file: gltf_file.Gltf, notes: ImportNotes, part: str | None) -> P
         notes.skip("nodes with a mesh outside of the scene", len(others))
     hidden = set(gltf_file.nodes_below(file, _topmost_nodes([n for n in scene_nodes if _is_hidden(file, nodes[n])], parents)))
     unseen = sum("mesh" in nodes[number] for number in hidden & chosen)
-    notes.skip(f"nodes with a mesh that are not visible ({_VISIBILITY})", unseen)
+    notes.skip(f"nodes with a mesh that are not visible ({_VISIBILITY_EXTENSION})", unseen)
     chosen -= hidden
     transforms: dict[int, Floats] = {}
     points: list[Floats] = []
@@ -69,7 +69,7 @@ def _read_scene(file: gltf_file.Gltf, notes: ImportNotes, part: str | None) -> P
         if "skin" in node:  # by the specification the node's own transform does not count
             notes.skip(f"the skin of `{file.name(node, 'a node')}`: its mesh is read as it was modelled")
             transform = still()
-        if _INSTANCES in file.get_object(node, "extensions"):
+        if _INSTANCING_EXTENSION in file.get_object(node, "extensions"):
             notes.skip("instances of a mesh (EXT_mesh_gpu_instancing)")
         for primitive in file.get_objects(meshes[mesh], "primitives"):
             geometry = _read_primitive(file, primitive, notes)
@@ -79,15 +79,15 @@ def _read_scene(file: gltf_file.Gltf, notes: ImportNotes, part: str | None) -> P
             points.append(apply_transforms(transform, own))
             faces.append((triangles[:, [0, 2, 1]] if determinant(transform) < 0 else triangles) + count)
             count += len(own)
-            if count > VERTICES or sum(map(len, faces)) > limits.MESH_FACES:
-                raise MeshError(f"has more than {limits.MESH_FACES:,} faces", "use a lighter mesh")
+            if count > MAX_VERTICES or sum(map(len, faces)) > limits.MAX_MESH_FACES:
+                raise MeshError(f"has more than {limits.MAX_MESH_FACES:,} faces", "use a lighter mesh")
     if not points:
         return PolygonMesh(np.empty((0, 3)), np.empty(0, np.int64), np.empty(0, np.int64))
     return PolygonMesh.of_triangles(np.concatenate(points), np.concatenate(faces))
 
 
-def _is_hidden(file: gltf_file.Gltf, node: dict[str, Any]) -> bool:
-    return file.get_object(file.get_object(node, "extensions"), _VISIBILITY).get("visible", True) is False
+def _is_hidden(file: gltf_file.GltfDocument, node: dict[str, Any]) -> bool:
+    return file.get_object(file.get_object(node, "extensions"), _VISIBILITY_EXTENSION).get("visible", True) is False
 
 
 def _topmost_nodes(numbers: list[int], parents: list[int]) -> list[int]:
@@ -102,7 +102,7 @@ def _topmost_nodes(numbers: list[int], parents: list[int]) -> list[int]:
     return tops
 
 
-def _node_transform(file: gltf_file.Gltf, node: dict[str, Any]) -> Floats:
+def _node_transform(file: gltf_file.GltfDocument, node: dict[str, Any]) -> Floats:
     """Return the transform (3, 4) from a node's space to that of its parent."""
     if "matrix" in node:
         return file.get_floats(node, "matrix", tuple(np.eye(4).ravel())).reshape(4, 4).T[:3]
@@ -113,7 +113,7 @@ def _node_transform(file: gltf_file.Gltf, node: dict[str, Any]) -> Floats:
     )
 
 
-def _find_named_nodes(file: gltf_file.Gltf, scene_nodes: list[int], part: str) -> set[int]:
+def _find_named_nodes(file: gltf_file.GltfDocument, scene_nodes: list[int], part: str) -> set[int]:
     """Return the nodes that have a name, or have a mesh of that name, and all nodes below them."""
     from antdsl.diagnostics.suggestion import nearest_name
 
@@ -136,15 +136,19 @@ def _find_named_nodes(file: gltf_file.Gltf, scene_nodes: list[int], part: str) -
 
 
 def _read_primitive(
-    file: gltf_file.Gltf, primitive: dict[str, Any], notes: ImportNotes
+    file: gltf_file.GltfDocument, primitive: dict[str, Any], notes: ImportNotes
 ) -> tuple[Floats, NDArray[np.int64]] | None:
     """Return the points and triangles of a primitive. If it has none that can be read, return None and add a note."""
-    mode = primitive.get("mode", gltf_file.TRIANGLES)
-    if mode not in (gltf_file.TRIANGLES, gltf_file.STRIP, gltf_file.FAN):
-        known = isinstance(mode, int) and not isinstance(mode, bool) and 0 <= mode < len(_MODES)
-        notes.skip(f"primitives of {_MODES[mode]}" if known else f"primitives of the unknown mode `{printable(str(mode)[:20])}`")
+    mode = primitive.get("mode", gltf_file.TRIANGLES_MODE)
+    if mode not in (gltf_file.TRIANGLES_MODE, gltf_file.STRIP_MODE, gltf_file.FAN_MODE):
+        known = isinstance(mode, int) and not isinstance(mode, bool) and 0 <= mode < len(_NON_SURFACE_MODES)
+        notes.skip(
+            f"primitives of {_NON_SURFACE_MODES[mode]}"
+            if known
+            else f"primitives of the unknown mode `{printable(str(mode)[:20])}`"
+        )
         return None
-    if _DRACO in file.get_object(primitive, "extensions"):
+    if _DRACO_EXTENSION in file.get_object(primitive, "extensions"):
         raise gltf_file.GltfError("is compressed with Draco, which is not read", "export it without compression")
     attributes = file.get_object(primitive, "attributes")
     if "POSITION" not in attributes:

@@ -15,9 +15,9 @@ from antdsl.scene.geometry.mesh_text import MeshError
 
 Floats = NDArray[np.float64]
 
-IMAGES = {"png": "PNG", "tif": "TIFF", "tiff": "TIFF"}
-_MODES = ("F", "I;16", "I;16L", "I;16B", "I;16N")  # Pillow's: floats, and 16-bit grey in all byte orders
-_GREY = 65535.0  # the sample of a 16-bit image that is 1
+IMAGE_FORMATS = {"png": "PNG", "tif": "TIFF", "tiff": "TIFF"}
+_PIXEL_MODES = ("F", "I;16", "I;16L", "I;16B", "I;16N")  # Pillow's: floats, and 16-bit grey in all byte orders
+_MAX_GREY_SAMPLE = 65535.0  # the sample of a 16-bit image that is 1
 
 
 def read_heights(data: bytes, name: str, array: str | None = None, layer: int | None = None) -> Floats:
@@ -29,13 +29,13 @@ def read_heights(data: bytes, name: str, array: str | None = None, layer: int | 
     kind = name.rsplit(".", 1)[-1].lower() if "." in name else ""
     if kind == "npz":
         samples = _read_array(data, array, layer)
-    elif kind in IMAGES:
+    elif kind in IMAGE_FORMATS:
         for key, value in (("array", array), ("layer", layer)):
             if value is not None:
                 raise MeshError("is an image, which has one layer of samples", f"leave `{key}` out")
-        samples = _read_image(data, IMAGES[kind])
+        samples = _read_image(data, IMAGE_FORMATS[kind])
     else:
-        raise MeshError("is not one of " + ", ".join(f".{word}" for word in (*IMAGES, "npz")))
+        raise MeshError("is not one of " + ", ".join(f".{word}" for word in (*IMAGE_FORMATS, "npz")))
     if not np.isfinite(samples).all():
         raise MeshError("has a height that is not a finite number")
     return samples
@@ -45,7 +45,7 @@ def _read_image(data: bytes, form: str) -> Floats:
     from antdsl.reader.image_request import ImageError, read_image_file
 
     try:
-        image = read_image_file(data, form, _MODES, 2 * limits.MESH_FACES)
+        image = read_image_file(data, form, _PIXEL_MODES, 2 * limits.MAX_MESH_FACES)
     except ImageError as why:
         raise MeshError(str(why), *([why.help] if why.help else [])) from None
     _check_size(image.rows, image.columns)
@@ -54,7 +54,7 @@ def _read_image(data: bytes, form: str) -> Floats:
     if image.samples is None:
         raise MeshError(f"has no samples of 16 bits in one channel (its mode is {image.mode})", "save it as grey with 16 bits")
     samples = to_float64(image.samples)
-    return samples if image.mode == "F" else samples / _GREY
+    return samples if image.mode == "F" else samples / _MAX_GREY_SAMPLE
 
 
 def _read_array(data: bytes, array: str | None, layer: int | None) -> Floats:
@@ -87,8 +87,8 @@ def _read_array(data: bytes, array: str | None, layer: int | None) -> Floats:
 def _check_size(rows: int, columns: int) -> None:
     if rows < 2 or columns < 2:
         raise MeshError(f"has {rows} rows and {columns} columns of samples, but needs two of each")
-    if 2 * (rows - 1) * (columns - 1) > limits.MESH_FACES:
-        words = f"has {rows:,} rows and {columns:,} columns of samples, which make more than {limits.MESH_FACES:,} faces"
+    if 2 * (rows - 1) * (columns - 1) > limits.MAX_MESH_FACES:
+        words = f"has {rows:,} rows and {columns:,} columns of samples, which make more than {limits.MAX_MESH_FACES:,} faces"
         raise MeshError(words, "use a smaller one")
 
 

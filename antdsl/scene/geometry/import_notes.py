@@ -47,7 +47,7 @@ class ImportNotes:
         ]
 
 
-Triple = tuple[float, float, float]
+FloatTriple = tuple[float, float, float]
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,8 +69,8 @@ class MeshImport:
     welded: int
     border_edges: int
     skipped: tuple[str, ...]
-    low: Triple
-    high: Triple
+    low: FloatTriple
+    high: FloatTriple
     left: int | None = None
 
 

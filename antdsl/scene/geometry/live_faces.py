@@ -11,17 +11,17 @@ from antdsl.numerics.near_pairs import pairs_within
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int32]
 
-_JOINED = 1e-6  # of the extent of all surfaces: corners nearer than this are one corner
-_FLAT = 1e-7  # height over longest edge below which a triangle is a line
-_ISOLATION = 5.0  # grains: corners with this much room about them are joined with no other
-_TRIED = 8  # faces that are looked at before all are
+_JOIN_DISTANCE = 1e-6  # of the extent of all surfaces: corners nearer than this are one corner
+_FLAT_TRIANGLE_RATIO = 1e-7  # height over longest edge below which a triangle is a line
+_ISOLATION_GRAINS = 5.0  # grains: corners with this much room about them are joined with no other
+_FACES_TRIED_FIRST = 8  # faces that are looked at before all are
 
 
 def has_area(a: Floats, b: Floats, c: Floats) -> NDArray[np.bool_]:
     """Return whether triangles with corners a, b, c (m, 3) are more than a line."""
     area = _length(np.cross(b - a, c - a))
     longest = np.maximum.reduce([_length(edge) for edge in (b - a, c - a, c - b)])
-    return np.asarray((area > _FLAT * longest * longest) & (area > 0))
+    return np.asarray((area > _FLAT_TRIANGLE_RATIO * longest * longest) & (area > 0))
 
 
 def live_faces(numbers: Ints, a: Floats, b: Floats, c: Floats) -> NDArray[np.bool_]:
@@ -41,8 +41,8 @@ def has_live_face(vertices: Floats, faces: Ints, extent: float) -> bool:
     Usually one of the largest faces has corners far from all others, so that not all corners need numbers."""
     a, b, c = (vertices[faces[:, k]] for k in range(3))
     area = np.where(has_area(a, b, c), _length(np.cross(b - a, c - a)), 0.0)
-    clearance = _ISOLATION * extent * _JOINED
-    for face in np.argsort(-area, kind="stable")[:_TRIED]:
+    clearance = _ISOLATION_GRAINS * extent * _JOIN_DISTANCE
+    for face in np.argsort(-area, kind="stable")[:_FACES_TRIED_FIRST]:
         if not area[face]:
             break
         isolated_count = 0
@@ -63,7 +63,7 @@ def corner_numbers(vertices: Floats, faces: Ints, mesh: Ints, extent: float) -> 
     """Return numbers int32[m, 3] of the corners of faces: corners of one mesh at one position share a number.
 
     `vertices` float64[n, 3]; `faces` int32[m, 3]; `mesh` int32[m]: the mesh of each face; `extent`: of all meshes together."""
-    grain = max(extent * _JOINED, 1e-300)
+    grain = max(extent * _JOIN_DISTANCE, 1e-300)
     flat = faces.ravel()
     place = np.round((vertices[flat] - vertices[flat].min(axis=0, initial=np.inf)) / grain).astype(np.int64)
     owner = np.repeat(mesh, 3)

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 Floats = NDArray[np.float64]
 
-_TURN = Decimal("6.28318530717958647692528676655900576839433879875021164194988918")
+_FULL_TURN = Decimal("6.28318530717958647692528676655900576839433879875021164194988918")
 
 
 def still(*shape: int) -> Floats:
@@ -69,7 +69,7 @@ def uniform_scale(transform: Floats) -> float:
 def cosine_and_sine(angle: float) -> tuple[float, float]:
     """Return cosine and sine of an angle in radians, correct to the last bit, by their series in decimal numbers."""
     with localcontext(prec=60):
-        x = Decimal(angle) % _TURN
+        x = Decimal(angle) % _FULL_TURN
         term, sums, k = Decimal(1), [Decimal(0), Decimal(0)], 0
         while abs(term) > Decimal(10) ** -50 or k < abs(x):
             sums[k % 2] += term if k % 4 < 2 else -term

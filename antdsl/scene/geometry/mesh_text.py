@@ -18,28 +18,30 @@ from antdsl.diagnostics.model import printable
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
 
-LINE_BYTES = limits.MIB
-VERTICES = 3 * limits.MESH_FACES
-_BLOCK_BYTES = 64 * limits.KIB
-_WORD_BYTES = 40  # of a number
-_DIGITS = 10  # of a whole number
-_EXPORT = "export it again, as triangles or polygons in a .ply, .obj or .stl file"
-_WIDE = (b"\xff\xfe", b"\xfe\xff", b"\x00\x00\xfe\xff")
-_BLANK = np.zeros(256, np.bool_)
-_BLANK[[9, 10, 11, 12, 13, 32]] = True
-_BREAK = b"\x0b"  # stands for the line end of a continued line: blank, and counted
-_COMMENT = rb"(?:(?<=[\t\n\x0b\x0c ])|\A)#[^\n]*"
-_ANY_COMMENT = re.compile(_COMMENT)
-_COMMENT_OR_NAME = re.compile(rb"(^[\t\x0c ]*[go][\t\x0c ]+#[^\n\t\x0c ]+)|" + _COMMENT, re.MULTILINE | re.IGNORECASE)
-_CLOSE_COMMENT = re.compile(rb"^([\t\x0c ]*[vflpVFLP][nNtT]?[\t\x0c ][^\n#]*)#[^\n]*", re.MULTILINE)
-_CONTINUED = re.compile(rb"\\[\t\x0c ]*(?:\n|\Z)")
-_NAME_WORDS = [[word] for word in b"mtllib usemtl o g maplib usemap".split()]  # a `\` at the end of these is part of a name
+MAX_LINE_BYTES = limits.MIB
+MAX_VERTICES = 3 * limits.MAX_MESH_FACES
+_READ_BLOCK_BYTES = 64 * limits.KIB
+_MAX_NUMBER_BYTES = 40  # of a number
+_MAX_INTEGER_DIGITS = 10  # of a whole number
+_EXPORT_AGAIN_HELP = "export it again, as triangles or polygons in a .ply, .obj or .stl file"
+_UTF16_BYTE_ORDER_MARKS = (b"\xff\xfe", b"\xfe\xff", b"\x00\x00\xfe\xff")
+_IS_BLANK_BYTE = np.zeros(256, np.bool_)
+_IS_BLANK_BYTE[[9, 10, 11, 12, 13, 32]] = True
+_CONTINUATION_BYTE = b"\x0b"  # stands for the line end of a continued line: blank, and counted
+_COMMENT_REGEX = rb"(?:(?<=[\t\n\x0b\x0c ])|\A)#[^\n]*"
+_COMMENT_PATTERN = re.compile(_COMMENT_REGEX)
+_COMMENT_OR_NAME_PATTERN = re.compile(
+    rb"(^[\t\x0c ]*[go][\t\x0c ]+#[^\n\t\x0c ]+)|" + _COMMENT_REGEX, re.MULTILINE | re.IGNORECASE
+)
+_ADJACENT_COMMENT_PATTERN = re.compile(rb"^([\t\x0c ]*[vflpVFLP][nNtT]?[\t\x0c ][^\n#]*)#[^\n]*", re.MULTILINE)
+_CONTINUATION_PATTERN = re.compile(rb"\\[\t\x0c ]*(?:\n|\Z)")
+_NAME_KEYWORDS = [[word] for word in b"mtllib usemtl o g maplib usemap".split()]  # a `\` at the end of these is part of a name
 
 
 class MeshError(Exception):
     """Why a file is not a usable mesh, in words that fit after its name. `help`: what to do about it."""
 
-    def __init__(self, message: str, help: str | None = _EXPORT) -> None:
+    def __init__(self, message: str, help: str | None = _EXPORT_AGAIN_HELP) -> None:
         super().__init__(message)
         self.help = help
 
@@ -58,7 +60,7 @@ def check_count(count: int, most: int, what: str) -> None:
 
 def check_text(data: bytes) -> None:
     """Raise MeshError if a file is not text of single bytes."""
-    if data.startswith(_WIDE) or (data[1:2] == b"\0" and data[:4096].count(0) > len(data[:4096]) // 4):
+    if data.startswith(_UTF16_BYTE_ORDER_MARKS) or (data[1:2] == b"\0" and data[:4096].count(0) > len(data[:4096]) // 4):
         raise MeshError("is text in UTF-16 or UTF-32", "save it as UTF-8 or plain ASCII text")
     if b"\0" in data[:4096]:
         raise MeshError("is not a text file")
@@ -74,24 +76,24 @@ def plain_text(data: bytes, wavefront: bool = False) -> bytes:
         data = data.replace(b"\r\n", b"\n").replace(b"\r", b"\n")
     if b"\xa0" in data:
         data = data.replace(b"\xc2\xa0", b"  ")
-    if _BREAK in data:
-        data = data.replace(_BREAK, b" ")
+    if _CONTINUATION_BYTE in data:
+        data = data.replace(_CONTINUATION_BYTE, b" ")
     if b"#" in data:
-        data = _COMMENT_OR_NAME.sub(rb"\1", data) if wavefront else _ANY_COMMENT.sub(b"", data)
-        data = _CLOSE_COMMENT.sub(rb"\1", data) if b"#" in data else data
+        data = _COMMENT_OR_NAME_PATTERN.sub(rb"\1", data) if wavefront else _COMMENT_PATTERN.sub(b"", data)
+        data = _ADJACENT_COMMENT_PATTERN.sub(rb"\1", data) if b"#" in data else data
     if wavefront and b"\\" in data:
-        data = _CONTINUED.sub(_continuation, data)
+        data = _CONTINUATION_PATTERN.sub(_continuation, data)
     return data
 
 
 def _continuation(end: re.Match[bytes]) -> bytes:
     """Return the replacement for `\\\\` at the end of a line. In a line with a name, it stays as it is."""
     line = end.string[end.string.rfind(b"\n", 0, end.start()) + 1 : end.start()]
-    return end[0] if line.lstrip()[:8].lower().split(None, 1)[:1] in _NAME_WORDS else _BREAK
+    return end[0] if line.lstrip()[:8].lower().split(None, 1)[:1] in _NAME_KEYWORDS else _CONTINUATION_BYTE
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Block:
+class TextBlock:
     """Lines of a text that have words. `number` int64[L]: the number of each line in the file, from 1; its words are `first[k]`
     to `first[k] + count[k]`. `start`, `end` int64[W]: the range of each word in the bytes `data`."""
 
@@ -113,10 +115,10 @@ class Block:
             self._words.append(self.data.tobytes().split())
         return self._words[0]
 
-    def slice(self, begin: int, stop: int) -> Block:
+    def slice(self, begin: int, stop: int) -> TextBlock:
         """Some of its lines."""
         part = slice(begin, stop)
-        return Block(self.number[part], self.first[part], self.count[part], self.start, self.end, self.data, self._words)
+        return TextBlock(self.number[part], self.first[part], self.count[part], self.start, self.end, self.data, self._words)
 
     def line(self, k: int) -> list[bytes]:
         """The words of the line at place k."""
@@ -143,7 +145,7 @@ class Block:
         else:
             chosen = [words[k] for k in flat.tolist()]
         try:
-            if longest > _WORD_BYTES or ((self.data == 95).any() and any(b"_" in word for word in chosen)):
+            if longest > _MAX_NUMBER_BYTES or ((self.data == 95).any() and any(b"_" in word for word in chosen)):
                 raise ValueError  # a number of Python alone
             numbers = np.fromiter(map(float, chosen), np.float64, len(chosen))
         except ValueError:
@@ -152,12 +154,12 @@ class Block:
 
     def _read_number(self, word: bytes, at: int, what: str) -> float:
         try:
-            if len(word) > _WORD_BYTES or b"_" in word:
+            if len(word) > _MAX_NUMBER_BYTES or b"_" in word:
                 raise ValueError
             return float(word)
         except ValueError:
             decimal = re.fullmatch(rb"[+-]?[0-9]+,[0-9]+(?:[eE][+-]?[0-9]+)?", word)
-            help = f"write decimal points, such as `{display_word(word.replace(b',', b'.'))}`" if decimal else _EXPORT
+            help = f"write decimal points, such as `{display_word(word.replace(b',', b'.'))}`" if decimal else _EXPORT_AGAIN_HELP
             words = f"has in line {self.line_number(at):,} `{display_word(word)}` for {what}, which is not a number"
             raise MeshError(words, help) from None
 
@@ -173,7 +175,7 @@ class Block:
         start = start + negative
         value = np.zeros(at.shape, np.int64)
         running, length = start < end, np.zeros(at.shape, np.int64)
-        for k in range(_DIGITS + 1):
+        for k in range(_MAX_INTEGER_DIGITS + 1):
             digit = self.data[np.minimum(start + k, len(self.data) - 1)].astype(np.int64) - 48
             running = running & (start + k < end) & (digit >= 0) & (digit <= 9)
             if not running.any():
@@ -185,21 +187,21 @@ class Block:
         if slash and (slashes := self.data == 47).any():
             slash_counts = np.concatenate(([0], np.cumsum(slashes)))
             is_integer |= slashes[np.minimum(stop, len(self.data) - 1)] & (slash_counts[end] - slash_counts[self.start[at]] <= 2)
-        return np.where(negative, -value, value), (length > 0) & (length <= _DIGITS) & is_integer
+        return np.where(negative, -value, value), (length > 0) & (length <= _MAX_INTEGER_DIGITS) & is_integer
 
 
-def read_blocks(text: bytes, number: int = 1) -> Iterator[Block]:
+def read_blocks(text: bytes, number: int = 1) -> Iterator[TextBlock]:
     """Yield the lines of a `plain_text`, the first of which is line `number` of the file. Raises MeshError for a line that is too
     long."""
     at = 0
     while at < len(text):
-        stop = text.rfind(b"\n", at, at + _BLOCK_BYTES) + 1
+        stop = text.rfind(b"\n", at, at + _READ_BLOCK_BYTES) + 1
         if stop <= at:
             stop = text.find(b"\n", at) + 1 or len(text)
-            if stop - at > LINE_BYTES + 1:
-                raise MeshError(f"has a line {number:,} of more than {LINE_BYTES:,} bytes")
+            if stop - at > MAX_LINE_BYTES + 1:
+                raise MeshError(f"has a line {number:,} of more than {MAX_LINE_BYTES:,} bytes")
         data = np.frombuffer(text, np.uint8, stop - at, at)
-        blank = _BLANK[data]
+        blank = _IS_BLANK_BYTE[data]
         start = np.flatnonzero(~blank & np.concatenate(([True], blank[:-1])))
         end = np.flatnonzero(~blank & np.concatenate((blank[1:], [True]))) + 1
         ends = np.flatnonzero(data == 10)
@@ -207,6 +209,6 @@ def read_blocks(text: bytes, number: int = 1) -> Iterator[Block]:
         first = np.flatnonzero(np.concatenate(([True], line[1:] != line[:-1]))) if len(line) else np.empty(0, np.int64)
         breaks = np.flatnonzero(data == 11)
         numbers = number + line[first] + (np.searchsorted(breaks, start[first]) if len(breaks) else 0)
-        yield Block(numbers, first, np.diff(np.append(first, len(line))), start, end, data)
+        yield TextBlock(numbers, first, np.diff(np.append(first, len(line))), start, end, data)
         number += len(ends) + len(breaks)
         at = stop

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl import limits
-from antdsl.scene.geometry.gltf_mesh import Beside, read_gltf_mesh
+from antdsl.scene.geometry.gltf_mesh import SiblingReader, read_gltf_mesh
 from antdsl.scene.geometry.import_notes import ImportNotes
 from antdsl.scene.geometry.matrices import cosine_and_sine
 from antdsl.scene.geometry.mesh_text import MeshError
@@ -27,7 +27,7 @@ from antdsl.scene.staging.cached import cached_per_mesh
 Floats = NDArray[np.float64]
 Faces = NDArray[np.int64]
 
-_FARTHEST = 1e9  # mm; a thousand kilometres
+_MAX_COORDINATE_MM = 1e9  # mm; a thousand kilometres
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -45,16 +45,18 @@ class RawMesh:
     notes: ImportNotes = field(default_factory=ImportNotes)
 
 
-def read_mesh(data: bytes, name: str, group: str | None = None, beside: Beside | None = None) -> RawMesh:
+def read_mesh(data: bytes, name: str, group: str | None = None, beside: SiblingReader | None = None) -> RawMesh:
     """Return the triangles of a file's bytes. Raises MeshError with the reason if there are none.
 
     `group`: only one group or object of an .obj file, or only what is at and below a node of glTF. `beside(path, cap)` reads a
     file in the same folder."""
-    is_cached = len(data) <= _CACHED_BYTES and not name.lower().endswith(".gltf")  # buffers of .gltf files may be in other files
+    is_cached = len(data) <= _MAX_CACHED_BYTES and not name.lower().endswith(
+        ".gltf"
+    )  # buffers of .gltf files may be in other files
     return _read(data, name, group) if is_cached else _read_checked(data, name, group, beside)
 
 
-_CACHED_BYTES = 2 * limits.MIB  # of a file that is read again for the next scene of a folder
+_MAX_CACHED_BYTES = 2 * limits.MIB  # of a file that is read again for the next scene of a folder
 
 
 @lru_cache(maxsize=16)
@@ -66,24 +68,26 @@ def _read(data: bytes, name: str, group: str | None) -> RawMesh:
     return mesh
 
 
-def _read_checked(data: bytes, name: str, group: str | None, beside: Beside | None) -> RawMesh:
+def _read_checked(data: bytes, name: str, group: str | None, beside: SiblingReader | None) -> RawMesh:
     notes = ImportNotes()
     return check_mesh(*mesh_arrays(data, name, group, beside, notes), notes)
 
 
 def mesh_arrays(
-    data: bytes, name: str, group: str | None = None, beside: Beside | None = None, notes: ImportNotes | None = None
+    data: bytes, name: str, group: str | None = None, beside: SiblingReader | None = None, notes: ImportNotes | None = None
 ) -> tuple[Floats, Faces]:
     """As `read_mesh`, with all triangles of the file. Only what reading needs is checked. `notes` receives what was left out."""
     notes = ImportNotes() if notes is None else notes
     kind = name.rsplit(".", 1)[-1].lower() if "." in name else ""
-    if kind not in KINDS:
-        raise MeshError(f"is not one of {', '.join('.' + k for k in KINDS)}", "export it as a .glb, .ply, .obj or .stl file")
-    if group is not None and kind in READERS:
+    if kind not in MESH_SUFFIXES:
+        raise MeshError(
+            f"is not one of {', '.join('.' + k for k in MESH_SUFFIXES)}", "export it as a .glb, .ply, .obj or .stl file"
+        )
+    if group is not None and kind in READER_BY_SUFFIX:
         raise MeshError("has no groups, which only .obj and glTF files have", "leave `group` out")
     try:
-        if kind in READERS:
-            return _triangulate(READERS[kind](data, notes), notes)
+        if kind in READER_BY_SUFFIX:
+            return _triangulate(READER_BY_SUFFIX[kind](data, notes), notes)
         if kind == "obj":
             return _triangulate(read_obj(data, notes, group), notes)
         return _triangulate(read_gltf_mesh(data, notes, group, beside or _refuse_siblings), notes)
@@ -103,8 +107,8 @@ def _triangulate(mesh: PolygonMesh, notes: ImportNotes) -> tuple[Floats, Faces]:
     if len(wrong):
         face = int(np.searchsorted(np.cumsum(mesh.counts), wrong[0], side="right"))
         raise MeshError(f"has a face (number {face}) that names a vertex which is not there")
-    if np.maximum(mesh.counts - 2, 0).sum() > limits.MESH_FACES:
-        raise MeshError(f"has more than {limits.MESH_FACES:,} faces", "use a lighter mesh")
+    if np.maximum(mesh.counts - 2, 0).sum() > limits.MAX_MESH_FACES:
+        raise MeshError(f"has more than {limits.MAX_MESH_FACES:,} faces", "use a lighter mesh")
     points = mesh.points
     bad = np.asarray((~np.isfinite(points) | (np.abs(points) >= 1e30)).any(axis=1))
     if bad.any():
@@ -124,8 +128,8 @@ def check_mesh(vertices: Floats, faces: Faces, notes: ImportNotes | None = None)
     """The checks that hold for every format."""
     if len(vertices) == 0 or len(faces) == 0:
         raise MeshError("has no faces")
-    if len(faces) > limits.MESH_FACES:
-        raise MeshError(f"has {len(faces):,} faces, more than {limits.MESH_FACES:,}", "use a lighter mesh")
+    if len(faces) > limits.MAX_MESH_FACES:
+        raise MeshError(f"has {len(faces):,} faces, more than {limits.MAX_MESH_FACES:,}", "use a lighter mesh")
     bad = np.flatnonzero((faces < 0).any(axis=1) | (faces >= len(vertices)).any(axis=1))
     if len(bad):
         raise MeshError(f"has a face (number {bad[0]}) that names a vertex which is not there")
@@ -172,9 +176,9 @@ def _first_rows(rows: Faces, bound: int) -> NDArray[np.int64]:
     return np.asarray(first, np.int64)
 
 
-READERS: dict[str, Callable[[bytes, ImportNotes], PolygonMesh]] = {"ply": read_ply, "stl": read_stl}
-GLTF = ("gltf", "glb")
-KINDS = (*READERS, "obj", *GLTF)
+READER_BY_SUFFIX: dict[str, Callable[[bytes, ImportNotes], PolygonMesh]] = {"ply": read_ply, "stl": read_stl}
+GLTF_SUFFIXES = ("gltf", "glb")
+MESH_SUFFIXES = (*READER_BY_SUFFIX, "obj", *GLTF_SUFFIXES)
 
 
 def _refuse_siblings(path: str, cap: int) -> bytes:
@@ -218,7 +222,7 @@ def placed(
 
 def mesh_within_limits(vertices: Floats, faces: NDArray[np.integer]) -> MeshData:
     """Return vertices in mm as a mesh. Raises MeshError if one is too far out."""
-    if not np.isfinite(vertices).all() or np.abs(vertices).max() > _FARTHEST:
+    if not np.isfinite(vertices).all() or np.abs(vertices).max() > _MAX_COORDINATE_MM:
         raise MeshError("lies more than a thousand kilometres out", "move it with `at`, or check its `units`")
     return MeshData(np.ascontiguousarray(vertices), np.ascontiguousarray(faces, np.int32))
 

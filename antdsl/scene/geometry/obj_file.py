@@ -13,23 +13,25 @@ from antdsl.scene.geometry.import_notes import ImportNotes
 from antdsl.scene.geometry.polygons import PolygonMesh
 
 # Keywords without geometry: names, looks, numbers that belong to vertices.
-_SILENT = frozenset(b"vn vt g o s mg usemtl mtllib usemap maplib shadow_obj trace_obj lod bevel c_interp d_interp".split())
-_ELEMENTS = {b"l": "lines", b"p": "points", b"curv": "curves", b"curv2": "curves", b"surf": "surfaces"}
-_FREE_FORM = frozenset(b"vp cstype deg bmat step parm trim hole scrv sp end con stech ctech bzp bsp cdc cdp res".split())
+_IGNORED_KEYWORDS = frozenset(
+    b"vn vt g o s mg usemtl mtllib usemap maplib shadow_obj trace_obj lod bevel c_interp d_interp".split()
+)
+_SKIPPED_ELEMENT_NAMES = {b"l": "lines", b"p": "points", b"curv": "curves", b"curv2": "curves", b"surf": "surfaces"}
+_FREE_FORM_KEYWORDS = frozenset(b"vp cstype deg bmat step parm trim hole scrv sp end con stech ctech bzp bsp cdc cdp res".split())
 
 
 def read_obj(data: bytes, notes: ImportNotes, group: str | None = None) -> PolygonMesh:
     """Return vertices and polygons of a file, or of one named group or object. Raises MeshError with the reason."""
     notes.form = "Wavefront .obj"
     mesh_text.check_text(data)
-    reader = _Reader(notes, group)
+    reader = _ObjReader(notes, group)
     for block in mesh_text.read_blocks(mesh_text.plain_text(data, wavefront=True)):
         reader.read_block(block)
     return reader.mesh()
 
 
 @dataclass(slots=True)
-class _Reader:
+class _ObjReader:
     notes: ImportNotes
     group: str | None
     points: list[mesh_text.Floats] = field(default_factory=list)
@@ -42,7 +44,7 @@ class _Reader:
     in_group: bool = False
     in_object: bool = False
 
-    def read_block(self, block: mesh_text.Block) -> None:
+    def read_block(self, block: mesh_text.TextBlock) -> None:
         """Read the lines of a block."""
         kind = block.line_keywords()
         vertex, face = kind == b"v", (kind == b"f") | (kind == b"fo")
@@ -56,34 +58,34 @@ class _Reader:
         rest = within & ~(vertex | face | (kind == b"vn") | (kind == b"vt"))
         for k in np.flatnonzero(rest).tolist():
             word = block.line(k)[0].lower()
-            if word in _SILENT:
+            if word in _IGNORED_KEYWORDS:
                 continue
             line = int(block.number[k])
-            if word in _ELEMENTS:
-                self.notes.skip(f"{_ELEMENTS[word]} (`{word.decode()}`)", 1, line)
-            elif word in _FREE_FORM:
+            if word in _SKIPPED_ELEMENT_NAMES:
+                self.notes.skip(f"{_SKIPPED_ELEMENT_NAMES[word]} (`{word.decode()}`)", 1, line)
+            elif word in _FREE_FORM_KEYWORDS:
                 self.notes.skip("free-form geometry", 1, line)
             else:
                 self.notes.skip(f"unknown keyword `{mesh_text.display_word(word)}`", 1, line)
 
     def _read_vertices(
-        self, number: mesh_text.Integers, first: mesh_text.Integers, count: mesh_text.Integers, block: mesh_text.Block
+        self, number: mesh_text.Integers, first: mesh_text.Integers, count: mesh_text.Integers, block: mesh_text.TextBlock
     ) -> None:
         short = np.flatnonzero(count < 4)
         if len(short):
             raise mesh_text.MeshError(f"has a vertex of fewer than three numbers in line {number[short[0]]:,}")
         self.vertices += len(first)
-        mesh_text.check_count(self.vertices, mesh_text.VERTICES, "vertices")
+        mesh_text.check_count(self.vertices, mesh_text.MAX_VERTICES, "vertices")
         self.points.append(block.read_floats(first[:, None] + np.arange(1, 4), "a vertex"))
 
-    def _read_faces(self, block: mesh_text.Block, lines: mesh_text.Integers, vertex_counts: mesh_text.Integers) -> None:
+    def _read_faces(self, block: mesh_text.TextBlock, lines: mesh_text.Integers, vertex_counts: mesh_text.Integers) -> None:
         count = block.count[lines] - 1
         number = block.number[lines]
         short = np.flatnonzero(count < 3)
         if len(short):
             raise mesh_text.MeshError(f"has a face of fewer than three corners in line {number[short[0]]:,}")
         self.corners += int(count.sum())
-        mesh_text.check_count(self.corners // 3, limits.MESH_FACES, "faces")
+        mesh_text.check_count(self.corners // 3, limits.MAX_MESH_FACES, "faces")
         within = np.arange(int(count.sum())) - np.repeat(np.cumsum(count) - count, count)
         at = np.repeat(block.first[lines] + 1, count) + within
         index, is_integer = block.read_integers(at, slash=True)
@@ -100,7 +102,7 @@ class _Reader:
         self.counts.append(count)
         self.lines.append(number)
 
-    def _is_chosen(self, block: mesh_text.Block, kind: NDArray[np.bytes_]) -> NDArray[np.bool_]:
+    def _is_chosen(self, block: mesh_text.TextBlock, kind: NDArray[np.bytes_]) -> NDArray[np.bool_]:
         """Return whether each line is below the named group or object."""
         is_chosen = np.zeros(len(block), np.bool_)
         begin = 0

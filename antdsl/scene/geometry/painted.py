@@ -9,12 +9,12 @@ from numpy.typing import NDArray
 
 from antdsl import limits
 from antdsl.scene.geometry.arrays import ArrayFileError, read_arrays, to_float64
-from antdsl.scene.geometry.ply import Element, Header, HeaderError, read_header
+from antdsl.scene.geometry.ply import HeaderError, PlyElement, PlyHeader, read_header
 from antdsl.scene.geometry.ply_body import read_columns
 
 Floats = NDArray[np.float64]
 
-_PARTS = (("{}_x", "{}_y", "{}_z"), ("{}.x", "{}.y", "{}.z"), ("{}x", "{}y", "{}z"), ("{}_0", "{}_1", "{}_2"))
+_COMPONENT_NAME_PATTERNS = (("{}_x", "{}_y", "{}_z"), ("{}.x", "{}.y", "{}.z"), ("{}x", "{}y", "{}z"), ("{}_0", "{}_1", "{}_2"))
 
 
 class PaintError(Exception):
@@ -32,13 +32,13 @@ def read_painted_values(data: bytes, name: str, attribute: str | tuple[str, ...]
     Three names are the components of a vector. One-byte numbers are scaled so that 255 is 1. Values that are not finite are an
     error."""
     kind = name.rsplit(".", 1)[-1].lower() if "." in name else ""
-    if kind not in _READERS:
+    if kind not in _READER_BY_SUFFIX:
         raise PaintError("is neither a .ply nor an .npz file", "paint on the vertices of a .ply file, or write an .npz file")
-    rows = _READERS[kind](data, attribute, width)
+    rows = _READER_BY_SUFFIX[kind](data, attribute, width)
     wrong = np.flatnonzero(~np.isfinite(rows).all(axis=1))
     if len(wrong):
         raise PaintError(f"has a value (number {wrong[0]}) that is not finite")
-    wrong = np.flatnonzero((np.abs(rows) > limits.LARGEST).any(axis=1))
+    wrong = np.flatnonzero((np.abs(rows) > limits.MAX_NUMBER).any(axis=1))
     if len(wrong):
         raise PaintError(f"has a value (number {wrong[0]}) that is too large to keep", "paint numbers below 3e38")
     return rows
@@ -67,21 +67,21 @@ def _from_ply(data: bytes, attribute: str | tuple[str, ...], width: int) -> Floa
     raise PaintError(f"has no {what} `{words}`", f"write `{sample}`; the file has {_list_names(painted)}")
 
 
-def _find_columns(element: Element, attribute: str | tuple[str, ...], width: int) -> tuple[str, ...] | None:
+def _find_columns(element: PlyElement, attribute: str | tuple[str, ...], width: int) -> tuple[str, ...] | None:
     """Return the names of an element's properties that are the components of the attribute, or None."""
     have = {p.name for p in element.properties if not p.count}
     if isinstance(attribute, tuple):
         return attribute if len(attribute) == width and have.issuperset(attribute) else None
     if width == 1:
         return (attribute,) if attribute in have else None
-    for parts in _PARTS:
+    for parts in _COMPONENT_NAME_PATTERNS:
         names = tuple(part.format(attribute) for part in parts)
         if have.issuperset(names):
             return names
     return None
 
 
-def _read_scaled(data: bytes, header: Header, element: Element, columns: tuple[str, ...], width: int) -> Floats:
+def _read_scaled(data: bytes, header: PlyHeader, element: PlyElement, columns: tuple[str, ...], width: int) -> Floats:
     values = read_columns(data, header, element, columns)
     kinds = {p.name: p.kind for p in element.properties}
     if any(kinds[name] == "u1" for name in columns):
@@ -112,4 +112,4 @@ def _from_npz(data: bytes, attribute: str | tuple[str, ...], width: int) -> Floa
     return rows
 
 
-_READERS: dict[str, Callable[[bytes, str | tuple[str, ...], int], Floats]] = {"ply": _from_ply, "npz": _from_npz}
+_READER_BY_SUFFIX: dict[str, Callable[[bytes, str | tuple[str, ...], int], Floats]] = {"ply": _from_ply, "npz": _from_npz}

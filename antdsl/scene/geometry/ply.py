@@ -10,14 +10,14 @@ import numpy as np
 from antdsl import limits
 from antdsl.scene.geometry.mesh_text import display_word
 
-KINDS = {
+DTYPE_BY_TYPE = {
     "char": "i1", "uchar": "u1", "short": "i2", "ushort": "u2", "int": "i4", "uint": "u4", "float": "f4", "double": "f8",
     "int8": "i1", "uint8": "u1", "int16": "i2", "uint16": "u2", "int32": "i4", "uint32": "u4", "float32": "f4", "float64": "f8",
     "int64": "i8", "uint64": "u8",
 }  # fmt: skip
-_FORMATS = {"ascii": "", "binary_little_endian": "<", "binary_big_endian": ">"}
-_ELEMENTS = 32
-_LINE_END = re.compile(rb"\r\n|\r|\n")
+_BYTE_ORDER_BY_FORMAT = {"ascii": "", "binary_little_endian": "<", "binary_big_endian": ">"}
+_MAX_ELEMENTS = 32
+_LINE_END_PATTERN = re.compile(rb"\r\n|\r|\n")
 
 
 class HeaderError(Exception):
@@ -25,7 +25,7 @@ class HeaderError(Exception):
 
 
 @dataclass(frozen=True, slots=True)
-class Property:
+class PlyProperty:
     """A property. `count`: the type of a list's own count, None for a single value."""
 
     name: str
@@ -34,10 +34,10 @@ class Property:
 
 
 @dataclass(frozen=True, slots=True)
-class Element:
+class PlyElement:
     name: str
     count: int
-    properties: tuple[Property, ...]
+    properties: tuple[PlyProperty, ...]
 
     def least_bytes(self) -> int:
         """Return the least number of bytes of one element; an empty list has only its count."""
@@ -45,38 +45,38 @@ class Element:
 
 
 @dataclass(frozen=True, slots=True)
-class Header:
+class PlyHeader:
     """A header. `order`: `<` or `>`, empty for text. `body`: where the elements begin, in line `line` of the file."""
 
     order: str
-    elements: tuple[Element, ...]
+    elements: tuple[PlyElement, ...]
     body: int
     line: int
 
 
-def read_header(data: bytes) -> Header:
+def read_header(data: bytes) -> PlyHeader:
     """Return the header of a .ply file after checking its counts against the file's size. Raises HeaderError with the reason
     otherwise."""
     lines, body = _header_lines(data)
     order: str | None = None
-    elements: list[Element] = []
+    elements: list[PlyElement] = []
     for line in lines:
         words = line.decode("ascii", "replace").split()
         head = words[0].lower() if words else "comment"
         if head in ("comment", "obj_info"):
             continue
-        if head == "format" and len(words) == 3 and words[1].lower() in _FORMATS:
-            order = _FORMATS[words[1].lower()]
-        elif head == "element" and len(words) == 3 and re.fullmatch("[0-9]{1,12}", words[2]) and len(elements) < _ELEMENTS:
-            elements.append(Element(words[1], int(words[2]), ()))
+        if head == "format" and len(words) == 3 and words[1].lower() in _BYTE_ORDER_BY_FORMAT:
+            order = _BYTE_ORDER_BY_FORMAT[words[1].lower()]
+        elif head == "element" and len(words) == 3 and re.fullmatch("[0-9]{1,12}", words[2]) and len(elements) < _MAX_ELEMENTS:
+            elements.append(PlyElement(words[1], int(words[2]), ()))
         elif head == "property" and elements and (parsed_property := _parse_property(words[1:])):
             last = elements[-1]
-            elements[-1] = Element(last.name, last.count, (*last.properties, parsed_property))
+            elements[-1] = PlyElement(last.name, last.count, (*last.properties, parsed_property))
         else:
             raise HeaderError(f"has a header line that is not understood: `{display_word(line, 40)}`")
     if order is None:
         raise HeaderError("does not say its format")
-    header = Header(order, tuple(elements), body, len(lines) + 3)
+    header = PlyHeader(order, tuple(elements), body, len(lines) + 3)
     _check_size(header, len(data))
     return header
 
@@ -87,7 +87,7 @@ def _header_lines(data: bytes) -> tuple[list[bytes], int]:
     at = 3 if head.startswith(b"\xef\xbb\xbf") else 0
     lines: list[bytes] = []
     ends: list[bytes] = []
-    while end := _LINE_END.search(head, at):
+    while end := _LINE_END_PATTERN.search(head, at):
         line, at = head[at : end.start()].strip(), end.end()
         ends.append(end[0])
         if len(ends) == 1:
@@ -103,16 +103,16 @@ def _header_lines(data: bytes) -> tuple[list[bytes], int]:
     raise HeaderError("is not a .ply file")
 
 
-def _parse_property(words: list[str]) -> Property | None:
+def _parse_property(words: list[str]) -> PlyProperty | None:
     kinds = [word.lower() for word in words[:-1]]
-    if len(words) == 4 and kinds[0] == "list" and kinds[1] in KINDS and kinds[2] in KINDS:
-        return Property(words[3], KINDS[kinds[2]], KINDS[kinds[1]])
-    return Property(words[1], KINDS[kinds[0]]) if len(words) == 2 and kinds[0] in KINDS else None
+    if len(words) == 4 and kinds[0] == "list" and kinds[1] in DTYPE_BY_TYPE and kinds[2] in DTYPE_BY_TYPE:
+        return PlyProperty(words[3], DTYPE_BY_TYPE[kinds[2]], DTYPE_BY_TYPE[kinds[1]])
+    return PlyProperty(words[1], DTYPE_BY_TYPE[kinds[0]]) if len(words) == 2 and kinds[0] in DTYPE_BY_TYPE else None
 
 
-def _check_size(header: Header, size: int) -> None:
+def _check_size(header: PlyHeader, size: int) -> None:
     counts = {element.name: element.count for element in header.elements}
-    for name, words, most in (("face", "faces", limits.MESH_FACES), ("vertex", "vertices", 3 * limits.MESH_FACES)):
+    for name, words, most in (("face", "faces", limits.MAX_MESH_FACES), ("vertex", "vertices", 3 * limits.MAX_MESH_FACES)):
         if counts.get(name, 0) > most:
             raise HeaderError(f"says it has {counts[name]:,} {words}, more than {most:,}")
     least = sum(element.count * (element.least_bytes() if header.order else 1) for element in header.elements)

@@ -13,19 +13,19 @@ from numpy.typing import NDArray
 from antdsl import limits
 from antdsl.scene.geometry.arrays import to_float64
 from antdsl.scene.geometry.import_notes import ImportNotes
-from antdsl.scene.geometry.mesh_text import Block, MeshError, display_word, plain_text, read_blocks
-from antdsl.scene.geometry.ply import Element, Header, HeaderError, read_header
+from antdsl.scene.geometry.mesh_text import MeshError, TextBlock, display_word, plain_text, read_blocks
+from antdsl.scene.geometry.ply import HeaderError, PlyElement, PlyHeader, read_header
 from antdsl.scene.geometry.polygons import PolygonMesh, strip_triangles
 
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
 
-_INDEX = ("vertex_indices", "vertex_index", "vertexindices", "vertex_indexes")
-_SHORT = "is shorter than its header says"
+_INDEX_PROPERTY_NAMES = ("vertex_indices", "vertex_index", "vertexindices", "vertex_indexes")
+_TOO_SHORT_MESSAGE = "is shorter than its header says"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Column:
+class PlyColumn:
     """The values of a property of all elements of one name, in order. For lists, `counts` has the number of values of each
     element."""
 
@@ -33,7 +33,7 @@ class Column:
     counts: Integers | None = None
 
 
-Columns = Mapping[str, Column]
+ColumnByName = Mapping[str, PlyColumn]
 
 
 def read_ply(data: bytes, notes: ImportNotes) -> PolygonMesh:
@@ -80,10 +80,10 @@ def _with_restarts(values: Integers, counts: Integers) -> Integers:
     return np.insert(values, np.cumsum(counts)[:-1], -1)
 
 
-def _corner_property(element: Element) -> str:
+def _corner_property(element: PlyElement) -> str:
     """The name of the property that lists the corners of a face or strip."""
     lists = [p for p in element.properties if p.count]
-    named = [p for p in lists if p.name.lower() in _INDEX] or lists
+    named = [p for p in lists if p.name.lower() in _INDEX_PROPERTY_NAMES] or lists
     if len(named) != 1:
         raise HeaderError("has faces without exactly one list of vertices")
     if named[0].kind[0] == "f" or str(named[0].count)[0] == "f":
@@ -91,7 +91,7 @@ def _corner_property(element: Element) -> str:
     return named[0].name
 
 
-def read_columns(data: bytes, header: Header, element: Element, names: Sequence[str]) -> Floats:
+def read_columns(data: bytes, header: PlyHeader, element: PlyElement, names: Sequence[str]) -> Floats:
     """Return some single-valued properties of one element, (count, len(names)). Raises HeaderError if the body does not match the
     header."""
     try:
@@ -102,8 +102,8 @@ def read_columns(data: bytes, header: Header, element: Element, names: Sequence[
 
 
 def read_elements(
-    data: bytes, header: Header, requested_names: Mapping[int, Collection[str]], notes: ImportNotes
-) -> dict[int, Columns]:
+    data: bytes, header: PlyHeader, requested_names: Mapping[int, Collection[str]], notes: ImportNotes
+) -> dict[int, ColumnByName]:
     """Return the requested columns, by the id of a header element and the property's name. Other columns are skipped."""
     for element in header.elements:
         names = [p.name for p in element.properties]
@@ -111,7 +111,7 @@ def read_elements(
             words = f"names the property `{display_word(twice.encode())}` of `{display_word(element.name.encode())}` twice"
             raise HeaderError(words)
     read: _TextBody | _BinaryBody = _BinaryBody(data, header) if header.order else _TextBody(data, header)
-    element_columns: dict[int, Columns] = {}
+    element_columns: dict[int, ColumnByName] = {}
     for element in header.elements:
         if len(element_columns) == len(requested_names):
             break
@@ -126,11 +126,11 @@ def read_elements(
 class _TextBody:
     """A text body: one line per element; blank lines are skipped."""
 
-    def __init__(self, data: bytes, header: Header) -> None:
+    def __init__(self, data: bytes, header: PlyHeader) -> None:
         self._blocks = read_blocks(plain_text(data[header.body :]), header.line)
-        self._open: Block | None = None
+        self._open: TextBlock | None = None
 
-    def _read_lines(self, count: int) -> Iterator[Block]:
+    def _read_lines(self, count: int) -> Iterator[TextBlock]:
         """Yield blocks with `count` lines, fewer at the end of the file."""
         while count > 0:
             block = self._open if self._open is not None and len(self._open) else next(self._blocks, None)
@@ -146,8 +146,8 @@ class _TextBody:
             if len(block):
                 notes.skip("lines after the last element", len(block), int(block.number[0]))
 
-    def columns(self, element: Element, requested_names: Collection[str]) -> Columns:
-        parts: dict[str, list[Column]] = {name: [] for name in requested_names}
+    def columns(self, element: PlyElement, requested_names: Collection[str]) -> ColumnByName:
+        parts: dict[str, list[PlyColumn]] = {name: [] for name in requested_names}
         count = 0
         for block in self._read_lines(element.count):
             count += len(block)
@@ -155,10 +155,10 @@ class _TextBody:
                 self._read(block, element, parts)
         if count < element.count:
             what = display_word(element.name.encode())
-            raise HeaderError(f"{_SHORT}: it has {count:,} of {element.count:,} {what} lines")
+            raise HeaderError(f"{_TOO_SHORT_MESSAGE}: it has {count:,} of {element.count:,} {what} lines")
         return {name: _join_columns(each) for name, each in parts.items()}
 
-    def _read(self, block: Block, element: Element, parts: Mapping[str, list[Column]]) -> None:
+    def _read(self, block: TextBlock, element: PlyElement, parts: Mapping[str, list[PlyColumn]]) -> None:
         at, what = block.first, display_word(element.name.encode())
         stop = block.first + block.count
         last = max(k for k, p in enumerate(element.properties) if p.name in parts)
@@ -166,7 +166,7 @@ class _TextBody:
             self._check(block, at < stop, what)
             if p.count is None:
                 if p.name in parts:
-                    parts[p.name].append(Column(block.read_floats(at, f"`{display_word(p.name.encode())}` of a {what}")))
+                    parts[p.name].append(PlyColumn(block.read_floats(at, f"`{display_word(p.name.encode())}` of a {what}")))
                 at = at + 1
                 continue
             count, is_integer = block.read_integers(at)
@@ -179,28 +179,28 @@ class _TextBody:
                 if not are_whole.all():
                     line = block.line_number(int(word_indices[np.flatnonzero(~are_whole)[0]]))
                     self._check(block, block.number != line, what)
-                parts[p.name].append(Column(values, count))
+                parts[p.name].append(PlyColumn(values, count))
             at = at + 1 + count
         if not any(p.count for p in element.properties):
             self._check(block, at == stop, what)
 
     @staticmethod
-    def _check(block: Block, right: NDArray[np.bool_], what: str) -> None:
+    def _check(block: TextBlock, right: NDArray[np.bool_], what: str) -> None:
         if not right.all():
             k = int(np.flatnonzero(~right)[0])
             text = display_word(b" ".join(block.line(k)[:6]))
             raise HeaderError(f"has an incomplete {what} in line {block.number[k]:,}: `{text}`")
 
 
-def _join_columns(parts: list[Column]) -> Column:
+def _join_columns(parts: list[PlyColumn]) -> PlyColumn:
     if not parts:
-        return Column(np.empty(0), np.empty(0, np.int64))
+        return PlyColumn(np.empty(0), np.empty(0, np.int64))
     counts = [part.counts for part in parts if part.counts is not None]
-    return Column(np.concatenate([part.values for part in parts]), np.concatenate(counts) if counts else None)
+    return PlyColumn(np.concatenate([part.values for part in parts]), np.concatenate(counts) if counts else None)
 
 
 class _BinaryBody:
-    def __init__(self, data: bytes, header: Header) -> None:
+    def __init__(self, data: bytes, header: PlyHeader) -> None:
         self._data, self._order, self._at = data, header.order, header.body
 
     def note_rest(self, notes: ImportNotes) -> None:
@@ -209,9 +209,9 @@ class _BinaryBody:
         if self._data[self._at :].strip(b"\0 \n\r\t\x1a"):  # no padding
             notes.skip(f"{rest:,} bytes after the last element")
 
-    def columns(self, element: Element, requested_names: Collection[str]) -> Columns:
+    def columns(self, element: PlyElement, requested_names: Collection[str]) -> ColumnByName:
         if not element.count:
-            return {p.name: Column(np.empty(0), np.empty(0, np.int64) if p.count else None) for p in element.properties}
+            return {p.name: PlyColumn(np.empty(0), np.empty(0, np.int64) if p.count else None) for p in element.properties}
         lengths = self._first_lengths(element)
         if lengths is None:
             return self._read_uneven(element, requested_names)
@@ -231,12 +231,12 @@ class _BinaryBody:
         found = {}
         for p in element.properties:
             if p.name in requested_names and p.count is None:
-                found[p.name] = Column(rows[p.name])
+                found[p.name] = PlyColumn(rows[p.name])
             elif p.name in requested_names:
-                found[p.name] = Column(rows[p.name].astype(np.int64).reshape(-1), np.full(element.count, lengths[p.name]))
+                found[p.name] = PlyColumn(rows[p.name].astype(np.int64).reshape(-1), np.full(element.count, lengths[p.name]))
         return found
 
-    def _first_lengths(self, element: Element) -> dict[str, int] | None:
+    def _first_lengths(self, element: PlyElement) -> dict[str, int] | None:
         """Return the list lengths of the first element, which all elements usually share. None if that is impossible."""
         at, lengths = self._at, {}
         for p in element.properties:
@@ -250,16 +250,16 @@ class _BinaryBody:
                 at += np.dtype(p.kind).itemsize
         return lengths
 
-    def _read_count(self, kind: str, at: int, element: Element, row: int) -> int:
+    def _read_count(self, kind: str, at: int, element: PlyElement, row: int) -> int:
         if at + np.dtype(kind).itemsize > len(self._data):
-            raise HeaderError(f"{_SHORT}: it ends in its {display_word(element.name.encode())} {row}")
+            raise HeaderError(f"{_TOO_SHORT_MESSAGE}: it ends in its {display_word(element.name.encode())} {row}")
         count = np.frombuffer(self._data, self._order + kind, 1, at)[0]
         if not (count >= 0 and np.isfinite(count)):
             words = f"has a list of {count:,} values in its {display_word(element.name.encode())} {row}, more than the file has"
             raise HeaderError(words)
         return int(count)
 
-    def _read_uneven(self, element: Element, requested_names: Collection[str]) -> Columns:
+    def _read_uneven(self, element: PlyElement, requested_names: Collection[str]) -> ColumnByName:
         """Return lists of different lengths: first find where each begins, element by element, then read all values at once."""
         data, at, name = self._data, self._at, display_word(element.name.encode())
         starts: dict[str, list[int]] = {p.name: [] for p in element.properties if p.name in requested_names}
@@ -281,34 +281,34 @@ class _BinaryBody:
                             counts[key].append(count)
                     at += count * size
                 if at > len(data):
-                    raise HeaderError(f"{_SHORT}: it ends in its {name} {row}")
+                    raise HeaderError(f"{_TOO_SHORT_MESSAGE}: it ends in its {name} {row}")
         except (struct.error, OverflowError, ValueError):
-            raise HeaderError(f"{_SHORT}: it ends among its {name}s") from None
+            raise HeaderError(f"{_TOO_SHORT_MESSAGE}: it ends among its {name}s") from None
         self._at = at
         columns = {}
         for p in element.properties:
             if p.name in requested_names:
                 many = np.array(counts[p.name], np.int64) if p.count else np.ones(element.count, np.int64)
                 values = self._gather_values(np.array(starts[p.name], np.int64), many, p.kind)
-                columns[p.name] = Column(values.astype(np.int64), many) if p.count else Column(values)
+                columns[p.name] = PlyColumn(values.astype(np.int64), many) if p.count else PlyColumn(values)
         return columns
 
     def _gather_values(self, start: Integers, count: Integers, kind: str) -> NDArray[Any]:
         size, total = np.dtype(kind).itemsize, int(count.sum())
-        if total * size > limits.MESH_BYTES:
-            raise HeaderError(_SHORT)
+        if total * size > limits.MAX_MESH_BYTES:
+            raise HeaderError(_TOO_SHORT_MESSAGE)
         within = np.arange(total) - np.repeat(np.cumsum(count) - count, count)
         at = np.repeat(start, count) + within * size
         raw = np.frombuffer(self._data, np.uint8)[at[:, None] + np.arange(size)]
         return np.ascontiguousarray(raw).view(self._order + kind)[:, 0]
 
 
-_CODES = {
+_STRUCT_CODES = {
     "i1": "b", "u1": "B", "i2": "h", "u2": "H", "i4": "i", "u4": "I", "i8": "q", "u8": "Q", "f4": "f", "f8": "d",
 }  # fmt: skip
 
 
 def _value_reader(order: str, kind: str, count: str | None) -> tuple[int, Callable[[bytes, int], tuple[Any, ...]] | None, int]:
     """Return the bytes of one value; for a list also how its length is read, and the bytes of that."""
-    read = None if count is None else struct.Struct(order + _CODES[count])
+    read = None if count is None else struct.Struct(order + _STRUCT_CODES[count])
     return np.dtype(kind).itemsize, None if read is None else read.unpack_from, 0 if read is None else read.size

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from antdsl import limits
 
-POINT_BYTES = 64 * limits.MIB
+MAX_POINT_FILE_BYTES = 64 * limits.MIB
 
 
 class PointsError(Exception):
@@ -30,8 +30,8 @@ def read_points(data: bytes, least: int) -> NDArray[np.float64]:
         raise PointsError("is not JSON") from None
     if not isinstance(points, list) or len(points) < least:
         raise PointsError(f"is not a list of at least {least} points `[x, y, z]`")
-    if len(points) > limits.AGENTS:
-        raise PointsError(f"has more than {limits.AGENTS:,} points")
+    if len(points) > limits.MAX_AGENTS:
+        raise PointsError(f"has more than {limits.MAX_AGENTS:,} points")
     for number, point in enumerate(points):
         if not isinstance(point, list) or len(point) != 3 or not all(_is_number(part) for part in point):
             raise PointsError(f"has no point `[x, y, z]` at number {number}")

@@ -15,15 +15,17 @@ from numpy.typing import NDArray
 
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
-Corner = tuple[int, int]
+GridCorner = tuple[int, int]
 
-CORNERS = 20_000  # of one polygon that no fan covers: cutting it takes about a second
-WORK = 16 * CORNERS**2  # all such polygons of a file: the sum of the squares of their numbers of corners, and each for itself
-_EACH = 20_000  # of the same for the call alone
-_FANS = 8  # corners that are tried as the middle of a fan
-_GRID = 2.0**24  # cells across a polygon: products of two sides stay below 2**53
-_FLAT = 1e-10  # of the square of a polygon's extent: triangles with less area have none
-_OVERLAP = 1e-5  # of a polygon's area: what its triangles may differ from it by rounding to the grid
+MAX_POLYGON_CORNERS = 20_000  # of one polygon that no fan covers: cutting it takes about a second
+MAX_FILE_WORK = (
+    16 * MAX_POLYGON_CORNERS**2
+)  # all such polygons of a file: the sum of the squares of their numbers of corners, and each for itself
+_WORK_PER_CALL = 20_000  # of the same for the call alone
+_MAX_FAN_TRIES = 8  # corners that are tried as the middle of a fan
+_GRID_CELLS = 2.0**24  # cells across a polygon: products of two sides stay below 2**53
+_FLAT_AREA_RATIO = 1e-10  # of the square of a polygon's extent: triangles with less area have none
+_AREA_TOLERANCE = 1e-5  # of a polygon's area: what its triangles may differ from it by rounding to the grid
 
 
 class TooManyCorners(Exception):
@@ -104,9 +106,9 @@ def _cut_polygons(points: Floats, counts: Integers, indices: Integers) -> Triang
 
 
 def _check_work(counts: Integers) -> None:
-    if len(counts) and counts.max() > CORNERS:
-        raise TooManyCorners(f"has a polygon of {counts.max():,} corners, more than {CORNERS:,}")
-    if (counts.astype(np.float64) ** 2 + _EACH).sum() > WORK:
+    if len(counts) and counts.max() > MAX_POLYGON_CORNERS:
+        raise TooManyCorners(f"has a polygon of {counts.max():,} corners, more than {MAX_POLYGON_CORNERS:,}")
+    if (counts.astype(np.float64) ** 2 + _WORK_PER_CALL).sum() > MAX_FILE_WORK:
         raise TooManyCorners(f"has {len(counts):,} polygons with too many corners to triangulate")
 
 
@@ -130,7 +132,7 @@ def _project(rings: Floats) -> tuple[Floats, NDArray[np.bool_]]:
     one, two = (axis + 1) % 3, (axis + 2) % 3
     one, two = np.where(size < 0, two, one), np.where(size < 0, one, two)
     outline = np.stack([unit[rows, :, one], unit[rows, :, two]], axis=2)
-    return outline, np.abs(size) > _FLAT
+    return outline, np.abs(size) > _FLAT_AREA_RATIO
 
 
 def _cut_fans(rings: Floats) -> tuple[Integers, Integers, NDArray[np.bool_]]:
@@ -141,7 +143,7 @@ def _cut_fans(rings: Floats) -> tuple[Integers, Integers, NDArray[np.bool_]]:
     crossed = ~has_area & _is_crossing(rings)
     middle = np.where(has_area, -1, 0)  # without an area: a fan of nothing
     step = np.arange(1, count - 1)
-    for k in range(min(count, _FANS)):
+    for k in range(min(count, _MAX_FAN_TRIES)):
         open_ = np.flatnonzero(middle < 0)
         if not len(open_):
             break
@@ -150,8 +152,8 @@ def _cut_fans(rings: Floats) -> tuple[Integers, Integers, NDArray[np.bool_]]:
         area = side[:, :-1, 0] * side[:, 1:, 1] - side[:, :-1, 1] * side[:, 1:, 0]
         # once past half a turn about the middle, the fan must not come back to its first side
         turn = side[:, :1, 0] * side[:, :, 1] - side[:, :1, 1] * side[:, :, 0]
-        past = np.maximum.accumulate(turn < -_FLAT, axis=1)
-        covers = (area > _FLAT).all(axis=1) & ~(past[:, :-1] & (turn[:, 1:] >= -_FLAT)).any(axis=1)
+        past = np.maximum.accumulate(turn < -_FLAT_AREA_RATIO, axis=1)
+        covers = (area > _FLAT_AREA_RATIO).all(axis=1) & ~(past[:, :-1] & (turn[:, 1:] >= -_FLAT_AREA_RATIO)).any(axis=1)
         middle[open_[covers]] = k
     if count == 4:  # a quad that no fan covers crosses itself
         crossed |= middle < 0
@@ -167,7 +169,7 @@ def _has_reflex(rings: Floats) -> NDArray[np.bool_]:
     side = np.roll(outline, -1, axis=1) - outline
     previous_side = np.roll(side, 1, axis=1)
     turn = previous_side[..., 0] * side[..., 1] - previous_side[..., 1] * side[..., 0]
-    return np.asarray(has_area & (turn < -_FLAT).any(axis=1))
+    return np.asarray(has_area & (turn < -_FLAT_AREA_RATIO).any(axis=1))
 
 
 def _is_crossing(rings: Floats) -> NDArray[np.bool_]:
@@ -182,7 +184,7 @@ def _cut_ears(outline: Floats) -> tuple[Integers, bool]:
     """Return triangles (m, 3) of the corners of one polygon [n, 2], counter-clockwise, and whether it crosses itself."""
     from mapbox_earcut import triangulate_float64
 
-    grid = np.round(outline * _GRID)
+    grid = np.round(outline * _GRID_CELLS)
     triangles = triangulate_float64(grid, np.array([len(grid)], np.uint32)).astype(np.int64).reshape(-1, 3)
     twice = _double_areas(grid, triangles)
     triangles[twice < 0] = triangles[twice < 0][:, [0, 2, 1]]
@@ -192,7 +194,7 @@ def _cut_ears(outline: Floats) -> tuple[Integers, bool]:
     corners = [(int(a), int(b)) for a, b in grid]
     return np.array(_split_at_corners(triangles.tolist(), corners), np.int64).reshape(-1, 3), abs(
         covered - double_area
-    ) > _OVERLAP * double_area
+    ) > _AREA_TOLERANCE * double_area
 
 
 def _double_areas(grid: Floats, triangles: Integers) -> Floats:
@@ -201,7 +203,7 @@ def _double_areas(grid: Floats, triangles: Integers) -> Floats:
     return areas
 
 
-def _split_at_corners(triangles: list[list[int]], corners: list[Corner]) -> list[list[int]]:
+def _split_at_corners(triangles: list[list[int]], corners: list[GridCorner]) -> list[list[int]]:
     """Split triangles so that they also use the corners on straight sides, which earcut leaves out. Otherwise there would be a
     crack to a neighbour that uses them."""
     count = len(corners)
@@ -230,7 +232,7 @@ def _split_at_corners(triangles: list[list[int]], corners: list[Corner]) -> list
     return result
 
 
-def _corner_chain(a: int, b: int, needed: dict[int, list[int]], corners: list[Corner]) -> list[int]:
+def _corner_chain(a: int, b: int, needed: dict[int, list[int]], corners: list[GridCorner]) -> list[int]:
     """Return the corners on the straight line from a to b that needed edges connect; empty if these edges go elsewhere."""
     (ax, ay), (bx, by) = corners[a], corners[b]
     at = a

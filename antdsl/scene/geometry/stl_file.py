@@ -14,9 +14,9 @@ from antdsl.scene.geometry.import_notes import ImportNotes
 from antdsl.scene.geometry.matrices import distinct_points
 from antdsl.scene.geometry.polygons import PolygonMesh
 
-_HEAD, _FACE = 84, 50  # bytes before the first face, and of each
-_BEFORE_SOLID = re.compile(rb"\A(?:\xef\xbb\xbf)?(?:\s|#[^\r\n]*[\r\n])*")
-_MISSING = "is not a .stl file, or a part of it is missing"
+_HEADER_BYTES, _FACE_BYTES = 84, 50  # bytes before the first face, and of each
+_BEFORE_SOLID_PATTERN = re.compile(rb"\A(?:\xef\xbb\xbf)?(?:\s|#[^\r\n]*[\r\n])*")
+_MISSING_PART_MESSAGE = "is not a .stl file, or a part of it is missing"
 
 
 def read_stl(data: bytes, notes: ImportNotes) -> PolygonMesh:
@@ -32,39 +32,42 @@ def read_stl(data: bytes, notes: ImportNotes) -> PolygonMesh:
 def _is_text(data: bytes) -> bool:
     """Return whether a file is text. A binary file may also begin with `solid`, but its numbers contain bytes that text does not
     have."""
-    if len(data) >= _HEAD and len(data) == _HEAD + _FACE * struct.unpack_from("<I", data, 80)[0]:
+    if len(data) >= _HEADER_BYTES and len(data) == _HEADER_BYTES + _FACE_BYTES * struct.unpack_from("<I", data, 80)[0]:
         return False
     head = data[: 64 * limits.KIB]
     if head.startswith((b"\xff\xfe", b"\xfe\xff")):
         mesh_text.check_text(head)
-    solid = _BEFORE_SOLID.sub(b"", head, count=1)[:5].lower() == b"solid"
+    solid = _BEFORE_SOLID_PATTERN.sub(b"", head, count=1)[:5].lower() == b"solid"
     return solid and b"\0" not in head and b"facet" in head.lower()
 
 
 def _read_binary(data: bytes, notes: ImportNotes) -> mesh_text.Floats:
     notes.form = "binary .stl"
-    if len(data) < _HEAD:
-        raise mesh_text.MeshError(_MISSING)
+    if len(data) < _HEADER_BYTES:
+        raise mesh_text.MeshError(_MISSING_PART_MESSAGE)
     count = int(struct.unpack_from("<I", data, 80)[0])
-    rest = len(data) - _HEAD - _FACE * count
+    rest = len(data) - _HEADER_BYTES - _FACE_BYTES * count
     if rest < 0:
-        capacity = (len(data) - _HEAD) // _FACE
-        raise mesh_text.MeshError(f"{_MISSING}: it says it has {count:,} faces, and {capacity:,} fit in its {len(data):,} bytes")
-    mesh_text.check_count(count, limits.MESH_FACES, "faces")
+        capacity = (len(data) - _HEADER_BYTES) // _FACE_BYTES
+        raise mesh_text.MeshError(
+            f"{_MISSING_PART_MESSAGE}: it says it has {count:,} faces, and {capacity:,} fit in its {len(data):,} bytes"
+        )
+    mesh_text.check_count(count, limits.MAX_MESH_FACES, "faces")
     tail = data[len(data) - rest :]
     is_padding = not tail.strip(b"\0 \n\r\t\x1a")
-    if rest >= _FACE and rest % _FACE == 0 and not is_padding:
-        raise mesh_text.MeshError(f"says it has {count:,} faces, and has {count + rest // _FACE:,}")
+    if rest >= _FACE_BYTES and rest % _FACE_BYTES == 0 and not is_padding:
+        raise mesh_text.MeshError(f"says it has {count:,} faces, and has {count + rest // _FACE_BYTES:,}")
     if not is_padding:
         notes.skip(f"{rest:,} bytes after the last face")
-    rows = np.frombuffer(data, np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("pad", "<u2")]), count, _HEAD)
+    rows = np.frombuffer(data, np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("pad", "<u2")]), count, _HEADER_BYTES)
     return to_float64(rows["corners"].reshape(-1, 3))
 
 
-_FACET, _VERTEX, _END, _LOOP, _SOLID, _OTHER = range(6)
-_KINDS = {
-    b"facet": _FACET, b"vertex": _VERTEX, b"endfacet": _END, b"outer": _LOOP, b"endloop": _LOOP, b"solid": _SOLID,
-    b"endsolid": _SOLID,
+_FACET_LINE, _VERTEX_LINE, _FACET_END_LINE, _LOOP_LINE, _SOLID_LINE, _OTHER_LINE = range(6)
+_LINE_KIND_BY_KEYWORD = {
+    b"facet": _FACET_LINE, b"vertex": _VERTEX_LINE, b"endfacet": _FACET_END_LINE, b"outer": _LOOP_LINE, b"endloop": _LOOP_LINE,
+    b"solid": _SOLID_LINE,
+    b"endsolid": _SOLID_LINE,
 }  # fmt: skip
 
 
@@ -73,34 +76,34 @@ def _read_text(data: bytes, notes: ImportNotes) -> mesh_text.Floats:
     corners, kinds, numbers, last = [np.empty((0, 3))], [np.empty(0, np.int64)], [np.empty(0, np.int64)], 0
     for block in mesh_text.read_blocks(mesh_text.plain_text(data)):
         letters = block.line_keywords()
-        kind = np.full(len(block), _OTHER)
-        for word, code in _KINDS.items():
+        kind = np.full(len(block), _OTHER_LINE)
+        for word, code in _LINE_KIND_BY_KEYWORD.items():
             kind[letters == word] = code
-        vertex = kind == _VERTEX
+        vertex = kind == _VERTEX_LINE
         short = np.flatnonzero(vertex & (block.count < 4))
         if len(short):
             raise mesh_text.MeshError(f"has a corner of fewer than three numbers in line {block.number[short[0]]:,}")
         corners.append(block.read_floats(block.first[vertex][:, None] + np.arange(1, 4), "a corner"))
-        if (kind == _OTHER).any():
+        if (kind == _OTHER_LINE).any():
             _check_others(
                 block.number,
                 kind,
-                [mesh_text.display_word(b" ".join(block.line(int(k)))) for k in np.flatnonzero(kind == _OTHER)],
+                [mesh_text.display_word(b" ".join(block.line(int(k)))) for k in np.flatnonzero(kind == _OTHER_LINE)],
                 notes,
             )
-        used = (kind != _LOOP) & (kind != _SOLID) & (kind != _OTHER)
+        used = (kind != _LOOP_LINE) & (kind != _SOLID_LINE) & (kind != _OTHER_LINE)
         kinds.append(kind[used])
         numbers.append(block.number[used])
         last = int(block.number[-1]) if len(block) else last
-        mesh_text.check_count(sum(map(len, corners)) // 3, limits.MESH_FACES, "faces")
+        mesh_text.check_count(sum(map(len, corners)) // 3, limits.MAX_MESH_FACES, "faces")
     _check_facets(np.concatenate(kinds), np.concatenate(numbers), last)
     return np.concatenate(corners)
 
 
 def _check_others(number: mesh_text.Integers, kind: mesh_text.Integers, words: list[str], notes: ImportNotes) -> None:
     """Raise MeshError for an unknown line within a facet; note other unknown lines."""
-    others = np.flatnonzero(kind == _OTHER)
-    opened = np.cumsum((kind == _FACET).astype(np.int64) - (kind == _END))
+    others = np.flatnonzero(kind == _OTHER_LINE)
+    opened = np.cumsum((kind == _FACET_LINE).astype(np.int64) - (kind == _FACET_END_LINE))
     for place, text in zip(others.tolist(), words, strict=True):
         if opened[place] > 0:
             raise mesh_text.MeshError(f"has a line {number[place]:,} that is not understood: `{text}`")
@@ -109,14 +112,14 @@ def _check_others(number: mesh_text.Integers, kind: mesh_text.Integers, words: l
 
 def _check_facets(kinds: mesh_text.Integers, numbers: mesh_text.Integers, last: int) -> None:
     """Raise MeshError if lines do not repeat facet, three corners, end of facet."""
-    expected_kinds = np.resize(np.array([_FACET, _VERTEX, _VERTEX, _VERTEX, _END]), len(kinds))
+    expected_kinds = np.resize(np.array([_FACET_LINE, _VERTEX_LINE, _VERTEX_LINE, _VERTEX_LINE, _FACET_END_LINE]), len(kinds))
     wrong = np.flatnonzero(kinds != expected_kinds)
     if not len(wrong):
         if len(kinds) % 5:
             raise mesh_text.MeshError(f"ends in line {last:,} with a facet without three corners: a part of it is missing")
         return
     k = int(wrong[0])
-    if expected_kinds[k] == _FACET and kinds[k] == _VERTEX:
+    if expected_kinds[k] == _FACET_LINE and kinds[k] == _VERTEX_LINE:
         raise mesh_text.MeshError(f"has a corner outside of a facet in line {numbers[k]:,}")
-    k += int((kinds[k:] != _VERTEX).argmax())
+    k += int((kinds[k:] != _VERTEX_LINE).argmax())
     raise mesh_text.MeshError(f"has a facet without three corners before line {numbers[k]:,}")

@@ -8,7 +8,7 @@ from typing import Concatenate, ParamSpec, Protocol, TypeVar
 
 from numpy.typing import NDArray
 
-_MESHES, _ANSWERS = 16, 4096  # maximum cache sizes: meshes for each kind of work, and results for each mesh
+_MAX_CACHED_MESHES, _MAX_CACHED_ANSWERS = 16, 4096  # maximum cache sizes: meshes for each kind of work, and results for each mesh
 
 
 class _Mesh(Protocol):
@@ -25,7 +25,7 @@ def cached_per_mesh(work: Callable[Concatenate[M, P], T]) -> Callable[Concatenat
     """Return `work`, cached by mesh and arguments. Only results for read-only meshes, which are cached anyway, are stored.
     Results must not be changed either."""
 
-    @lru_cache(maxsize=_MESHES)
+    @lru_cache(maxsize=_MAX_CACHED_MESHES)
     def get_answers(mesh: M) -> dict[Hashable, T]:
         return {}
 
@@ -35,7 +35,7 @@ def cached_per_mesh(work: Callable[Concatenate[M, P], T]) -> Callable[Concatenat
             return work(mesh, *words, **named)
         known, key = get_answers(mesh), (words, tuple(sorted(named.items())))  # type: ignore[arg-type]
         if key not in known:
-            if len(known) >= _ANSWERS:
+            if len(known) >= _MAX_CACHED_ANSWERS:
                 known.clear()
             known[key] = work(mesh, *words, **named)
         return known[key]

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl.numerics.elementary import wide_atan2
-from antdsl.program.model import Dim, Kind, WorldThing
+from antdsl.program.model import Dimension, TypeKind, WorldThing
 from antdsl.scene import setting as stage_of
 from antdsl.scene.staging.cached import cached_per_mesh
 from antdsl.scene.staging.stage_things import follow_surface, item_positions, simulated_frames, stage_usd_items
@@ -17,12 +17,12 @@ from antdsl.scene.staging.usd_values import UsdFile, read_in_base_units, warn_ne
 from antdsl.scene.thing_models import ItemThing, UsdThing
 
 if TYPE_CHECKING:
-    from antdsl.scene.staging.stage_scene import Staging
+    from antdsl.scene.staging.stage_scene import SceneStaging
 
 DEFAULT_ITEM_RADIUS = 10.0  # mm
 
 
-def place_items(staging: Staging, name: str, value: UsdThing | dict[str, ItemThing]) -> tuple[stage_of.ItemData, ...] | None:
+def place_items(staging: SceneStaging, name: str, value: UsdThing | dict[str, ItemThing]) -> tuple[stage_of.ItemData, ...] | None:
     """Return the items of one name as at the first frame; or report an error and return None. Their motion goes into
     `staging.item_tracks`."""
     if isinstance(value, UsdThing):
@@ -45,7 +45,7 @@ def place_items(staging: Staging, name: str, value: UsdThing | dict[str, ItemThi
     return tuple(items)
 
 
-def _place_item(staging: Staging, name: str, item: str, thing: ItemThing) -> NDArray[np.float64] | None:
+def _place_item(staging: SceneStaging, name: str, item: str, thing: ItemThing) -> NDArray[np.float64] | None:
     """Return an item's position at each frame (frames, 3), one frame if it is static. If it misses its surface, report an error
     and return None.
 
@@ -70,7 +70,7 @@ def _place_item(staging: Staging, name: str, item: str, thing: ItemThing) -> NDA
     return follow_surface(mesh, moves, three(track[0])) if moves is not None and not thing.keys else track
 
 
-def check_crowds(staging: Staging, crowds: Sequence[stage_of.CrowdData]) -> None:
+def check_crowds(staging: SceneStaging, crowds: Sequence[stage_of.CrowdData]) -> None:
     """Warn about a crowd that would start where no surface is; it would stand at the nearest surface point."""
     for crowd in crowds:
         if crowd.count and is_off_surface(crowd.place, staging, staging.scene.model.up):
@@ -80,7 +80,7 @@ def check_crowds(staging: Staging, crowds: Sequence[stage_of.CrowdData]) -> None
             staging.report.warning("off-surface", words, staging.scene.span("crowd", crowd.group, "place"), help)
 
 
-def is_off_surface(place: stage_of.PlaceData, things: Staging | stage_of.Setting, up: str) -> bool:
+def is_off_surface(place: stage_of.PlaceData, things: SceneStaging | stage_of.WorldSetting, up: str) -> bool:
     """Return whether no surface lies below or above a crowd's start disc, or, with a start by area, in its ball."""
     if place.around is None or place.radius is None:
         return False
@@ -92,7 +92,7 @@ def is_off_surface(place: stage_of.PlaceData, things: Staging | stage_of.Setting
 
 
 @cached_per_mesh
-def _is_in_reach(mesh: stage_of.MeshData, middle: stage_of.Point, radius: float, axes: tuple[int, ...]) -> bool:
+def _is_in_reach(mesh: stage_of.MeshData, middle: stage_of.PointMm, radius: float, axes: tuple[int, ...]) -> bool:
     """Return whether a mesh reaches into a ball, or, if an axis is left out, into a disc seen along that axis."""
     faces = _near_faces(mesh, middle, axes, radius)
     corners = np.zeros((len(faces), 3, 3))
@@ -111,7 +111,9 @@ def _is_in_reach(mesh: stage_of.MeshData, middle: stage_of.Point, radius: float,
     return bool((inside & (size > 0) & (height * height <= square * size)).any())
 
 
-def _place_usd_items(staging: Staging, name: str, value: UsdThing, thing: WorldThing) -> tuple[stage_of.ItemData, ...] | None:
+def _place_usd_items(
+    staging: SceneStaging, name: str, value: UsdThing, thing: WorldThing
+) -> tuple[stage_of.ItemData, ...] | None:
     """Return points or empties of a USD file as items. Radius and attributes come from the file, else from `each`, else from the
     defaults."""
     points = stage_usd_items(staging, name, value)
@@ -121,10 +123,10 @@ def _place_usd_items(staging: Staging, name: str, value: UsdThing, thing: WorldT
     dt = float(1 / model.fps)
     each = {key: quantity.to_base_units(model.unit_mm, dt) for key, quantity in (value.each.model_extra or {}).items()}
     radius = None if value.each.radius is None else value.each.radius.length(model.unit_mm)
-    own = {a.name: a.type.dim for a in thing.attributes if a.type.kind is Kind.NUMBER}
+    own = {a.name: a.type.dim for a in thing.attributes if a.type.kind is TypeKind.NUMBER}
     file = UsdFile(staging, value.usd, staging.scene.span("world", name, "usd"), points)
     columns = {key: read_in_base_units(file, key, dim) for key, dim in own.items()}
-    wide = read_in_base_units(file, "radius", Dim(length=1)) * abs(value.scale)
+    wide = read_in_base_units(file, "radius", Dimension(length=1)) * abs(value.scale)
     for key, column in zip(_facing_attributes(value), _facing_columns(model.up, value, points.ahead), strict=True):
         columns[key] = np.where(np.isfinite(columns[key]), columns[key], column)
     warn_near_misses(file, name, [*own, "radius"])
@@ -157,12 +159,12 @@ def _facing_columns(up: str, value: UsdThing, ahead: NDArray[np.float64]) -> lis
     return [np.where(level > 1e-6, wide_atan2(left, x), np.nan)]
 
 
-def three(place: NDArray[np.float64]) -> stage_of.Point:
+def three(place: NDArray[np.float64]) -> stage_of.PointMm:
     """A place as three plain numbers."""
     return float(place[0]), float(place[1]), float(place[2])
 
 
-def _near_faces(mesh: stage_of.MeshData, point: stage_of.Point, axes: Sequence[int], reach: float = 0.0) -> NDArray[np.int32]:
+def _near_faces(mesh: stage_of.MeshData, point: stage_of.PointMm, axes: Sequence[int], reach: float = 0.0) -> NDArray[np.int32]:
     """Return faces with boxes that, along some axes, come within (nearly) `reach` of a point."""
     near = np.ones(len(mesh.faces), np.bool_)
     for axis in axes:
@@ -175,7 +177,7 @@ def _near_faces(mesh: stage_of.MeshData, point: stage_of.Point, axes: Sequence[i
 
 
 @cached_per_mesh
-def surface_height(mesh: stage_of.MeshData, point: stage_of.Point, up: str) -> float | None:
+def surface_height(mesh: stage_of.MeshData, point: stage_of.PointMm, up: str) -> float | None:
     """Return the highest point of a mesh on the line through a point along the scene's up, or None if there is none."""
     flat, tall = ([0, 2], 1) if up == "y" else ([0, 1], 2)
     corners = mesh.vertices[_near_faces(mesh, point, flat)]

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl.program.tables.things import KINDS_OF_THINGS
+from antdsl.program.tables.things import KIND_BY_WORD
 from antdsl.scene import setting as stage_of
 from antdsl.scene.geometry.closed import count_border_edges, count_open_solid_edges, find_odd_edges
 from antdsl.scene.geometry.import_notes import MeshImport
@@ -21,23 +21,26 @@ from antdsl.scene.thing_models import HeightThing, MeshThing, ThingModel, UsdThi
 from antdsl.source import Span
 
 if TYPE_CHECKING:
-    from antdsl.scene.staging.stage_scene import Staging
+    from antdsl.scene.staging.stage_scene import SceneStaging
 
 Floats = NDArray[np.float64]
 Index = NDArray[np.int64]
 Faces = NDArray[np.int32]
 
-_PAIRS, _NEIGHBOURS = 1 << 21, 32  # pairs of near places that are listed at most, and for each place on average
-_FLAT = 1e-9  # of the extent: bodies that are less thick have no volume
-_TRIES = 4  # tolerances that are tried to close gaps, each twice as large
+_MAX_WELD_PAIRS, _MAX_PAIRS_PER_VERTEX = (
+    1 << 21,
+    32,
+)  # pairs of near places that are listed at most, and for each place on average
+_FLAT_BODY_RATIO = 1e-9  # of the extent: bodies that are less thick have no volume
+_MAX_CLOSING_TRIES = 4  # tolerances that are tried to close gaps, each twice as large
 
 
-_FAR = 2.0**23  # mm from the origin of the world: beyond it a float32 has steps of a millimetre
-_MANY = 20  # one of so many faces removed by welding is worth a warning
-_DEFAULT_WELD = 0.01  # of a voxel: what is finer is lost in voxels anyway
+_FAR_FROM_ORIGIN_MM = 2.0**23  # mm from the origin of the world: beyond it a float32 has steps of a millimetre
+_MANY_REMOVED_FACES = 20  # one of so many faces removed by welding is worth a warning
+_DEFAULT_WELD_VOXELS = 0.01  # of a voxel: what is finer is lost in voxels anyway
 
 
-def report_losses(staging: Staging, display_name: str, raw: RawMesh, span: Span | None) -> None:
+def report_losses(staging: SceneStaging, display_name: str, raw: RawMesh, span: Span | None) -> None:
     """Warn about what was in a mesh file and is not in the scene."""
     report, notes = staging.report, raw.notes
     if raw.dropped:
@@ -55,20 +58,20 @@ def report_losses(staging: Staging, display_name: str, raw: RawMesh, span: Span 
         report.warning("unread-content", words, span, "export as triangles or polygons what agents should meet")
 
 
-def report_distances(staging: Staging, setting: stage_of.Setting) -> None:
+def report_distances(staging: SceneStaging, setting: stage_of.WorldSetting) -> None:
     """Warn about meshes that extend so far from the world's origin that positions there are imprecise."""
     origin = world_origin(setting)
     walked = {**setting.surfaces, **{name: solid.mesh for name, solid in setting.solids.items()}}
     for name, mesh in (walked or setting.obstacles).items():  # no agent comes near an obstacle beyond all surfaces
         away = max(float(np.abs(edge(mesh.vertices, axis=0) - origin).max()) for edge in (np.min, np.max))
-        if away > _FAR:
+        if away > _FAR_FROM_ORIGIN_MM:
             words = f"`{name}` reaches {away / 1e6:,.0f} km from the middle of the world, where positions have steps of 1 mm"
             help = "move its parts closer together with `at`, or check its `units`"
             staging.report.warning("far-away", words, mesh_location(staging, name)[1], help)
 
 
 def weld_thing(
-    staging: Staging, name: str, value: MeshThing | HeightThing | UsdThing, mesh: stage_of.MeshData
+    staging: SceneStaging, name: str, value: MeshThing | HeightThing | UsdThing, mesh: stage_of.MeshData
 ) -> stage_of.MeshData:
     """Return the mesh with its vertices welded, if the scene says `weld`."""
     if isinstance(value, HeightThing) or value.weld is None:
@@ -87,7 +90,7 @@ def weld_thing(
             welding = _weld_mesh(mesh, tolerance)
         except WeldError as why:
             words = f"{written} {why} of `{name}`"
-    is_dug = KINDS_OF_THINGS[staging.program.world[name].kind].is_dug
+    is_dug = KIND_BY_WORD[staging.program.world[name].kind].is_dug
     if welding is not None and is_dug and is_flat(welding.mesh.vertices, welding.mesh.faces):
         words, welding = f"{written} leaves the solid `{name}` without a volume", None
     if welding is None:
@@ -95,7 +98,7 @@ def weld_thing(
         staging.report.error("wrong-value", words, span, help)
         return mesh
     removed_count, median = int((~welding.keep).sum()), float(np.median(lengths))
-    if removed_count * _MANY > len(mesh.faces) or tolerance > median / 2:
+    if removed_count * _MANY_REMOVED_FACES > len(mesh.faces) or tolerance > median / 2:
         words = f"{written} removes {removed_count:,} of {len(mesh.faces):,} triangles of `{name}`"
         words = words if removed_count else f"{written} is more than half of the median edge of `{name}`, {median:.3g} mm"
         staging.report.warning("degenerate-faces", words, span, f"write `weld: {round_down_digit(median / 4):g} mm` or less")
@@ -103,7 +106,7 @@ def weld_thing(
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Welded:
+class _WeldedMesh:
     """A mesh after welding, the number of moved vertices, and which of the previous faces still have three corners."""
 
     mesh: stage_of.MeshData
@@ -111,18 +114,20 @@ class _Welded:
     keep: NDArray[np.bool_]
 
 
-def _weld_mesh(mesh: stage_of.MeshData, tolerance: float) -> _Welded | None:
+def _weld_mesh(mesh: stage_of.MeshData, tolerance: float) -> _WeldedMesh | None:
     """Return the mesh with its vertices welded, without faces that lose a corner; None if no face with an area remains. Raises
     WeldError if the tolerance is much too large."""
     vertices, count = welded(mesh.vertices, tolerance)
     if not count:
-        return _Welded(mesh, 0, np.ones(len(mesh.faces), np.bool_))
+        return _WeldedMesh(mesh, 0, np.ones(len(mesh.faces), np.bool_))
     keep = has_three_places(vertices, mesh.faces)
     welded_mesh = stage_of.MeshData(vertices, mesh.faces[keep])
-    return _Welded(welded_mesh, count, keep) if has_area(*(vertices[welded_mesh.faces[:, k]] for k in range(3))).any() else None
+    return (
+        _WeldedMesh(welded_mesh, count, keep) if has_area(*(vertices[welded_mesh.faces[:, k]] for k in range(3))).any() else None
+    )
 
 
-def _record_welding(staging: Staging, name: str, welding: _Welded) -> stage_of.MeshData:
+def _record_welding(staging: SceneStaging, name: str, welding: _WeldedMesh) -> stage_of.MeshData:
     """Record what welding changed. Values painted on faces stay with the remaining faces."""
     raw = staging.raw[name]
     if welding.moved:
@@ -133,7 +138,7 @@ def _record_welding(staging: Staging, name: str, welding: _Welded) -> stage_of.M
     return welding.mesh
 
 
-def close_solid(staging: Staging, name: str, value: MeshThing | UsdThing, solid: stage_of.SolidData) -> stage_of.SolidData:
+def close_solid(staging: SceneStaging, name: str, value: MeshThing | UsdThing, solid: stage_of.SolidData) -> stage_of.SolidData:
     """Return the solid, with its vertices welded if it is not closed otherwise. Reports an error if it still has no inside."""
     display_name, place = mesh_location(staging, name)
     if is_flat(solid.mesh.vertices, solid.mesh.faces):
@@ -145,7 +150,7 @@ def close_solid(staging: Staging, name: str, value: MeshThing | UsdThing, solid:
         return solid
     if value.weld is None:
         try:
-            welding = _weld_mesh(solid.mesh, _DEFAULT_WELD * solid.voxel)
+            welding = _weld_mesh(solid.mesh, _DEFAULT_WELD_VOXELS * solid.voxel)
         except WeldError:
             welding = None
         if welding is not None and not is_flat(welding.mesh.vertices, welding.mesh.faces):
@@ -165,7 +170,7 @@ def close_solid(staging: Staging, name: str, value: MeshThing | UsdThing, solid:
     return solid
 
 
-def check_live_faces(staging: Staging) -> None:
+def check_live_faces(staging: SceneStaging) -> None:
     """Report an error for each surface without a face that is ground, by the rule of the ground itself: no agent could stand on
     it."""
     if not staging.surfaces:
@@ -186,7 +191,7 @@ def check_live_faces(staging: Staging) -> None:
         staging.report.error("bad-mesh", words, span, help)
 
 
-def mesh_location(staging: Staging, name: str) -> tuple[str, Span | None]:
+def mesh_location(staging: SceneStaging, name: str) -> tuple[str, Span | None]:
     """Return the name of a thing's mesh in messages, and where the scene names it."""
     value = staging.scene.model.world[name]
     assert isinstance(value, ThingModel)
@@ -194,7 +199,7 @@ def mesh_location(staging: Staging, name: str) -> tuple[str, Span | None]:
     return str(value.path if isinstance(value, UsdThing) else getattr(value, key)), staging.scene.span("world", name, key)
 
 
-def collect_imports(staging: Staging) -> dict[str, MeshImport]:
+def collect_imports(staging: SceneStaging) -> dict[str, MeshImport]:
     """The report on each mesh, in scene units."""
     imports, unit = {}, staging.scene.model.unit_mm
     solids = {name: solid.mesh for name, solid in staging.solids.items()}
@@ -236,7 +241,7 @@ def welded(vertices: Floats, tolerance: float) -> tuple[Floats, int]:
     order, new, which = distinct_points(vertices)
     points = vertices[order[new]]
     tree = KDTree(points)
-    if int(tree.count_neighbors(tree, tolerance)) - len(points) > 2 * max(_PAIRS, _NEIGHBOURS * len(points)):
+    if int(tree.count_neighbors(tree, tolerance)) - len(points) > 2 * max(_MAX_WELD_PAIRS, _MAX_PAIRS_PER_VERTEX * len(points)):
         raise WeldError("is farther than from each vertex to dozens of others")
     pairs = tree.query_pairs(tolerance, output_type="ndarray")
     if not len(pairs):
@@ -269,11 +274,11 @@ def is_flat(vertices: Floats, faces: Faces) -> bool:
     if not size[largest]:
         return True
     away = ((corners - corners[largest, 0]) * (across[largest] / size[largest])).sum(axis=2)
-    return bool(np.abs(away).max() <= _FLAT * np.ptp(corners.reshape(-1, 3), axis=0).max())
+    return bool(np.abs(away).max() <= _FLAT_BODY_RATIO * np.ptp(corners.reshape(-1, 3), axis=0).max())
 
 
 @dataclass(frozen=True, slots=True)
-class Openings:
+class MeshOpenings:
     """What keeps a mesh from being closed. `gap`: a tolerance, one digit of mm, at which welding closes it; `width`: the widest
     gap that it closes; both 0 if there is none. `holes`: pieces of border; the largest has `edges` edges of at most `longest`
     mm."""
@@ -285,7 +290,7 @@ class Openings:
     longest: float
 
 
-def measure_openings(vertices: Floats, faces: Faces, grain: float) -> Openings:
+def measure_openings(vertices: Floats, faces: Faces, grain: float) -> MeshOpenings:
     """Measure the openings. `grain`: positions nearer than this coincide."""
     from scipy.spatial import KDTree
 
@@ -298,7 +303,7 @@ def measure_openings(vertices: Floats, faces: Faces, grain: float) -> Openings:
     most = float(np.median(edge_lengths(vertices, faces))) / 4
     narrow = near[near < most]
     gap = width = float(narrow.max()) if len(narrow) else 0.0
-    for _ in range(_TRIES if gap else 0):
+    for _ in range(_MAX_CLOSING_TRIES if gap else 0):
         gap = round_up_digit(gap)
         if gap > most:
             break
@@ -307,11 +312,11 @@ def measure_openings(vertices: Floats, faces: Faces, grain: float) -> Openings:
         except WeldError:
             break
         if has_three_places(moved, faces).any() and not is_flat(moved, faces) and not len(find_odd_edges(moved, faces, grain)[0]):
-            return Openings(gap, width, 0, 0, 0.0)
+            return MeshOpenings(gap, width, 0, 0, 0.0)
         gap *= 2
     _, piece, count = np.unique(component_numbers(edges, len(points))[edges[:, 0]], return_inverse=True, return_counts=True)
     largest = int(count.argmax())
-    return Openings(0.0, 0.0, len(count), int(count[largest]), float(lengths[piece == largest].max()))
+    return MeshOpenings(0.0, 0.0, len(count), int(count[largest]), float(lengths[piece == largest].max()))
 
 
 def round_down_digit(x: float) -> float:

@@ -71,7 +71,7 @@ class MeshMoves:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Moves:
+class GeometryMoves:
     """All moving things, by name. `first`: the scene's frame that counts as 0. Items and curves are positions (frames, n, 3) in
     mm."""
 

@@ -8,31 +8,31 @@ import numpy as np
 
 from antdsl import limits
 from antdsl.diagnostics import Label
-from antdsl.program.model import Const, Expr, Op, ParamRef
-from antdsl.program.tables.vocabulary import LENGTH
-from antdsl.scene.document import Key
+from antdsl.program.model import Constant, Expr, OperationExpr, ParamRef
+from antdsl.program.tables.vocabulary import LENGTH_DIMENSION
+from antdsl.scene.document import PathKey
 from antdsl.scene.geometry.meshes import mesh_area
 from antdsl.scene.matching import const_in_base_units
 
 if TYPE_CHECKING:
-    from antdsl.scene.staging.stage_scene import Staging
+    from antdsl.scene.staging.stage_scene import SceneStaging
 
-_WIDEST = 1e6  # body lengths: ants in a whole county
-_COARSEST, _FINE = 1 / 3, 1 / 4  # of a body: voxels that are too wide, and good ones
+_MAX_WORLD_BODY_LENGTHS = 1e6  # body lengths: ants in a whole county
+_MAX_VOXEL_PER_BODY, _GOOD_VOXEL_PER_BODY = 1 / 3, 1 / 4  # of a body: voxels that are too wide, and good ones
 
 
-def check_sizes(staging: Staging) -> None:
+def check_sizes(staging: SceneStaging) -> None:
     """Check fields, surfaces and solids, once all meshes are staged without errors."""
     if staging.report.ok:
         _check_cells(staging)
         _check_scale(staging)
 
 
-def _check_cells(staging: Staging) -> None:
+def _check_cells(staging: SceneStaging) -> None:
     """Refuse fields of more cells than can be."""
     surfaces = {**staging.surfaces, **{name: solid.mesh for name, solid in staging.solids.items()}}
     for name, declared in staging.program.fields.items():
-        if not isinstance(declared.cell, Const):
+        if not isinstance(declared.cell, Constant):
             continue
         edge = const_in_base_units(declared.cell, staging.scene)
         if edge <= 0:
@@ -42,11 +42,19 @@ def _check_cells(staging: Staging) -> None:
         # a plane that lies aslant touches up to 1.7 times the voxels of its area; one each for the area is the least
         labels = (Label(declared.cell.span, "the cell's size"),)
         refuse_if_many(
-            staging, area / (edge * edge), limits.FIELD_CELLS, f"the field `{name}`", "cells", edge, "world", place, labels=labels
+            staging,
+            area / (edge * edge),
+            limits.MAX_FIELD_CELLS,
+            f"the field `{name}`",
+            "cells",
+            edge,
+            "world",
+            place,
+            labels=labels,
         )
 
 
-def _check_scale(staging: Staging) -> None:
+def _check_scale(staging: SceneStaging) -> None:
     """Warn about a surface that is hardly larger than its agents, or so large that its units are likely wrong. Also warn about
     voxels too coarse for agents that walk and dig there."""
     for line in staging.scene.model.crowd:
@@ -57,34 +65,44 @@ def _check_scale(staging: Staging) -> None:
             continue
         for name, mesh in staging.surfaces.items():
             width = float(np.ptp(mesh.vertices, axis=0).max())
-            if not 3 * length <= width <= _WIDEST * length:
+            if not 3 * length <= width <= _MAX_WORLD_BODY_LENGTHS * length:
                 words = f"`{name}` is {width:.3g} mm wide, and a `{line.species}` about {length:.3g} mm long"
                 staging.report.warning(
                     "odd-scale", words, staging.scene.span("world", name), "say the mesh's `units`, such as `units: m`"
                 )
         for name, solid in staging.solids.items():
-            if solid.voxel > _COARSEST * length:
+            if solid.voxel > _MAX_VOXEL_PER_BODY * length:
                 words = f"voxels of `{name}` are {solid.voxel:.3g} mm wide, and a `{line.species}` about {length:.3g} mm long"
-                place, help = staging.scene.span("world", name, "voxel"), f"write `voxel: {_FINE * length:.3g} mm` or less"
+                place, help = (
+                    staging.scene.span("world", name, "voxel"),
+                    f"write `voxel: {_GOOD_VOXEL_PER_BODY * length:.3g} mm` or less",
+                )
                 staging.report.warning("odd-scale", words, place, help)
 
 
-def _first_length(expression: Expr, staging: Staging) -> float | None:
+def _first_length(expression: Expr, staging: SceneStaging) -> float | None:
     """The first length in an expression such as `uniform(3 mm, 5 mm)`, in millimetres."""
     stack: list[Expr | None] = [expression]
     while stack:
         part = stack.pop()
-        if isinstance(part, Const) and part.type.dim == LENGTH and part.number > 0:
+        if isinstance(part, Constant) and part.type.dim == LENGTH_DIMENSION and part.number > 0:
             return const_in_base_units(part, staging.scene)
         if isinstance(part, ParamRef):
             stack.append(staging.program.params[part.name].default)
-        elif isinstance(part, Op):
+        elif isinstance(part, OperationExpr):
             stack.extend(reversed(part.args))
     return None
 
 
 def refuse_if_many(
-    staging: Staging, count: float, cap: int, what: str, parts: str, edge: float, *path: Key, labels: tuple[Label, ...] = ()
+    staging: SceneStaging,
+    count: float,
+    cap: int,
+    what: str,
+    parts: str,
+    edge: float,
+    *path: PathKey,
+    labels: tuple[Label, ...] = (),
 ) -> None:
     """Report an error for a request of more than `cap` parts with an edge of `edge` mm, at a path in the scene."""
     if count > cap:

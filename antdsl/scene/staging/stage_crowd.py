@@ -10,36 +10,36 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl.diagnostics.suggestion import nearest_name
-from antdsl.program.model import Dim, Kind
+from antdsl.program.model import Dimension, TypeKind
 from antdsl.scene import setting as stage_of
 from antdsl.scene.crowd_model import Placement, UsdPlaces, Walk
-from antdsl.scene.document import Key
+from antdsl.scene.document import PathKey
 from antdsl.scene.load import Scene
 from antdsl.scene.quantities import Quantity
 from antdsl.scene.staging.stage_things import stage_usd_places
 from antdsl.scene.staging.usd_values import UsdFile, read_in_base_units, warn_near_misses
 from antdsl.scene.thing_models import millimetres
-from antdsl.scene.values import Point
+from antdsl.scene.values import PointValue
 
 if TYPE_CHECKING:
-    from antdsl.scene.staging.stage_scene import Staging
+    from antdsl.scene.staging.stage_scene import SceneStaging
 
 
 def length(scene: Scene, value: Quantity | None) -> float | None:
     return None if value is None else value.length(scene.model.unit_mm)
 
 
-PointsByName = Mapping[str, stage_of.Point]
+PointsByName = Mapping[str, stage_of.PointMm]
 
 
 def stage_point(
-    staging: Staging,
+    staging: SceneStaging,
     item_points: PointsByName,
-    around: Point | str | None,
+    around: PointValue | str | None,
     radius: Quantity | None,
-    *path: Key,
+    *path: PathKey,
     key: str = "around",
-) -> stage_of.Point | None:
+) -> stage_of.PointMm | None:
     """Return the centre of something: a point, an item's position, or the origin if only a radius is given."""
     if around is None:
         return None if radius is None else (0.0, 0.0, 0.0)
@@ -52,7 +52,7 @@ def stage_point(
     return item_points.get(around)
 
 
-def place(staging: Staging, item_points: PointsByName, place: Placement, *path: Key) -> stage_of.PlaceData:
+def place(staging: SceneStaging, item_points: PointsByName, place: Placement, *path: PathKey) -> stage_of.PlaceData:
     scene = staging.scene
     points, ahead, values = None, None, {}
     if isinstance(place.points, UsdPlaces):
@@ -93,8 +93,8 @@ def _normalise(vectors: NDArray[np.float64]) -> NDArray[np.float64]:
 def _read_usd_attributes(file: UsdFile, species: str) -> dict[str, NDArray[np.float64]]:
     """Return the attributes of a species for which points or empties have values."""
     declared = file.staging.program.species[species].attributes
-    own = {a.name: a.type.dim for a in declared if a.type.kind is Kind.NUMBER and not a.each}
-    own |= {a.name: Dim() for a in declared if a.type.kind is Kind.BOOL}
+    own = {a.name: a.type.dim for a in declared if a.type.kind is TypeKind.NUMBER and not a.each}
+    own |= {a.name: Dimension() for a in declared if a.type.kind is TypeKind.BOOL}
     columns = {name: read_in_base_units(file, name, dim) for name, dim in own.items()}
     warn_near_misses(file, species, own)
     return {name: column for name, column in columns.items() if np.isfinite(column).any()}

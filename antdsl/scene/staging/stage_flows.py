@@ -15,16 +15,16 @@ from antdsl.scene.geometry.meshes import RawMesh, rotate_points, rotate_up
 from antdsl.scene.geometry.painted import PaintError, read_painted_values
 from antdsl.scene.kinds import find_goal, find_painted_surface, is_file
 from antdsl.scene.quantities import Quantity
-from antdsl.scene.setting import Target
+from antdsl.scene.setting import FlowTarget
 from antdsl.scene.staging.stage_things import first_rotation, limit_length, stage_usd_paint
 
 if TYPE_CHECKING:
-    from antdsl.scene.staging.stage_scene import Staging
+    from antdsl.scene.staging.stage_scene import SceneStaging
 
-_DEFAULT_EVERY = 1.0  # s
+_DEFAULT_INTERVAL_SECONDS = 1.0  # s
 
 
-def stage_flow(staging: Staging, name: str, thing: model.FlowThing | model.PaintedThing) -> stage_of.FlowData | None:
+def stage_flow(staging: SceneStaging, name: str, thing: model.FlowThing | model.PaintedThing) -> stage_of.FlowData | None:
     """Return a flow in mm and the scene's axes; or report an error and return None."""
     if isinstance(thing, model.PaintedThing):
         return _stage_painted(staging, name, thing, 3)
@@ -44,7 +44,9 @@ def stage_flow(staging: Staging, name: str, thing: model.FlowThing | model.Paint
         return None
     if isinstance(thing, model.SolvedFlow):
         model_ = staging.scene.model
-        every = _DEFAULT_EVERY if thing.every is None else thing.every.to_base_units(model_.unit_mm, float(1 / model_.fps))
+        every = (
+            _DEFAULT_INTERVAL_SECONDS if thing.every is None else thing.every.to_base_units(model_.unit_mm, float(1 / model_.fps))
+        )
         clearance = mm(thing.room) or 0.0
         return stage_of.SolvedFlow(
             target, thing.slope, clearance, dict(thing.maps), thing.crowding, every, thing.strength, mm(thing.cell), on
@@ -54,19 +56,19 @@ def stage_flow(staging: Staging, name: str, thing: model.FlowThing | model.Paint
     return stage_of.SpreadFlow(direction, target, mm(thing.radius), thing.falloff, thing.strength, mm(thing.cell), on, gather)  # type: ignore[arg-type]
 
 
-def _stage_target(staging: Staging, name: str, key: str, goal: model.Target) -> Target | None:
+def _stage_target(staging: SceneStaging, name: str, key: str, goal: model.Target) -> FlowTarget | None:
     scene, items = staging.scene, staging.items
     if not isinstance(goal, str):
-        return Target(np.array([model.millimetres(goal, scene.model.unit_mm)]), np.zeros(1))
+        return FlowTarget(np.array([model.millimetres(goal, scene.model.unit_mm)]), np.zeros(1))
     if is_file(goal):
         points = staging.points(goal, 2 if key == "tangent" else 1, "world", name, key)
         if points is None:
             return None
         points = points * scene.model.unit_mm
-        return Target(points, np.zeros(len(points)), line=len(points) > 1)
+        return FlowTarget(points, np.zeros(len(points)), line=len(points) > 1)
     if goal in staging.curves:
         points = staging.curves[goal][0]
-        return Target(points, np.zeros(len(points)), line=True, of=goal)
+        return FlowTarget(points, np.zeros(len(points)), line=True, of=goal)
     of, which, target_items = goal, None, items.get(goal) or ()
     if not target_items:
         own = [(group, k) for group, each in items.items() for k, item in enumerate(each) if item.name == goal]
@@ -76,10 +78,10 @@ def _stage_target(staging: Staging, name: str, key: str, goal: model.Target) -> 
         of, which = own[0]
         target_items = (items[of][which],)
     positions, radii = (np.array([getattr(i, key) for i in target_items], np.float64) for key in ("position", "radius"))
-    return Target(positions, radii, of=of, which=which)
+    return FlowTarget(positions, radii, of=of, which=which)
 
 
-def _report_no_target(staging: Staging, name: str, key: str, goal: str) -> None:
+def _report_no_target(staging: SceneStaging, name: str, key: str, goal: str) -> None:
     """Report a goal that is no item, unless another message already explains it."""
     items = staging.items
     if not staging.report.ok:
@@ -92,12 +94,12 @@ def _report_no_target(staging: Staging, name: str, key: str, goal: str) -> None:
     report_unknown(staging.report, staging.scene, ("world", name, key), "no curve and no item is named", known, key=False)
 
 
-def stage_map(staging: Staging, name: str, thing: model.PaintedThing) -> stage_of.Painted | None:
+def stage_map(staging: SceneStaging, name: str, thing: model.PaintedThing) -> stage_of.PaintedValues | None:
     """Return a map on the vertices or faces of a surface; or report an error and return None."""
     return _stage_painted(staging, name, thing, 1)
 
 
-def _stage_painted(staging: Staging, name: str, thing: model.PaintedThing, width: int) -> stage_of.Painted | None:
+def _stage_painted(staging: SceneStaging, name: str, thing: model.PaintedThing, width: int) -> stage_of.PaintedValues | None:
     """Return the values of a map (width 1) or the vectors of a flow (3) on the vertices or faces of a surface as it is in the
     scene."""
     surfaces = staging.program.of_kind("surface")
@@ -105,8 +107,8 @@ def _stage_painted(staging: Staging, name: str, thing: model.PaintedThing, width
     raw, mesh = staging.raw.get(surface), staging.scene.model.world.get(surface)
     if isinstance(mesh, model.UsdThing) and mesh.usd == thing.painted:
         values = stage_usd_paint(staging, name, thing, mesh, width)
-        return None if values is None else stage_of.Painted(surface, values, False)
-    data = staging.read_file(thing.painted, limits.MESH_BYTES, "world", name, "painted")
+        return None if values is None else stage_of.PaintedValues(surface, values, False)
+    data = staging.read_file(thing.painted, limits.MAX_MESH_BYTES, "world", name, "painted")
     if data is None or raw is None or not isinstance(mesh, model.MeshThing | model.HeightThing):
         return None  # the problem was reported with the mesh
     span = staging.scene.span("world", name, "painted")
@@ -129,7 +131,7 @@ def _stage_painted(staging: Staging, name: str, thing: model.PaintedThing, width
         mirrored, own_up = (mesh.scale < 0, mesh.own_up or up) if isinstance(mesh, model.MeshThing) else (False, "y")
         values = values * (-1.0 if mirrored else 1.0)
         values = limit_length(rotate_points(rotate_up(values, own_up, up), first_rotation(staging, mesh)))
-    return stage_of.Painted(surface, values if width == 3 else values[:, 0], of_faces)
+    return stage_of.PaintedValues(surface, values if width == 3 else values[:, 0], of_faces)
 
 
 def _select_used_rows(rows: NDArray[np.float64], raw: RawMesh) -> tuple[NDArray[np.float64], bool] | None:
@@ -140,7 +142,7 @@ def _select_used_rows(rows: NDArray[np.float64], raw: RawMesh) -> tuple[NDArray[
     return (rows[raw.own_faces], True) if len(rows) == faces else None
 
 
-def check_densities(staging: Staging) -> None:
+def check_densities(staging: SceneStaging) -> None:
     """Report a crowd that is placed by a map which is nowhere above 0, or painted on another surface."""
     for number, line in enumerate(staging.scene.model.crowd):
         name = line.place.density

@@ -18,10 +18,10 @@ from antdsl.scene.staging.stage_things import place_moves, read_moving_mesh, sta
 from antdsl.scene.thing_models import UNIT_MM, HeightThing, MeshThing, UsdThing, angles, millimetres
 
 if TYPE_CHECKING:
-    from antdsl.scene.staging.stage_scene import Staging
+    from antdsl.scene.staging.stage_scene import SceneStaging
 
 
-def stage_mesh(staging: Staging, name: str, value: MeshThing | HeightThing | UsdThing) -> stage_of.MeshData | None:
+def stage_mesh(staging: SceneStaging, name: str, value: MeshThing | HeightThing | UsdThing) -> stage_of.MeshData | None:
     """Return a mesh as at the first frame; its motion goes into `staging.moves`."""
     scene, report = staging.scene, staging.report
     up, unit_mm = scene.model.up, scene.model.unit_mm
@@ -60,8 +60,8 @@ def stage_mesh(staging: Staging, name: str, value: MeshThing | HeightThing | Usd
     return mesh
 
 
-def _read_still_mesh(staging: Staging, name: str, value: MeshThing) -> tuple[RawMesh, None] | None:
-    data = staging.read_file(value.mesh, limits.MESH_BYTES, "world", name, "mesh")
+def _read_still_mesh(staging: SceneStaging, name: str, value: MeshThing) -> tuple[RawMesh, None] | None:
+    data = staging.read_file(value.mesh, limits.MAX_MESH_BYTES, "world", name, "mesh")
     if data is None:
         return None
     try:
@@ -76,9 +76,9 @@ def _read_still_mesh(staging: Staging, name: str, value: MeshThing) -> tuple[Raw
         return None
 
 
-def _read_height_mesh(staging: Staging, name: str, value: HeightThing) -> tuple[RawMesh, None] | None:
+def _read_height_mesh(staging: SceneStaging, name: str, value: HeightThing) -> tuple[RawMesh, None] | None:
     """A surface of samples, in mm, y up."""
-    data = staging.read_file(value.height, limits.MESH_BYTES, "world", name, "height")
+    data = staging.read_file(value.height, limits.MAX_MESH_BYTES, "world", name, "height")
     if data is None:
         return None
     unit_mm = staging.scene.model.unit_mm
@@ -95,13 +95,15 @@ def _read_height_mesh(staging: Staging, name: str, value: HeightThing) -> tuple[
     return raw, None
 
 
-def stage_solid(staging: Staging, name: str, value: MeshThing | UsdThing) -> stage_of.SolidData | None:
+def stage_solid(staging: SceneStaging, name: str, value: MeshThing | UsdThing) -> stage_of.SolidData | None:
     """Return a solid; or report an error and return None. A request for too many voxels is rejected before any is created."""
     mesh = stage_mesh(staging, name, value)
     if mesh is None or value.voxel is None:  # that it is missing was reported when the scene was matched
         return None
     edge = value.voxel.length(staging.scene.model.unit_mm)
     across = [float(side) / edge + 1 for side in np.ptp(mesh.vertices, axis=0)]
-    refuse_if_many(staging, across[0] * across[1] * across[2], limits.VOXELS, f"`{name}`", "voxels", edge, "world", name, "voxel")
+    refuse_if_many(
+        staging, across[0] * across[1] * across[2], limits.MAX_VOXELS, f"`{name}`", "voxels", edge, "world", name, "voxel"
+    )
     solid = stage_of.SolidData(mesh, edge)
     return close_solid(staging, name, value, solid) if staging.report.ok else solid

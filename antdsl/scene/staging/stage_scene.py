@@ -17,11 +17,11 @@ from numpy.typing import NDArray
 from antdsl.diagnostics import Report
 from antdsl.program.model import Program
 from antdsl.scene import setting as stage_of
-from antdsl.scene.document import Key
+from antdsl.scene.document import PathKey
 from antdsl.scene.geometry.closed import check_sides
 from antdsl.scene.geometry.import_notes import MeshImport
 from antdsl.scene.geometry.meshes import RawMesh
-from antdsl.scene.geometry.points import POINT_BYTES, PointsError, read_points
+from antdsl.scene.geometry.points import MAX_POINT_FILE_BYTES, PointsError, read_points
 from antdsl.scene.kinds import KINDS
 from antdsl.scene.library_bodies import BODY_WORDS
 from antdsl.scene.load import Scene
@@ -30,7 +30,7 @@ from antdsl.scene.paths import PathRefused
 from antdsl.scene.quantities import Quantity
 from antdsl.scene.staging.item_placement import check_crowds, place_items
 from antdsl.scene.staging.mesh_imports import check_live_faces, collect_imports, report_distances
-from antdsl.scene.staging.moves import MeshMoves, Moves
+from antdsl.scene.staging.moves import GeometryMoves, MeshMoves
 from antdsl.scene.staging.size_checks import check_sizes
 from antdsl.scene.staging.stage_crowd import length, place, stage_point, stage_walk
 from antdsl.scene.staging.stage_flows import check_densities, stage_flow, stage_map
@@ -38,11 +38,11 @@ from antdsl.scene.staging.stage_meshes import stage_mesh, stage_solid
 from antdsl.scene.staging.stage_things import stage_curve, stage_usd_camera
 from antdsl.scene.thing_models import millimetres
 
-_UP = {"y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
+_UP_VECTORS = {"y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
 
 
 @dataclass(slots=True)
-class Staging:
+class SceneStaging:
     """A setting under construction: the report, and a hash of the bytes of each file that was read."""
 
     scene: Scene
@@ -56,7 +56,7 @@ class Staging:
     items: dict[str, tuple[stage_of.ItemData, ...]] = field(default_factory=dict)
     item_tracks: dict[str, NDArray[np.float64]] = field(default_factory=dict)  # positions (frames, n, 3) of items that move
     flows: dict[str, stage_of.FlowData] = field(default_factory=dict)
-    maps: dict[str, stage_of.Painted] = field(default_factory=dict)
+    maps: dict[str, stage_of.PaintedValues] = field(default_factory=dict)
     raw: dict[str, RawMesh] = field(default_factory=dict)  # meshes as their files have them
     moves: dict[str, MeshMoves] = field(default_factory=dict)  # by mesh
     deviations: dict[str, float] = field(default_factory=dict)  # mm, of surfaces of heights: triangles from bilinear patches
@@ -67,7 +67,7 @@ class Staging:
         """Return the data of a thing for a mapping of the setting; or report an error and return None."""
         return READERS[group](self, name, value)
 
-    def read_file(self, text: str, cap: int, *path: Key) -> bytes | None:
+    def read_file(self, text: str, cap: int, *path: PathKey) -> bytes | None:
         """Return a file's bytes; or report an error at the path that names it and return None."""
         try:
             data = self.scene.roots.read(text, cap)
@@ -91,9 +91,9 @@ class Staging:
 
         return read
 
-    def points(self, text: str, least: int, *path: Key) -> NDArray[np.float64] | None:
+    def points(self, text: str, least: int, *path: PathKey) -> NDArray[np.float64] | None:
         """Return at least `least` points of a JSON file, in the file's own units; or report an error and return None."""
-        data = self.read_file(text, POINT_BYTES, *path)
+        data = self.read_file(text, MAX_POINT_FILE_BYTES, *path)
         if data is None:
             return None
         try:
@@ -102,7 +102,7 @@ class Staging:
             self.report.error("bad-points", f"`{text}` {why}", self.scene.span(*path), "write `[[0, 0, 0], [50, 0, 0]]`")
             return None
 
-    def find_sequence(self, text: str, *path: Key) -> dict[int, str] | None:
+    def find_sequence(self, text: str, *path: PathKey) -> dict[int, str] | None:
         """Return the files of a path with `####` by frame; or report an error and return None."""
         try:
             return self.scene.roots.sequence(text)
@@ -112,11 +112,11 @@ class Staging:
 
 
 # By mapping of the setting.
-READERS: Mapping[str, Callable[[Staging, str, Any], Any]] = {
+READERS: Mapping[str, Callable[[SceneStaging, str, Any], Any]] = {
     "surfaces": stage_mesh, "obstacles": stage_mesh, "solids": stage_solid, "curves": stage_curve, "items": place_items,
     "flows": stage_flow, "maps": stage_map,
 }  # fmt: skip
-CHECKS: Mapping[str, Callable[[Staging], None]] = {
+CHECKS: Mapping[str, Callable[[SceneStaging], None]] = {
     "surfaces": check_live_faces, "obstacles": check_sides, "solids": check_sizes,
 }  # fmt: skip
 
@@ -124,7 +124,7 @@ CHECKS: Mapping[str, Callable[[Staging], None]] = {
 _MESHES = ("surfaces", "obstacles", "solids")
 
 
-def _stage_things(staging: Staging, *groups: str) -> None:
+def _stage_things(staging: SceneStaging, *groups: str) -> None:
     """Stage the things of some groups in the program's order. Caches list curves and items in the scene's order."""
     program, scene = staging.program.world, staging.scene.model.world
     for name in scene if groups[0] in ("curves", "items") else program:
@@ -140,9 +140,9 @@ def _stage_things(staging: Staging, *groups: str) -> None:
 
 def stage(
     scene: Scene, program: Program, overrides: Mapping[str, Quantity] | None = None
-) -> tuple[stage_of.Setting | None, Report, dict[str, str]]:
+) -> tuple[stage_of.WorldSetting | None, Report, dict[str, str]]:
     """Return the setting, the report, and a hash of each file read. `overrides`: params from the user."""
-    staging = Staging(scene, program)
+    staging = SceneStaging(scene, program)
     model = scene.model
     for group in (*_MESHES, "curves", "items"):
         _stage_things(staging, group)
@@ -180,20 +180,20 @@ def stage(
     params = {name: value.to_base_units(model.unit_mm, dt) for name, value in param_values.items() if name in program.params}
     things: dict[str, Any] = {group: getattr(staging, group) for group in READERS}
     things["curves"] = {name: positions[0] for name, positions in staging.curves.items()}
-    setting = stage_of.Setting(
+    setting = stage_of.WorldSetting(
         fps=model.fps,
         substeps=model.substeps,
         by_rays=model.stick == "rays",
         orient=model.orient,
         contacts=model.contacts,
-        up=_UP[model.up],
+        up=_UP_VECTORS[model.up],
         unit_mm=model.unit_mm,
         seed=model.seed,
         first_frame=model.frames.first - model.preroll,
         crowds=crowds,
         params=params,
         field_start=starts,
-        moves=Moves(
+        moves=GeometryMoves(
             first=model.frames.first - model.preroll,
             meshes={name: moves for name, moves in staging.moves.items() if name not in staging.solids},
             items=staging.item_tracks,
@@ -212,7 +212,7 @@ def stage(
 
 def import_reports(scene: Scene, program: Program) -> dict[str, MeshImport]:
     """Return the report on each mesh that can be read, even if the scene has errors."""
-    staging = Staging(scene, program)
+    staging = SceneStaging(scene, program)
     for group in _MESHES:
         _stage_things(staging, group)
     return collect_imports(staging)

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from antdsl import limits
 from antdsl.scene import setting as stage_of
 from antdsl.scene.crowd_model import UsdPlaces
-from antdsl.scene.document import Key
+from antdsl.scene.document import PathKey
 from antdsl.scene.geometry.import_notes import ImportNotes
 from antdsl.scene.geometry.matrices import apply_transforms, has_inverse
 from antdsl.scene.geometry.mesh_text import MeshError
@@ -32,27 +32,27 @@ from antdsl.scene.thing_models import (
     angles,
     millimetres,
 )
-from antdsl.scene.values import PlaceKey, Point
+from antdsl.scene.values import PlaceKey, PointValue
 
 if TYPE_CHECKING:
     from antdsl.scene.geometry.usd import UsdPoints, UsdStage
-    from antdsl.scene.staging.stage_scene import Staging
+    from antdsl.scene.staging.stage_scene import SceneStaging
 
 Floats = NDArray[np.float64]
-Turn = tuple[Quantity, Quantity, Quantity]
+RotationAngles = tuple[Quantity, Quantity, Quantity]
 T = TypeVar("T")
 
 
 # ---- frames
 
 
-def simulated_frames(staging: Staging) -> range:
+def simulated_frames(staging: SceneStaging) -> range:
     """Return the simulated frames, including the preroll. At the first, meshes are at rest."""
     model = staging.scene.model
     return range(model.frames.first - model.preroll, model.frames.last + 1)
 
 
-def files_per_frame(staging: Staging, text: str, *path: Key) -> list[str] | None:
+def files_per_frame(staging: SceneStaging, text: str, *path: PathKey) -> list[str] | None:
     """Return the file of each frame if a path has `####`. The first and last existing files hold outside."""
     files = staging.find_sequence(text, *path)
     if files is None:
@@ -73,7 +73,11 @@ def files_per_frame(staging: Staging, text: str, *path: Key) -> list[str] | None
 
 
 def interpolate_keys(
-    keys: Mapping[int, PlaceKey], own_at: Point | None, own_turn: Turn | None, frames: Sequence[int], unit_mm: float
+    keys: Mapping[int, PlaceKey],
+    own_at: PointValue | None,
+    own_turn: RotationAngles | None,
+    frames: Sequence[int],
+    unit_mm: float,
 ) -> tuple[Floats, Floats] | None:
     """Return position (frames, 3) in mm and rotation (frames, 3) in radians at each frame, or None without keys. What no key
     defines comes from the thing itself."""
@@ -94,7 +98,7 @@ def _interpolate(keys: Mapping[int, tuple[float, ...]], frames: Sequence[int]) -
     return np.stack([np.interp(np.array(frames, np.float64), times, values[:, axis]) for axis in range(3)], axis=1)
 
 
-def _key_transforms(staging: Staging, value: PlacedThing | CurveThing, factor: float, own_up: str) -> Floats | None:
+def _key_transforms(staging: SceneStaging, value: PlacedThing | CurveThing, factor: float, own_up: str) -> Floats | None:
     """Return the transforms (frames, 3, 4) of a file's positions into the scene, if the scene has keys for it."""
     model, frames = staging.scene.model, simulated_frames(staging)
     placed = interpolate_keys(value.keys, value.at, getattr(value, "rotate", None), frames, model.unit_mm)
@@ -111,7 +115,7 @@ def _key_transforms(staging: Staging, value: PlacedThing | CurveThing, factor: f
 # ---- meshes
 
 
-def read_moving_mesh(staging: Staging, name: str, value: MeshThing) -> tuple[RawMesh, MeshMoves | None] | None:
+def read_moving_mesh(staging: SceneStaging, name: str, value: MeshThing) -> tuple[RawMesh, MeshMoves | None] | None:
     """Return a mesh from files per frame, and the motion of its vertices in the file's own units and axes."""
     files = files_per_frame(staging, value.mesh, "world", name, "mesh")
     if files is None:
@@ -123,7 +127,7 @@ def read_moving_mesh(staging: Staging, name: str, value: MeshThing) -> tuple[Raw
         if file in read and positions is not None:
             positions[k] = read[file]
             continue
-        data = staging.read_file(file, limits.MESH_BYTES, "world", name, "mesh")
+        data = staging.read_file(file, limits.MAX_MESH_BYTES, "world", name, "mesh")
         if data is None:
             return None
         try:
@@ -132,7 +136,7 @@ def read_moving_mesh(staging: Staging, name: str, value: MeshThing) -> tuple[Raw
             if raw is None or positions is None or first is None:
                 raw, first = check_mesh(vertices, faces, notes), faces
                 size = len(files) * len(raw.vertices) * 48
-                if size > limits.MOVES_BYTES:
+                if size > limits.MAX_MOTION_BYTES:
                     words = f"{len(files):,} frames of `{value.mesh}` would take {size / limits.GIB:.1f} GiB"
                     staging.report.error("too-large", words, span, "simulate fewer frames at a time, or use a lighter mesh")
                     return None
@@ -155,7 +159,7 @@ def read_moving_mesh(staging: Staging, name: str, value: MeshThing) -> tuple[Raw
     return raw, None if (positions == positions[0]).all() else MeshMoves.free(positions)
 
 
-def stage_usd_mesh(staging: Staging, name: str, value: UsdThing) -> tuple[RawMesh, MeshMoves | None] | None:
+def stage_usd_mesh(staging: SceneStaging, name: str, value: UsdThing) -> tuple[RawMesh, MeshMoves | None] | None:
     """The meshes below a prim, in mm and the scene's axes."""
     from antdsl.scene.geometry.usd import read_usd_mesh
 
@@ -169,7 +173,7 @@ def stage_usd_mesh(staging: Staging, name: str, value: UsdThing) -> tuple[RawMes
 
 
 def place_moves(
-    staging: Staging, value: PlacedThing, raw: RawMesh, inner: MeshMoves | None, factor: float, own_up: str
+    staging: SceneStaging, value: PlacedThing, raw: RawMesh, inner: MeshMoves | None, factor: float, own_up: str
 ) -> tuple[Floats, MeshMoves | None] | None:
     """Return the vertices at rest and the motion of a mesh that moves in its file, by keys, or both; None if it does not move."""
     transforms = _key_transforms(staging, value, factor, own_up)
@@ -184,7 +188,7 @@ def place_moves(
     return rest, None if (transforms == transforms[0]).all() else MeshMoves.rigid(transforms, len(rest))
 
 
-def first_rotation(staging: Staging, value: PlacedThing) -> tuple[float, float, float]:
+def first_rotation(staging: SceneStaging, value: PlacedThing) -> tuple[float, float, float]:
     """Return the rotation of a mesh at the first frame, radians about x, then y, then z."""
     placed = interpolate_keys(value.keys, value.at, value.rotate, simulated_frames(staging)[:1], staging.scene.model.unit_mm)
     if placed is not None:
@@ -198,7 +202,7 @@ def limit_length(vectors: Floats) -> Floats:
     return np.asarray(vectors / np.maximum(np.sqrt((vectors * vectors).sum(axis=1)), 1.0)[:, None])
 
 
-def stage_usd_paint(staging: Staging, name: str, thing: PaintedThing, mesh: UsdThing, width: int) -> Floats | None:
+def stage_usd_paint(staging: SceneStaging, name: str, thing: PaintedThing, mesh: UsdThing, width: int) -> Floats | None:
     """Return a primvar on the vertices of a surface from the same USD file: numbers (width 1) or vectors (3) in the scene."""
     from antdsl.scene.geometry.usd import read_usd_mesh
 
@@ -228,7 +232,7 @@ def stage_usd_paint(staging: Staging, name: str, thing: PaintedThing, mesh: UsdT
 # ---- curves
 
 
-def stage_curve(staging: Staging, name: str, value: CurveThing | UsdThing) -> Floats | None:
+def stage_curve(staging: SceneStaging, name: str, value: CurveThing | UsdThing) -> Floats | None:
     """Return the points (frames, k, 3) of a curve, one frame if it is static."""
 
     model = staging.scene.model
@@ -278,7 +282,7 @@ def _apply_by_frame(transforms: Floats, positions: Floats) -> Floats:
 # ---- items
 
 
-def item_positions(staging: Staging, name: str, item: str, thing: ItemThing) -> Floats:
+def item_positions(staging: SceneStaging, name: str, item: str, thing: ItemThing) -> Floats:
     """Return the positions (frames, 3) of an item by its keys, in mm; one frame if it has none."""
     unit_mm = staging.scene.model.unit_mm
     placed = interpolate_keys(thing.keys, thing.at, None, simulated_frames(staging), unit_mm)
@@ -291,7 +295,7 @@ def item_positions(staging: Staging, name: str, item: str, thing: ItemThing) -> 
     return placed[0]
 
 
-def stage_usd_items(staging: Staging, name: str, value: UsdThing) -> UsdPoints | None:
+def stage_usd_items(staging: SceneStaging, name: str, value: UsdThing) -> UsdPoints | None:
     """Return the points below a prim, or the empties of a kind, moved as the scene says."""
     from dataclasses import replace
 
@@ -316,7 +320,7 @@ def stage_usd_items(staging: Staging, name: str, value: UsdThing) -> UsdPoints |
     )
 
 
-def stage_usd_places(staging: Staging, value: UsdPlaces, *path: Key) -> UsdPoints | None:
+def stage_usd_places(staging: SceneStaging, value: UsdPlaces, *path: PathKey) -> UsdPoints | None:
     """Return the points or empties of a crowd line, in mm and the scene's axes."""
     from antdsl.scene.geometry.usd import read_usd_points
 
@@ -326,7 +330,7 @@ def stage_usd_places(staging: Staging, value: UsdPlaces, *path: Key) -> UsdPoint
     return _read_usd(staging, value.usd, value.prim or "/", "render", place, lambda stage: read_usd_points(stage, kind))
 
 
-def follow_surface(mesh: stage_of.MeshData, moves: MeshMoves, place: stage_of.Point) -> Floats:
+def follow_surface(mesh: stage_of.MeshData, moves: MeshMoves, place: stage_of.PointMm) -> Floats:
     """Return the position of a point of a moving surface at each frame (frames, 3): it stays on its triangle."""
     corners = mesh.vertices[mesh.faces]
     a, b, c = corners[:, 0], corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
@@ -350,7 +354,7 @@ def follow_surface(mesh: stage_of.MeshData, moves: MeshMoves, place: stage_of.Po
 
 
 def _read_usd(
-    staging: Staging, text: str, prim: str, purpose: str, path: tuple[Key, ...], read: Callable[[UsdStage], T]
+    staging: SceneStaging, text: str, prim: str, purpose: str, path: tuple[PathKey, ...], read: Callable[[UsdStage], T]
 ) -> T | None:
     """Return a reader's result at a prim; or report an error at its location in the scene and return None."""
     from antdsl.scene.geometry.usd import UsdError, open_stage
@@ -379,7 +383,7 @@ def _read_usd(
     return None
 
 
-def stage_usd_camera(staging: Staging, value: UsdCamera) -> stage_of.CameraData | None:
+def stage_usd_camera(staging: SceneStaging, value: UsdCamera) -> stage_of.CameraData | None:
     """A camera prim over the written frames."""
     from antdsl.scene.geometry.usd import read_usd_camera
 

@@ -11,30 +11,30 @@ from numpy.typing import NDArray
 
 from antdsl import limits
 from antdsl.diagnostics.suggestion import nearest_name
-from antdsl.program.model import Dim
+from antdsl.program.model import Dimension
 from antdsl.program.tables.units import dimension_words, with_unit
 from antdsl.scene.quantities import QuantityError, parse_quantity
 from antdsl.source import Span
 
 if TYPE_CHECKING:
     from antdsl.scene.geometry.usd import UsdPoints
-    from antdsl.scene.staging.stage_scene import Staging
+    from antdsl.scene.staging.stage_scene import SceneStaging
 
 
-_SAID = ("max_turn", "min_speed")  # an agent has these only where its species says them
+_OPTIONAL_ATTRIBUTES = ("max_turn", "min_speed")  # an agent has these only where its species says them
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class UsdFile:
     """Contents of a file, with the file's name and where the scene names it."""
 
-    staging: Staging
+    staging: SceneStaging
     name: str
     span: Span | None
     points: UsdPoints
 
 
-def read_in_base_units(file: UsdFile, key: str, dim: Dim) -> NDArray[np.float64]:
+def read_in_base_units(file: UsdFile, key: str, dim: Dimension) -> NDArray[np.float64]:
     """Return the file's values of an attribute (n,), nan where it has none. Numbers are in the file's unit of length, degrees and
     seconds; words are numbers with a unit as in a scene."""
     points, report = file.points, file.staging.report
@@ -56,7 +56,7 @@ def read_in_base_units(file: UsdFile, key: str, dim: Dim) -> NDArray[np.float64]
             report.error("wrong-unit", words, file.span, f"write it like `{with_unit(1, dim)}`")
             return column
         column[number] = quantity.to_base_units(model.unit_mm, float(1 / model.fps))
-    if (np.abs(column) > limits.LARGEST).any():
+    if (np.abs(column) > limits.MAX_NUMBER).any():
         most = points.names[int(np.nanargmax(np.abs(column)))]
         report.error(
             "bad-usd", f"`{key}` of `{most}` in `{file.name}` is too large to be stored", file.span, "write a smaller number"
@@ -69,7 +69,11 @@ def warn_near_misses(file: UsdFile, of: str, known: Collection[str]) -> None:
     """Warn about properties of the file that no attribute takes but that are spelled almost like one. Other properties belong to
     other programs."""
     keys = sorted({*file.points.values, *file.points.texts} - {*known, "kind", "name"})
-    near = {key: "" if key in _SAID else nearest_name(key, known) for key in keys if key in _SAID or nearest_name(key, known)}
+    near = {
+        key: "" if key in _OPTIONAL_ATTRIBUTES else nearest_name(key, known)
+        for key in keys
+        if key in _OPTIONAL_ATTRIBUTES or nearest_name(key, known)
+    }
     if near:
         words = f"in `{file.name}`, no attribute of `{of}` reads {', '.join(f'`{key}`' for key in near)}"
         help = ", ".join(

@@ -9,11 +9,11 @@ from antdsl.diagnostics import Report
 from antdsl.specs.cases import Run
 from antdsl.specs.golden import recorded
 
-Key = tuple[Path, tuple[tuple[str, str], ...]]
+GoldenKey = tuple[Path, tuple[tuple[str, str], ...]]
 
 
 @dataclass(slots=True)
-class Goldens:
+class GoldenComparison:
     """`update`: the first seed of each scene and each set of changed params becomes a golden run. Otherwise the stored run is
     compared. Problems of a file are in `report`."""
 
@@ -21,9 +21,9 @@ class Goldens:
     report: Report = field(default_factory=Report)
     results: list[recorded.GoldenResult] = field(default_factory=list)
     files: dict[Path, recorded.Golden | None] = field(default_factory=dict)
-    recorders: dict[Key, tuple[Run, recorded.Recorder]] = field(default_factory=dict)
+    recorders: dict[GoldenKey, tuple[Run, recorded.GoldenRecorder]] = field(default_factory=dict)
 
-    def watch(self, run: Run, frames: int) -> recorded.Watch | None:
+    def watch(self, run: Run, frames: int) -> recorded.GoldenWatch | None:
         """Return the watch for a run of about `frames` frames, or None."""
         scene = run.cases[0].scene
         changes = {change.name: "".join(change.value.span.text.split()) for change in run.cases[0].spec.changes}
@@ -33,14 +33,14 @@ class Goldens:
             if key in self.recorders:
                 return None
             self.results.append(result)
-            self.recorders[key] = (run, recorded.Recorder(run, result, frames))
+            self.recorders[key] = (run, recorded.GoldenRecorder(run, result, frames))
             return self.recorders[key][1]
         golden_file = self._read_golden(scene)
         golden = None if golden_file is None else _find_golden_run(golden_file, result)
         if golden_file is None or golden is None or not golden.frames:
             return None
         self.results.append(result)
-        return recorded.Comparer(run, result, golden, golden_file.made)
+        return recorded.GoldenComparer(run, result, golden, golden_file.made)
 
     def _read_golden(self, scene: Path) -> recorded.Golden | None:
         path = recorded.golden_path(scene)

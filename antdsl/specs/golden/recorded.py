@@ -22,14 +22,16 @@ from antdsl.bounded import TooLarge, read_bounded
 from antdsl.program.model import Program
 from antdsl.runtime import World, state_hash
 from antdsl.specs.cases import Run
-from antdsl.specs.golden.fingerprints import Difference, agents_digest, columns, find_differences
+from antdsl.specs.golden.fingerprints import StateDifference, agents_digest, columns, find_differences
 from antdsl.whole import write_atomically
 
-STATIONS = 48
-_BYTES = 64 * limits.MIB
-_FIRST = re.compile(rb'\s*\{\s*"golden"\s*:\s*1\b')  # of runs with states hashed as SHA-256 of all rows
-Word = Annotated[str, Field(max_length=2000)]
-Sums = tuple[Word, Word, Word]  # sum and weighted sum of the bits, hexadecimal; what is reported of the values
+MAX_RECORDED_FRAMES = 48
+_MAX_FILE_BYTES = 64 * limits.MIB
+_FIRST_FORMAT_PATTERN = re.compile(rb'\s*\{\s*"golden"\s*:\s*1\b')  # of runs with states hashed as SHA-256 of all rows
+GoldenText = Annotated[str, Field(max_length=2000)]
+ValueSums = tuple[
+    GoldenText, GoldenText, GoldenText
+]  # sum and weighted sum of the bits, hexadecimal; what is reported of the values
 
 
 class Part(BaseModel):
@@ -40,23 +42,23 @@ class Frame(Part):
     """A frame. `parts`: those that differ from the last frame with parts; `agents`: the digests by species."""
 
     frame: int
-    hash: Word
-    parts: dict[Word, Sums] = {}
-    agents: dict[Word, Word] = {}
+    hash: GoldenText
+    parts: dict[GoldenText, ValueSums] = {}
+    agents: dict[GoldenText, GoldenText] = {}
 
 
 class GoldenRun(Part):
     """A run by its changed params and its seed, with a readable `summary` of the last frame."""
 
-    set: dict[Word, Word]
+    set: dict[GoldenText, GoldenText]
     seed: int
-    summary: dict[Word, Word]
+    summary: dict[GoldenText, GoldenText]
     frames: list[Frame]
 
 
 class Golden(Part):
     golden: Literal[2]
-    made: dict[Word, Word]
+    made: dict[GoldenText, GoldenText]
     runs: list[GoldenRun]
 
 
@@ -75,7 +77,7 @@ class GoldenResult:
     outcome: str = "waiting"
     frame: int | None = None
     detail_frame: int | None = None
-    found: list[Difference] = field(default_factory=list)
+    found: list[StateDifference] = field(default_factory=list)
     words: str = ""
     origin: str = ""
     frames: int = 0
@@ -85,7 +87,7 @@ class GoldenResult:
         return "golden run of " + ", ".join([self.scene.name, *(f"{name} = {text}" for name, text in self.changes.items())])
 
 
-class Watch(Protocol):
+class GoldenWatch(Protocol):
     """Looks at each frame of a run, which continues at least until `over` is true."""
 
     @property
@@ -110,8 +112,8 @@ def describe_environment() -> dict[str, str]:
 def read_golden(path: Path) -> Golden | None:
     """Return the golden runs of a file, None if there is no file. Raises GoldenError if it is not valid."""
     try:
-        data = read_bounded(path, _BYTES)
-        if _FIRST.match(data):
+        data = read_bounded(path, _MAX_FILE_BYTES)
+        if _FIRST_FORMAT_PATTERN.match(data):
             raise GoldenError(f"`{path.name}` is of an antdsl that hashes states in another way, and cannot be compared")
         return Golden.model_validate_json(data)
     except FileNotFoundError:
@@ -138,15 +140,15 @@ def write_golden(path: Path, runs: Iterable[GoldenRun]) -> None:
     write_atomically(path, ("\n".join(lines) + "\n]}\n").encode())
 
 
-class Recorder:
+class GoldenRecorder:
     """Records a golden run from a run of about `frames` frames. It does not prolong the run."""
 
     over = True
 
     def __init__(self, run: Run, result: GoldenResult, frames: int) -> None:
         self.program, self.result = run.shot.program, result
-        self.every = max(1, -(-frames // STATIONS))
-        self.known: dict[str, Sums] = {}
+        self.every = max(1, -(-frames // MAX_RECORDED_FRAMES))
+        self.known: dict[str, ValueSums] = {}
         self.frames: list[Frame] = []
         self.made: GoldenRun | None = None
 
@@ -169,7 +171,7 @@ class Recorder:
         self.made = GoldenRun(set=dict(self.result.changes), seed=self.result.seed, summary=summary, frames=self.frames)
 
 
-class Comparer:
+class GoldenComparer:
     """Compares a run with a golden one; `result` has the outcome."""
 
     def __init__(self, run: Run, result: GoldenResult, golden: GoldenRun, environment: Mapping[str, str]) -> None:
@@ -177,7 +179,7 @@ class Comparer:
         self.made = ", ".join(f"{name} {text}" for name, text in environment.items())
         if dict(environment) == describe_environment():
             self.made = ""
-        self.known: dict[str, Sums] = {}
+        self.known: dict[str, ValueSums] = {}
         self.over = False
 
     def look(self, world: World) -> None:
@@ -211,7 +213,7 @@ class Comparer:
         self.result.outcome, self.result.frame, self.result.words, self.result.origin = "differs", frame, words, self.made
 
 
-def _column_sums(world: World, program: Program) -> dict[str, Sums]:
+def _column_sums(world: World, program: Program) -> dict[str, ValueSums]:
     sums_by_key = {}
     for key, column in columns(world, program).items():
         first, second = column.sums()

@@ -8,15 +8,15 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
 from antdsl.syntax import nodes as n
-from antdsl.syntax.scan import Scan, Token
-from antdsl.syntax.words import QUANTITY
+from antdsl.syntax.scan import ScannedToken, TokenScan
+from antdsl.syntax.words import QUANTITY_PATTERN
 
 # How loosely a word binds, for breaking a value that is too long: the loosest first. `..` parts a range.
-_LEVELS = (("..",), ("then", "else"), ("or",), ("and",), ("<", ">", "<=", ">=", "==", "!="), ("+", "-"), ("*", "/"))
+_BINDING_LEVELS = (("..",), ("then", "else"), ("or",), ("and",), ("<", ">", "<=", ">=", "==", "!="), ("+", "-"), ("*", "/"))
 
 
 @dataclass(slots=True)
-class Leaf:
+class TokenLeaf:
     """One token as in the source, and whether a blank precedes it. `joins`: true for a sign between two values."""
 
     text: str
@@ -30,15 +30,15 @@ class Leaf:
 
 
 @dataclass(slots=True)
-class Slot:
+class BracketSlot:
     """The content between two commas, with the comma. `lead`: comments on lines before it. `trail`: the comment after it.
     `inner`: comments in its middle, each with the index of the next node."""
 
-    nodes: list[Node] = field(default_factory=list)
+    nodes: list[LayoutNode] = field(default_factory=list)
     lead: list[n.Comment] = field(default_factory=list)
     trail: n.Comment | None = None
     inner: list[tuple[int, n.Comment, bool]] = field(default_factory=list)
-    operands: list[Slot] = field(default_factory=list)  # the slot once more, cut at its signs, where these have comments
+    operands: list[BracketSlot] = field(default_factory=list)  # the slot once more, cut at its signs, where these have comments
     deeper: bool = False  # set in once more: what comes after `n in SET:`
 
     @property
@@ -48,39 +48,39 @@ class Slot:
     @property
     def is_broken(self) -> bool:
         """Return whether a comment in the slot forces it onto separate lines."""
-        inner = any(isinstance(node, Bracket) and node.forced for node in self.nodes)
+        inner = any(isinstance(node, BracketGroup) and node.forced for node in self.nodes)
         return inner or bool(self.lead or self.trail or self.operands)
 
 
 @dataclass(slots=True)
-class Bracket:
+class BracketGroup:
     """`( … )` or `[ … ]`. `tail`: comments before its end."""
 
-    open: Leaf
-    slots: list[Slot]
-    close: Leaf
+    open: TokenLeaf
+    slots: list[BracketSlot]
+    close: TokenLeaf
     tail: list[n.Comment] = field(default_factory=list)
     forced: bool = False
     flat: str = ""
 
 
-Node = Leaf | Bracket
+LayoutNode = TokenLeaf | BracketGroup
 
 
-class Reader:
+class BracketReader:
     """Reads the nodes of one statement. `comments` returns the next comment before an offset."""
 
     def __init__(
-        self, scan: Scan, calls: frozenset[int], minus: frozenset[int], comments: Callable[[int], n.Comment | None]
+        self, scan: TokenScan, calls: frozenset[int], minus: frozenset[int], comments: Callable[[int], n.Comment | None]
     ) -> None:
         self.scan, self.calls, self.minus, self.comments = scan, calls, minus, comments
-        self.last: Token | None = None
+        self.last: ScannedToken | None = None
 
-    def resume(self, token: Token) -> None:
+    def resume(self, token: ScannedToken) -> None:
         """Continue after a block that ended with this token."""
         self.last = token
 
-    def read_node(self, tokens: Sequence[Token], index: int) -> tuple[Node, int]:
+    def read_node(self, tokens: Sequence[ScannedToken], index: int) -> tuple[LayoutNode, int]:
         """Return the node that begins with a token, and the index of the next one."""
         token = tokens[index]
         leaf = self.read_leaf(token)
@@ -88,8 +88,8 @@ class Reader:
             return leaf, index + 1
         return self.read_bracket(leaf, tokens, index + 1)
 
-    def read_bracket(self, opening: Leaf, tokens: Sequence[Token], index: int) -> tuple[Bracket, int]:
-        slots = [Slot()]
+    def read_bracket(self, opening: TokenLeaf, tokens: Sequence[ScannedToken], index: int) -> tuple[BracketGroup, int]:
+        slots = [BracketSlot()]
         while True:
             token, slot = tokens[index], slots[-1]
             left: list[n.Comment] = []  # that belong to no slot so far
@@ -102,11 +102,11 @@ class Reader:
             node, index = self.read_node(tokens, index)
             slot.nodes.append(node)
             if sign == "," or (sign == ":" and len(slots) == 1 and _is_comprehension(slot)):
-                slots.append(Slot(lead=left, deeper=sign == ":"))
-        found = Bracket(opening, [_place_inner_comments(slot) for slot in slots if slot.nodes], close, left)
+                slots.append(BracketSlot(lead=left, deeper=sign == ":"))
+        found = BracketGroup(opening, [_place_inner_comments(slot) for slot in slots if slot.nodes], close, left)
         return _measure_bracket(found), index + 1
 
-    def place(self, comment: n.Comment, slots: list[Slot], token: Token, left: list[n.Comment]) -> None:
+    def place(self, comment: n.Comment, slots: list[BracketSlot], token: ScannedToken, left: list[n.Comment]) -> None:
         """Assign a comment before `token` to the slots so far, or to `left` if it comes after the last of them."""
         slot = slots[-1]
         assert self.last is not None
@@ -127,18 +127,18 @@ class Reader:
         else:
             slot.inner.append((len(slot.nodes), comment, beside))
 
-    def read_leaf(self, token: Token) -> Leaf:
+    def read_leaf(self, token: ScannedToken) -> TokenLeaf:
         text = "".join(self.scan.clean[token.start : token.end])
         blank = self.needs_blank(token, text)
         joins = token.kind in ("word", "sign") and token.start not in self.minus
         self.last = token
         if token.kind == "number":
-            parts = QUANTITY.match(text)
+            parts = QUANTITY_PATTERN.match(text)
             assert parts is not None
             text = " ".join(part for part in parts.groups() if part)
-        return Leaf(text, blank, token.kind, joins)
+        return TokenLeaf(text, blank, token.kind, joins)
 
-    def needs_blank(self, token: Token, text: str) -> bool:
+    def needs_blank(self, token: ScannedToken, text: str) -> bool:
         """Return whether a blank is needed before a token."""
         if self.last is None:
             return False
@@ -150,23 +150,23 @@ class Reader:
         return not (text == "(" and (self.last.end in self.calls or previous_text in (")", "]")))
 
 
-def _is_comprehension(slot: Slot) -> bool:
+def _is_comprehension(slot: BracketSlot) -> bool:
     """Return whether the nodes are `n in SET:`, with the colon as the last node."""
     second = slot.nodes[1] if len(slot.nodes) > 3 else None
-    return isinstance(second, Leaf) and second.text == "in"
+    return isinstance(second, TokenLeaf) and second.text == "in"
 
 
-def split_operands(slot: Slot) -> list[Slot]:
+def split_operands(slot: BracketSlot) -> list[BracketSlot]:
     """Split the slot before its operators of lowest precedence; return it alone if there are none."""
-    for level in _LEVELS:
-        cuts = [k for k, node in enumerate(slot.nodes) if k and isinstance(node, Leaf) and node.joins and node.text in level]
+    for level in _BINDING_LEVELS:
+        cuts = [k for k, node in enumerate(slot.nodes) if k and isinstance(node, TokenLeaf) and node.joins and node.text in level]
         if cuts:
             ends = [*cuts, len(slot.nodes)]
-            return [Slot(slot.nodes[start:end]) for start, end in zip([0, *cuts], ends, strict=True)]
+            return [BracketSlot(slot.nodes[start:end]) for start, end in zip([0, *cuts], ends, strict=True)]
     return [slot]
 
 
-def _place_inner_comments(slot: Slot) -> Slot:
+def _place_inner_comments(slot: BracketSlot) -> BracketSlot:
     """Return the slot with its inner comments moved before it or between its operands."""
     if not slot.inner:
         return slot
@@ -197,11 +197,11 @@ def _place_inner_comments(slot: Slot) -> Slot:
     return slot
 
 
-def _take_comments(nodes: Sequence[Node]) -> list[n.Comment]:
+def _take_comments(nodes: Sequence[LayoutNode]) -> list[n.Comment]:
     """Remove and return the comments inside brackets."""
     comments: list[n.Comment] = []
     for node in nodes:
-        if isinstance(node, Bracket) and node.forced:
+        if isinstance(node, BracketGroup) and node.forced:
             for slot in node.slots:
                 comments += [*_take_slot_comments(slot), *_take_comments(slot.nodes)]
             comments += node.tail
@@ -210,7 +210,7 @@ def _take_comments(nodes: Sequence[Node]) -> list[n.Comment]:
     return comments
 
 
-def _take_slot_comments(slot: Slot) -> list[n.Comment]:
+def _take_slot_comments(slot: BracketSlot) -> list[n.Comment]:
     """Remove and return the comments around a slot and between its operands."""
     comments = [*slot.lead, *([slot.trail] if slot.trail else [])]
     for operand in slot.operands:
@@ -219,7 +219,7 @@ def _take_slot_comments(slot: Slot) -> list[n.Comment]:
     return comments
 
 
-def _measure_bracket(bracket: Bracket) -> Bracket:
+def _measure_bracket(bracket: BracketGroup) -> BracketGroup:
     """Record a bracket's flat text and whether it must be broken, so that no later call descends into it again."""
     bracket.forced = bool(bracket.tail) or any(slot.is_broken for slot in bracket.slots)
     bracket.flat = bracket.open.flat + " ".join(slot.flat for slot in bracket.slots) + bracket.close.flat

@@ -6,15 +6,15 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import groupby
 
-from antdsl.syntax.formatting.brackets import Leaf, Node
-from antdsl.syntax.formatting.items import Block, Statement
+from antdsl.syntax.formatting.brackets import LayoutNode, TokenLeaf
+from antdsl.syntax.formatting.items import LayoutBlock, LayoutStatement
 
-MOST = 64  # characters; what is longer before a mark does not push the marks of its neighbours away
-_COMMENT_GAP = 2  # blanks before a comment, at least
+MAX_ALIGNED_CHARACTERS = 64  # characters; what is longer before a mark does not push the marks of its neighbours away
+_MIN_COMMENT_BLANKS = 2  # blanks before a comment, at least
 
 
 @dataclass(slots=True)
-class Row:
+class LayoutRow:
     """A statement or a comment before layout: the cells of its first line, the kind it is aligned with, and the lines that
     follow, if any. `alone`: it does not affect the alignment of its neighbours."""
 
@@ -26,7 +26,7 @@ class Row:
     alone: bool
 
 
-def split_cells(statement: Statement) -> tuple[str, list[Sequence[Node | Block]]]:
+def split_cells(statement: LayoutStatement) -> tuple[str, list[Sequence[LayoutNode | LayoutBlock]]]:
     """Return the kind that a one-line statement is aligned with, and its parts cut at the marks. The last cell is the help."""
     parts, words = statement.parts, statement.words
     kind, mark = _alignment_kind(statement.rule, words)
@@ -36,28 +36,28 @@ def split_cells(statement: Statement) -> tuple[str, list[Sequence[Node | Block]]
     if place is None:
         return "plain", [parts]
     last = parts[-1]
-    end = len(parts) - 1 if isinstance(last, Leaf) and last.kind == "text" and place < len(parts) - 1 else len(parts)
+    end = len(parts) - 1 if isinstance(last, TokenLeaf) and last.kind == "text" and place < len(parts) - 1 else len(parts)
     block = place + 1 if kind == "world_item" else end
     return kind, [parts[:place], parts[place:block], parts[block:end], parts[end:]]
 
 
-Mark = Callable[[Sequence[Node | Block]], int | None]
+MarkFinder = Callable[[Sequence[LayoutNode | LayoutBlock]], int | None]
 
 
-def _find_sign(sign: str) -> Mark:
+def _find_sign(sign: str) -> MarkFinder:
     """Return a function that finds the index of a sign outside all brackets."""
 
-    def place(parts: Sequence[Node | Block]) -> int | None:
-        return next((k for k, part in enumerate(parts) if k and isinstance(part, Leaf) and part.text == sign), None)
+    def place(parts: Sequence[LayoutNode | LayoutBlock]) -> int | None:
+        return next((k for k, part in enumerate(parts) if k and isinstance(part, TokenLeaf) and part.text == sign), None)
 
     return place
 
 
-def _second_part(parts: Sequence[Node | Block]) -> int | None:
+def _second_part(parts: Sequence[LayoutNode | LayoutBlock]) -> int | None:
     return 1 if len(parts) > 1 else None
 
 
-def _alignment_kind(rule: str, words: Sequence[str]) -> tuple[str, Mark | None]:
+def _alignment_kind(rule: str, words: Sequence[str]) -> tuple[str, MarkFinder | None]:
     """Return, from the rule and the first words of a line, the kind it is aligned with, and the mark."""
     first = words[0] if words else ""
     if rule in ("world_item", "setting"):
@@ -76,32 +76,32 @@ def _alignment_kind(rule: str, words: Sequence[str]) -> tuple[str, Mark | None]:
     return "plain", None
 
 
-def _member_alignment(words: Sequence[str]) -> tuple[str, Mark | None]:
+def _member_alignment(words: Sequence[str]) -> tuple[str, MarkFinder | None]:
     """Return the kind of a species line that begins with a name: an attribute or a given property."""
     if words[0] in ("start", "on", "layers", "machine", "state", "fuzzy") and words[1:2] not in (["="], [":"]):
         return "plain", None
     return ("declaration", _find_sign("=")) if words[1:2] in (["="], [":"]) else ("given", _second_part)
 
 
-def align_rows(rows: Sequence[Row], indent: int) -> list[str]:
+def align_rows(rows: Sequence[LayoutRow], indent: int) -> list[str]:
     """Return the lines of a block, with marks aligned within a run of lines without a blank line or a comment line in between."""
     lines: list[str] = []
     for run in _split_runs(rows):
         if run[0].blank_before:
             lines.append("")
         texts = [text for _, same in groupby(run, key=lambda row: row.kind) for text in _align_run(list(same))]
-        column = _next_column([text for row, text in zip(run, texts, strict=True) if row.comment], _COMMENT_GAP)
+        column = _next_column([text for row, text in zip(run, texts, strict=True) if row.comment], _MIN_COMMENT_BLANKS)
         for row, text in zip(run, texts, strict=True):
-            first = text if row.comment is None or row.rest else _pad_text(text, column, row.comment, _COMMENT_GAP)
+            first = text if row.comment is None or row.rest else _pad_text(text, column, row.comment, _MIN_COMMENT_BLANKS)
             lines += [" " * indent + first, *row.rest]
             if row.rest and row.comment is not None:
-                lines[-1] += " " * _COMMENT_GAP + row.comment
+                lines[-1] += " " * _MIN_COMMENT_BLANKS + row.comment
     return lines
 
 
-def _split_runs(rows: Sequence[Row]) -> Iterator[list[Row]]:
+def _split_runs(rows: Sequence[LayoutRow]) -> Iterator[list[LayoutRow]]:
     """Yield runs of rows on consecutive lines; a comment line, or a statement of several lines, is a separate run."""
-    run: list[Row] = []
+    run: list[LayoutRow] = []
     for row in rows:
         if run and (row.blank_before or row.alone or run[-1].alone):
             yield run
@@ -111,7 +111,7 @@ def _split_runs(rows: Sequence[Row]) -> Iterator[list[Row]]:
         yield run
 
 
-def _align_run(rows: Sequence[Row]) -> list[str]:
+def _align_run(rows: Sequence[LayoutRow]) -> list[str]:
     """Return the texts of rows of one kind with aligned cells."""
     texts = [row.cells[0] for row in rows]
     for k in range(1, max(len(row.cells) for row in rows)):
@@ -123,8 +123,8 @@ def _align_run(rows: Sequence[Row]) -> list[str]:
 
 def _next_column(texts: Sequence[str], gap: int) -> int:
     """Return the column after the longest text and the gap; texts longer than `MOST` do not count."""
-    return max((len(text) + gap for text in texts if len(text) <= MOST), default=0)
+    return max((len(text) + gap for text in texts if len(text) <= MAX_ALIGNED_CHARACTERS), default=0)
 
 
 def _pad_text(text: str, column: int, following: str, gap: int) -> str:
-    return (text + " " * gap).ljust(column) + following if len(text) <= MOST else text + " " * gap + following
+    return (text + " " * gap).ljust(column) + following if len(text) <= MAX_ALIGNED_CHARACTERS else text + " " * gap + following

@@ -12,15 +12,15 @@ from typing import Any
 from antdsl.diagnostics.model import Report
 from antdsl.source import Source, Span
 from antdsl.syntax import nodes as n
-from antdsl.syntax.blocks import Group, Line, cut_lines
+from antdsl.syntax.blocks import BraceGroup, SourceLine, cut_lines
 from antdsl.syntax.brackets import pair_brackets
-from antdsl.syntax.formatting.brackets import Bracket, Leaf, Node, Reader
-from antdsl.syntax.scan import Scan, scan
-from antdsl.syntax.words import BODIES
+from antdsl.syntax.formatting.brackets import BracketGroup, BracketReader, LayoutNode, TokenLeaf
+from antdsl.syntax.scan import TokenScan, scan
+from antdsl.syntax.words import BODY_RULE_BY_LINE
 
 
 @dataclass(slots=True)
-class Remark:
+class RemarkItem:
     """A comment on a separate line."""
 
     text: str
@@ -28,21 +28,21 @@ class Remark:
 
 
 @dataclass(slots=True)
-class Block:
+class LayoutBlock:
     """The content between two braces. `one_line`: true if all statements were on one line. `head`: the comment after `{`."""
 
-    items: list[Item]
+    items: list[LayoutItem]
     one_line: bool
     head: str | None = None
 
 
 @dataclass(slots=True)
-class Statement:
+class LayoutStatement:
     """A statement: its words and brackets, with a `Block` in place of each pair of braces. `rule`: the grammar rule of its
     block's lines. `comment`: the comment after the statement."""
 
     rule: str
-    parts: list[Node | Block]
+    parts: list[LayoutNode | LayoutBlock]
     blank_before: bool
     comment: str | None = None
 
@@ -51,21 +51,21 @@ class Statement:
         """Return the first words, up to the first bracket or block."""
         found: list[str] = []
         for part in self.parts:
-            if not isinstance(part, Leaf):
+            if not isinstance(part, TokenLeaf):
                 break
             found.append(part.text)
         return found
 
 
-Item = Statement | Remark
+LayoutItem = LayoutStatement | RemarkItem
 
 
-def needs_own_lines(part: Node | Block) -> bool:
+def needs_own_lines(part: LayoutNode | LayoutBlock) -> bool:
     """Return whether a part of a statement cannot be on one line with the rest."""
-    return part.forced if isinstance(part, Bracket) else isinstance(part, Block) and not part.one_line
+    return part.forced if isinstance(part, BracketGroup) else isinstance(part, LayoutBlock) and not part.one_line
 
 
-def read_items(file: n.File) -> list[Item]:
+def read_items(file: n.File) -> list[LayoutItem]:
     """Return the items of a file that was parsed without an error."""
     scanned = scan(file.source, Report())
     tokens = pair_brackets(scanned)
@@ -104,7 +104,7 @@ def _called_name(part: object) -> n.Name | None:
 class _ItemReader:
     """One walk over the lines of a text; comments are taken in the order of the text."""
 
-    scan: Scan
+    scan: TokenScan
     calls: frozenset[int]
     minus: frozenset[int]
     taken: int = field(default=0)  # how many comments have found their place
@@ -120,9 +120,9 @@ class _ItemReader:
     def count_line_ends(self, start: int, end: int) -> int:
         return self.scan.source.text.count("\n", start, end)
 
-    def read_lines(self, lines: Sequence[Line], rule: str, start: int, end: int) -> list[Item]:
+    def read_lines(self, lines: Sequence[SourceLine], rule: str, start: int, end: int) -> list[LayoutItem]:
         """Return the statements and comments between two offsets."""
-        item_list: list[Item] = []
+        item_list: list[LayoutItem] = []
         last = start  # where the item before ends
         for line in lines:
             last = self.add_remarks(item_list, last, line.start)
@@ -131,44 +131,44 @@ class _ItemReader:
         self.add_remarks(item_list, last, end)
         return item_list
 
-    def has_blank_line(self, item_list: list[Item], last: int, start: int) -> bool:
+    def has_blank_line(self, item_list: list[LayoutItem], last: int, start: int) -> bool:
         return bool(item_list) and self.count_line_ends(last, start) > 1
 
-    def add_remarks(self, item_list: list[Item], last: int, end: int) -> int:
+    def add_remarks(self, item_list: list[LayoutItem], last: int, end: int) -> int:
         """Put the comments up to `end` after the last statement or on separate lines; return where the last of them ends."""
         while (comment := self.next_before(end)) is not None:
             text = comment.text.rstrip()
             previous_item = item_list[-1] if item_list else None
             if (
-                isinstance(previous_item, Statement)
+                isinstance(previous_item, LayoutStatement)
                 and previous_item.comment is None
                 and not self.count_line_ends(last, comment.span.start)
             ):
                 previous_item.comment = text
             else:
-                item_list.append(Remark(text, self.has_blank_line(item_list, last, comment.span.start)))
+                item_list.append(RemarkItem(text, self.has_blank_line(item_list, last, comment.span.start)))
             last = comment.span.end
         return last
 
-    def make_statement(self, line: Line, rule: str, blank_before: bool) -> Statement:
-        reader = Reader(self.scan, self.calls, self.minus, self.next_before)
-        parts: list[Node | Block] = []
+    def make_statement(self, line: SourceLine, rule: str, blank_before: bool) -> LayoutStatement:
+        reader = BracketReader(self.scan, self.calls, self.minus, self.next_before)
+        parts: list[LayoutNode | LayoutBlock] = []
         groups = iter(line.groups)
         index = 0
         while index < len(line.tokens):
             token = line.tokens[index]
             if token.kind == "open" and self.scan.clean[token.start] == "{":
-                first = parts[0].text if isinstance(parts[0], Leaf) else ""
+                first = parts[0].text if isinstance(parts[0], TokenLeaf) else ""
                 parts.append(self.make_block(next(groups), rule, first))
                 index += 2  # the closing brace is the next token: what lies between belongs to the group
                 reader.resume(line.tokens[index - 1])
             else:
                 node, index = reader.read_node(line.tokens, index)
                 parts.append(node)
-        return Statement(rule, parts, blank_before)
+        return LayoutStatement(rule, parts, blank_before)
 
-    def make_block(self, group: Group, rule: str, first: str) -> Block:
-        inner = "weight" if group.chooses else BODIES.get((rule, first)) or BODIES.get((rule, "*")) or ""
+    def make_block(self, group: BraceGroup, rule: str, first: str) -> LayoutBlock:
+        inner = "weight" if group.chooses else BODY_RULE_BY_LINE.get((rule, first)) or BODY_RULE_BY_LINE.get((rule, "*")) or ""
         start, end = group.open.end, group.close.start
         head = None
         comments = self.scan.comments
@@ -178,14 +178,14 @@ class _ItemReader:
             if comment is not None:
                 head, start = comment.text.rstrip(), comment.span.end
         item_list = self.read_lines(group.lines, inner, start, end)
-        return Block(item_list, self.is_one_line(group, item_list, head), head)
+        return LayoutBlock(item_list, self.is_one_line(group, item_list, head), head)
 
-    def is_one_line(self, group: Group, item_list: list[Item], head: str | None) -> bool:
+    def is_one_line(self, group: BraceGroup, item_list: list[LayoutItem], head: str | None) -> bool:
         """Return whether a block may be on one line: it has no line ends or comments, and no part of it needs separate lines."""
         if not item_list and head is None:
             return True
         for item in item_list:
-            if isinstance(item, Remark) or item.comment is not None:
+            if isinstance(item, RemarkItem) or item.comment is not None:
                 return False
             if any(needs_own_lines(part) for part in item.parts):
                 return False

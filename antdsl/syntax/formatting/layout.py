@@ -42,11 +42,11 @@ def report_too_long(source: Source, text: str, report: Report) -> bool:
     """Report a text that exceeds the limits only after layout, and return whether it does. Joined lines and added blanks can make
     a text longer."""
     line = max(text.split("\n"), key=len).strip()
-    if len(line) > limits.LINE_CHARACTERS:
-        message = f"line that begins with `{line[:40]}` would have more than {limits.LINE_CHARACTERS} characters"
+    if len(line) > limits.MAX_LINE_CHARACTERS:
+        message = f"line that begins with `{line[:40]}` would have more than {limits.MAX_LINE_CHARACTERS} characters"
         report.error("line-too-long", message, Span(source, 0, 0), "shorten its text, or give parts of it a name with `let`")
-    if len(text.encode("utf-8", "surrogatepass")) > limits.ANT_FILE_BYTES:
-        message = f"formatted, the file would be larger than {limits.ANT_FILE_BYTES // limits.KIB} KiB"
+    if len(text.encode("utf-8", "surrogatepass")) > limits.MAX_PROGRAM_BYTES:
+        message = f"formatted, the file would be larger than {limits.MAX_PROGRAM_BYTES // limits.KIB} KiB"
         report.error("file-too-large", message, Span(source, 0, 0), "split it, and bring the parts in with `use`")
     return not report.ok
 

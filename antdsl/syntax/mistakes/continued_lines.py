@@ -7,20 +7,36 @@ from dataclasses import replace
 
 from antdsl.diagnostics.model import Fix
 from antdsl.source import Span
-from antdsl.syntax.scan import Scan, Token
-from antdsl.syntax.words import LINE_WORDS
+from antdsl.syntax.scan import ScannedToken, TokenScan
+from antdsl.syntax.words import LINE_WORDS_BY_RULE
 
 # No separate line begins with these. A line of a behaviour or of `layers` may begin with `-` or `(`.
-_SIGNS = ("+", "*", "/", "^", "<", ">", "<=", ">=", "==", "!=", ",", ".")
-_GOES_ON = frozenset(
-    ("and", "or", "then", "else", "held", "take", "is", "in", "over", "relax", "strongest", "except", "->", "..", *_SIGNS)
+_CONTINUING_SIGNS = ("+", "*", "/", "^", "<", ">", "<=", ">=", "==", "!=", ",", ".")
+_CONTINUING_WORDS = frozenset(
+    (
+        "and",
+        "or",
+        "then",
+        "else",
+        "held",
+        "take",
+        "is",
+        "in",
+        "over",
+        "relax",
+        "strongest",
+        "except",
+        "->",
+        "..",
+        *_CONTINUING_SIGNS,
+    )
 )
 # Behind these something must follow.
-_UNDONE = frozenset(("and", "or", "then", "else", "-", "..", *_SIGNS))
-_LINE_WORDS = frozenset(word for words in LINE_WORDS.values() for word in words)
+_INCOMPLETE_ENDINGS = frozenset(("and", "or", "then", "else", "-", "..", *_CONTINUING_SIGNS))
+_LINE_WORDS = frozenset(word for words in LINE_WORDS_BY_RULE.values() for word in words)
 
 
-def join_lines(scan: Scan) -> list[Token]:
+def join_lines(scan: TokenScan) -> list[ScannedToken]:
     """Return the tokens of a text without line ends inside a continued statement, and report each such statement."""
     tokens, open, indent = list(scan.tokens), 0, 0
     joints: list[int] = []  # ends of lines of one statement, each followed by what belongs to it
@@ -44,11 +60,11 @@ def join_lines(scan: Scan) -> list[Token]:
     return [token for index, token in enumerate(tokens) if index not in left_out] if left_out else scan.tokens
 
 
-def _token_text(scan: Scan, token: Token) -> str:
+def _token_text(scan: TokenScan, token: ScannedToken) -> str:
     return "".join(scan.clean[token.start : token.end])
 
 
-def _is_continuation(scan: Scan, tokens: list[Token], index: int, indent: int) -> bool:
+def _is_continuation(scan: TokenScan, tokens: list[ScannedToken], index: int, indent: int) -> bool:
     """Return whether the line after a line end belongs to the line before it, which is indented by `indent`."""
     if index + 1 >= len(tokens) or index == 0 or scan.source.text[tokens[index].start] != "\n":
         return False
@@ -56,18 +72,18 @@ def _is_continuation(scan: Scan, tokens: list[Token], index: int, indent: int) -
     if previous_token.kind == "end" or _token_text(scan, previous_token) in ("{", "}") or following.kind == "end":
         return False
     word = _token_text(scan, following)
-    if word in _GOES_ON:
+    if word in _CONTINUING_WORDS:
         behind = _token_text(scan, tokens[index + 2]) if index + 2 < len(tokens) else ""
         return not word.isalpha() or behind not in ("=", ":")
     return (
-        _token_text(scan, previous_token) in _UNDONE
+        _token_text(scan, previous_token) in _INCOMPLETE_ENDINGS
         and following.indent > indent
         and word not in _LINE_WORDS
         and word not in "{}"
     )
 
 
-def _report_joints(scan: Scan, tokens: list[Token], joints: list[int]) -> None:
+def _report_joints(scan: TokenScan, tokens: list[ScannedToken], joints: list[int]) -> None:
     text, following = scan.source.text, tokens[joints[0] + 1]
     word = text[following.start : following.end]
     start, end = tokens[joints[0] - 1].end, tokens[joints[-1] + 1].start
@@ -76,7 +92,7 @@ def _report_joints(scan: Scan, tokens: list[Token], joints: list[int]) -> None:
         better += text[copied_end : tokens[joint - 1].end] + " "
         copied_end = tokens[joint + 1].start
     comment = any(start <= each.span.start < end for each in scan.comments)
-    what = f"`{word}` begins no line" if word in _GOES_ON else "nothing is finished there"
+    what = f"`{word}` begins no line" if word in _CONTINUING_WORDS else "nothing is finished there"
     span = Span(scan.source, following.start, following.end)
     help = "write it on one line, or put round brackets around what takes several"
     fix = None if comment else Fix(Span(scan.source, start, end), better)

@@ -8,23 +8,23 @@ from antdsl import limits
 from antdsl.diagnostics.model import Diagnostic, Fix
 from antdsl.diagnostics.suggestion import nearest_name
 from antdsl.source import Source, Span
-from antdsl.syntax.words import UNIT_NAMES, UNIT_SLIPS
+from antdsl.syntax.words import UNIT_NAMES, UNIT_SLIP_HELP
 
 # Digits with commas between them; a dot may follow. Not the end of a name or of a number with a dot.
-WITH_COMMAS = re.compile(r"[0-9]+(?:,[0-9]+)+(?:\.[0-9]+)?(?![0-9.]*\.[0-9])")
-NO_SECOND = re.compile(r",0[0-9]")  # a comma behind which no second number can begin
-_GLUED = re.compile(r"[A-Za-z_][A-Za-z_0-9]*|\.[0-9][0-9.]*|\.(?!\.)")
-_LEFT = re.compile(r"(?<![A-Za-z0-9_.])[0-9]+\Z")
-_RIGHT = re.compile(r"[0-9]+(?!\.?[0-9])")
-_THOUSANDS = re.compile(r"[1-9][0-9]{0,2}(?:,[0-9]{3})+(?:\.[0-9]+)?")
-_LONGEST = 60  # characters of a number that are shown
+COMMA_NUMBER_PATTERN = re.compile(r"[0-9]+(?:,[0-9]+)+(?:\.[0-9]+)?(?![0-9.]*\.[0-9])")
+LEADING_ZERO_PATTERN = re.compile(r",0[0-9]")  # a comma behind which no second number can begin
+_GLUED_TEXT_PATTERN = re.compile(r"[A-Za-z_][A-Za-z_0-9]*|\.[0-9][0-9.]*|\.(?!\.)")
+_DIGITS_BEFORE_PATTERN = re.compile(r"(?<![A-Za-z0-9_.])[0-9]+\Z")
+_DIGITS_AFTER_PATTERN = re.compile(r"[0-9]+(?!\.?[0-9])")
+_THOUSANDS_PATTERN = re.compile(r"[1-9][0-9]{0,2}(?:,[0-9]{3})+(?:\.[0-9]+)?")
+_MAX_SHOWN_CHARACTERS = 60  # characters of a number that are shown
 
 
 def find_comma_number(source: Source, comma: int) -> Span | None:
     """Return the span of the number around a comma without blanks on either side; None if the comma can only separate two
     things."""
-    left = _LEFT.search(source.text, max(0, comma - _LONGEST), comma)
-    right = _RIGHT.match(source.text, comma + 1)
+    left = _DIGITS_BEFORE_PATTERN.search(source.text, max(0, comma - _MAX_SHOWN_CHARACTERS), comma)
+    right = _DIGITS_AFTER_PATTERN.match(source.text, comma + 1)
     return Span(source, left.start(), right.end()) if left and right and source.text[comma : comma + 1] == "," else None
 
 
@@ -32,7 +32,7 @@ def comma_diagnostic(span: Span, *, only: bool = True) -> Diagnostic:
     """Return the error about a number with commas. `only`: it cannot be two numbers separated by a comma."""
     text = span.text
     plain_number, dotted = text.replace(",", ""), text.replace(",", ".")
-    thousands, is_single = _THOUSANDS.fullmatch(text), text.count(",") == 1 and "." not in text
+    thousands, is_single = _THOUSANDS_PATTERN.fullmatch(text), text.count(",") == 1 and "." not in text
     fix: str | None = None
     two = text.replace(",", ", ")
     if is_single and not thousands:
@@ -44,13 +44,15 @@ def comma_diagnostic(span: Span, *, only: bool = True) -> Diagnostic:
         help, fix = f"write `{plain_number}`", plain_number
     else:
         help = "write it with digits and at most one dot, as in `1200` or `1.25`"
-    message = f"number `{text if len(text) <= _LONGEST else text[: _LONGEST - 1] + '…'}` has a comma in it"
+    message = (
+        f"number `{text if len(text) <= _MAX_SHOWN_CHARACTERS else text[: _MAX_SHOWN_CHARACTERS - 1] + '…'}` has a comma in it"
+    )
     return Diagnostic("bad-number", message, span, help=help, fix=None if fix is None else Fix(span, fix))
 
 
 def number_problem(piece: str, characters: str, end: int) -> tuple[str, int, str] | None:
     """Return what is wrong with a number that ends at an offset of a text, where it really ends, and what to write."""
-    glued = _GLUED.match(characters, end)
+    glued = _GLUED_TEXT_PATTERN.match(characters, end)
     rest = glued.group() if glued else ""
     complete_text = f"{piece}{rest}"[:80]
     stop = end + len(rest)
@@ -62,8 +64,8 @@ def number_problem(piece: str, characters: str, end: int) -> tuple[str, int, str
         return f"`{complete_text}` is not a number", stop, "write it with digits and at most one dot, as in `1200` or `1.25`"
     if len(piece) > 1 and piece[0] == "0" and piece[1].isdigit():
         return f"number `{piece[:80]}` has a needless leading 0", end, f"write `{piece.lstrip('0') or '0'}`"[:80]
-    if sum(character.isdigit() for character in piece) > limits.NUMBER_DIGITS:
-        return f"number of {len(piece)} digits", end, f"write at most {limits.NUMBER_DIGITS} digits"
+    if sum(character.isdigit() for character in piece) > limits.MAX_NUMBER_DIGITS:
+        return f"number of {len(piece)} digits", end, f"write at most {limits.MAX_NUMBER_DIGITS} digits"
     value = float(piece)
     if value > 1e38 or (value < 1e-38 and re.search(r"[1-9]", re.split("[eE]", piece)[0])):
         return f"number `{piece[:80]}` cannot be represented", end, "write a number between 1e-38 and 1e38"
@@ -72,7 +74,7 @@ def number_problem(piece: str, characters: str, end: int) -> tuple[str, int, str
 
 def unit_help(word: str) -> str:
     """Return what to write instead of a word that is not a unit."""
-    near = UNIT_SLIPS.get(word.lower())
+    near = UNIT_SLIP_HELP.get(word.lower())
     if near is None and (name := nearest_name(word, UNIT_NAMES)) is not None:
         near = f"did you mean `{name}`?"
     return near or f"units are {' '.join(UNIT_NAMES)} and %; to multiply, write `*`"

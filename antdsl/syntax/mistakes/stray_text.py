@@ -12,22 +12,22 @@ from typing import TYPE_CHECKING
 from antdsl import limits
 
 if TYPE_CHECKING:
-    from antdsl.syntax.scan import Scan
+    from antdsl.syntax.scan import TokenScan
 
 # Letter and what it looks like, one after the other.
-_PAIRS = (
+_LOOKALIKE_PAIRS = (
     "\u0430a\u0435e\u043eo\u0440p\u0441c\u0443y\u0445x\u0456i\u0458j\u0455s\u04bbh\u0501d\u051bq\u051dw"  # Cyrillic
     "\u043ak\u043cm\u043dh\u0442t\u0432b\u0433r"
     "\u03b1a\u03bfo\u03c1p\u03bdv\u03b9i\u03bak\u03c4t\u03c5u\u03c7x\u03b5e\u03b7n\u03bcu\u03c9w"  # Greek
     "\u0131i\u0261g\u00b5u\u017fs"
 )
-_LOOKALIKES = dict(zip(_PAIRS[::2], _PAIRS[1::2], strict=True))
+_LATIN_BY_LOOKALIKE = dict(zip(_LOOKALIKE_PAIRS[::2], _LOOKALIKE_PAIRS[1::2], strict=True))
 
 DOUBLE_QUOTES = "\u201c\u201d\u201e\u201f\u00ab\u00bb\u2033\uff02"
 SINGLE_QUOTES = "'\u2018\u2019\u201a\u201b\u00b4\u2032`"
 
 # Signs of other languages and of mathematics: what to write, and the text that takes their place where the meaning is plain.
-WRONG_SIGNS = {
+WRONG_SIGN_HELP = {
     "&&": ("write `and`", None),
     "||": ("write `or`", None),
     "//": ("begin a comment with `#`", "comment"),
@@ -54,17 +54,17 @@ WRONG_SIGNS = {
     "\u00b2": ("write `^ 2`", None),
     "\u00b3": ("write `^ 3`", None),
 }
-_FORBIDDEN = re.compile("[\x00-\x08\x0b\x0c\x0e-\x1f\x7f-\x9f\u2028\u2029\u202a-\u202e\u2066-\u2069\ud800-\udfff]")
-_UNSEEN = re.compile(
+_FORBIDDEN_CHARACTERS = re.compile("[\x00-\x08\x0b\x0c\x0e-\x1f\x7f-\x9f\u2028\u2029\u202a-\u202e\u2066-\u2069\ud800-\udfff]")
+_INVISIBLE_CHARACTERS = re.compile(
     "[\u00ad\u034f\u061c\u115f\u1160\u180e\u200b\u200e\u200f\u2060-\u2065\u206a-\u206f\u2800\u3164\ufeff\uffa0\ufff0-\ufffb"
     "\U000e0000-\U000e007f]"
 )
-_SAID = re.compile(r'"[^"\n]*"?|#[^\n]*')
-_CONFLICT = re.compile(r"^(<{7}|\|{7}|={7}|>{7})(?=[ \r\n]|$).*$", re.MULTILINE)
-_FENCE = re.compile(r"^[ \t]*(```|~~~).*$", re.MULTILINE)
+_TEXT_OR_COMMENT_PATTERN = re.compile(r'"[^"\n]*"?|#[^\n]*')
+_MERGE_CONFLICT_PATTERN = re.compile(r"^(<{7}|\|{7}|={7}|>{7})(?=[ \r\n]|$).*$", re.MULTILINE)
+_CODE_FENCE_PATTERN = re.compile(r"^[ \t]*(```|~~~).*$", re.MULTILINE)
 
 
-def check_stray_text(scan: Scan) -> None:
+def check_stray_text(scan: TokenScan) -> None:
     """Report characters that are not allowed anywhere in a text."""
     _report_forbidden(scan)
     _report_invisible(scan)
@@ -72,8 +72,8 @@ def check_stray_text(scan: Scan) -> None:
     _report_long_lines(scan)
 
 
-def _report_forbidden(scan: Scan) -> None:
-    for match in _FORBIDDEN.finditer(scan.source.text):
+def _report_forbidden(scan: TokenScan) -> None:
+    for match in _FORBIDDEN_CHARACTERS.finditer(scan.source.text):
         character = match.group()
         name = f"U+{ord(character):04X}"
         if "\u202a" <= character <= "\u2069" and character not in "\u2028\u2029":
@@ -84,21 +84,21 @@ def _report_forbidden(scan: Scan) -> None:
         scan.blank_out(match.start(), match.end())
 
 
-def _report_invisible(scan: Scan) -> None:
+def _report_invisible(scan: TokenScan) -> None:
     """Report invisible characters in comments and texts, except characters that join or separate letters in some languages."""
     text = scan.source.text
-    for said in _SAID.finditer(text) if not text.isascii() else ():
-        for match in _UNSEEN.finditer(text, said.start(), said.end()):
+    for said in _TEXT_OR_COMMENT_PATTERN.finditer(text) if not text.isascii() else ():
+        for match in _INVISIBLE_CHARACTERS.finditer(text, said.start(), said.end()):
             name = unicodedata.name(match.group(), "character").lower()
             message = f"{name} (U+{ord(match.group()):04X}), which does not show"
             scan.error("control-character", message, match.start(), match.end(), "delete it", "")
 
 
-def _report_markers(scan: Scan) -> None:
+def _report_markers(scan: TokenScan) -> None:
     """Keep the first side of a merge conflict, so that the rest of the file can be checked."""
     if "<<<<<<<" in scan.source.text or ">>>>>>>" in scan.source.text:
         drop_from = -1
-        for match in _CONFLICT.finditer(scan.source.text):
+        for match in _MERGE_CONFLICT_PATTERN.finditer(scan.source.text):
             sign = match.group()[0]
             if sign in "<" or (sign == ">" and drop_from < 0):
                 help = "keep one of the two versions and delete the lines with `<<<<<<<`, `=======` and `>>>>>>>`"
@@ -109,26 +109,26 @@ def _report_markers(scan: Scan) -> None:
                 blank_lines(scan, drop_from, match.end())
                 drop_from = -1
             blank_lines(scan, match.start(), match.end())
-    for index, match in enumerate(_FENCE.finditer(scan.source.text)):
+    for index, match in enumerate(_CODE_FENCE_PATTERN.finditer(scan.source.text)):
         if index == 0:
             scan.error("markdown-fence", "markdown code fence in the file", match.start(), match.end(), "delete this line", "")
         blank_lines(scan, match.start(), match.end())
 
 
-def blank_lines(scan: Scan, start: int, end: int) -> None:
+def blank_lines(scan: TokenScan, start: int, end: int) -> None:
     """Replace text by blanks, but keep the line ends."""
     for offset in range(start, end):
         if scan.clean[offset] != "\n":
             scan.clean[offset] = " "
 
 
-def _report_long_lines(scan: Scan) -> None:
-    if len(scan.source.text) <= limits.LINE_CHARACTERS:
+def _report_long_lines(scan: TokenScan) -> None:
+    if len(scan.source.text) <= limits.MAX_LINE_CHARACTERS:
         return
     start = 0
     for line in scan.source.text.split("\n"):
-        if len(line) > limits.LINE_CHARACTERS:
-            message = f"line of {len(line)} characters, at most {limits.LINE_CHARACTERS} are allowed"
+        if len(line) > limits.MAX_LINE_CHARACTERS:
+            message = f"line of {len(line)} characters, at most {limits.MAX_LINE_CHARACTERS} are allowed"
             end = start + len(line)
             scan.error("line-too-long", message, end - 1, end, "break the line inside parentheses, or at `;`")
             return
@@ -143,19 +143,19 @@ def ascii_for(character: str) -> str | None:
     digit = unicodedata.decimal(character, None)
     if digit is not None:
         return str(digit)
-    ascii_character = _LOOKALIKES.get(character) or _LOOKALIKES.get(character.lower())
+    ascii_character = _LATIN_BY_LOOKALIKE.get(character) or _LATIN_BY_LOOKALIKE.get(character.lower())
     if ascii_character:
         return ascii_character
     wide = unicodedata.normalize("NFKC", character)
     return wide if len(wide) == 1 and wide < "\x80" and (wide.isalnum() or wide == "_") else None
 
 
-_WORD = re.compile("write `([a-z]+)`")
+_SUGGESTED_WORD_PATTERN = re.compile("write `([a-z]+)`")
 
 
 def replacement_word(help: str, previous_character: str, next_character: str) -> str | None:
     """Return the word to write instead of a sign, with a blank where the adjacent character is part of a word."""
-    match = _WORD.fullmatch(help)
+    match = _SUGGESTED_WORD_PATTERN.fullmatch(help)
     if match is None:
         return None
     left, right = (" " if each.isalnum() or each in ("_", ")") else "" for each in (previous_character, next_character))

@@ -10,16 +10,16 @@ from antdsl.diagnostics.suggestion import nearest_name
 from antdsl.source import Span
 from antdsl.syntax.mistakes.number_slips import comma_diagnostic, find_comma_number, unit_help
 from antdsl.syntax.words import (
-    BELONGS,
-    CONTINUATIONS,
-    FIELD_SETTINGS,
-    FORMS,
-    LINE_WORDS,
-    OTHER_WORDS,
-    RULE_FORMS,
+    CONTINUATION_TEXTS,
+    EXAMPLE_LINE_BY_RULE,
+    EXAMPLE_LINES,
+    FIELD_SETTING_WORDS,
+    FOREIGN_FIRST_WORDS,
+    LINE_CONTEXT_BY_WORD,
+    LINE_WORDS_BY_RULE,
     UNIT_NAMES,
-    UNIT_SLIPS,
-    WORLD_KINDS,
+    UNIT_SLIP_HELP,
+    WORLD_KIND_WORDS,
 )
 
 
@@ -43,7 +43,7 @@ class UnexpectedToken:
 
 
 # Of the terminals that can follow a finished value, the ones that a line needs, most telling first.
-_NEEDED = (
+_REQUIRED_TERMINALS = (
     ("ARROW", "`->`"),
     ("_THEN", "`then`"),
     ("_ELSE", "`else`"),
@@ -69,19 +69,36 @@ _NEEDED = (
     ("_COMMA", "`,`"),
 )
 # Words inside a line that join its parts: what else is found there may be a slip of one of these.
-_JOINING = frozenset(
+_JOINING_WORDS = frozenset(
     ("any", "at", "each", "else", "except", "from", "held", "least", "over", "strongest", "take", "then", "until", "when")
 )
-_VALUE = frozenset({"NUMBER", "QUANTITY", "NAME", "LPAR"})
-_ASSIGNING = {"=", "+=", "-=", "[", "."}
+_VALUE_TERMINALS = frozenset({"NUMBER", "QUANTITY", "NAME", "LPAR"})
+_ASSIGNMENT_SIGNS = {"=", "+=", "-=", "[", "."}
 # The beginning of a question to all: its brackets hold a condition and no argument's name.
-_ASKING = re.compile(r"\b(?:share|count|any|every)\(\s*[a-z_][a-z_0-9.]*\s*\Z|[(,]\s*(?:state|previous|next)\s*\Z")
-_WRITING = ("=", "+=", "-=")
+_QUERY_START_PATTERN = re.compile(r"\b(?:share|count|any|every)\(\s*[a-z_][a-z_0-9.]*\s*\Z|[(,]\s*(?:state|previous|next)\s*\Z")
+_WRITING_SIGNS = ("=", "+=", "-=")
 # After these a value begins.
-_BEGINS_VALUE = frozenset(
-    ("when", "and", "or", "not", "no", "steer", "face", "then", "else", "if", "until", *"=<>+-*/", *_WRITING, "<=", ">=", "==")
+_VALUE_STARTING_WORDS = frozenset(
+    (
+        "when",
+        "and",
+        "or",
+        "not",
+        "no",
+        "steer",
+        "face",
+        "then",
+        "else",
+        "if",
+        "until",
+        *"=<>+-*/",
+        *_WRITING_SIGNS,
+        "<=",
+        ">=",
+        "==",
+    )
 )
-_COMPARISONS = {"==", "!=", "<", ">", "<=", ">=", "is"}
+_COMPARISON_SIGNS = {"==", "!=", "<", ">", "<=", ">=", "is"}
 
 
 def make_diagnostic(unexpected: UnexpectedToken) -> Diagnostic:
@@ -146,7 +163,9 @@ def _find_slip(unexpected: UnexpectedToken) -> str | None:
     if unexpected.token_kind != "word" or len(unexpected.token_text) < 3 or "NAME" in unexpected.expected_terminals:
         return None
     words = [
-        terminal.lstrip("_").lower() for terminal in unexpected.expected_terminals if terminal.lstrip("_").lower() in _JOINING
+        terminal.lstrip("_").lower()
+        for terminal in unexpected.expected_terminals
+        if terminal.lstrip("_").lower() in _JOINING_WORDS
     ]
     return nearest_name(unexpected.token_text, words)
 
@@ -161,8 +180,8 @@ def forgets_brackets(unexpected: UnexpectedToken) -> bool:
     names = unexpected.previous_kind == unexpected.token_kind == "word" and unexpected.next not in ("(", ".", "[", ":")
     return (
         names
-        and unexpected.earlier in _BEGINS_VALUE
-        and {unexpected.previous_text, unexpected.token_text}.isdisjoint(_keywords() | _JOINING)
+        and unexpected.earlier in _VALUE_STARTING_WORDS
+        and {unexpected.previous_text, unexpected.token_text}.isdisjoint(_keywords() | _JOINING_WORDS)
     )
 
 
@@ -183,15 +202,15 @@ def plain_diagnostic(unexpected: UnexpectedToken) -> Diagnostic:
 
 def better_first_word(unexpected: UnexpectedToken) -> str | None:
     """Return the word of which a line's first word is a misspelling, if the line fits no other reading."""
-    words = LINE_WORDS[unexpected.rule]
-    other = OTHER_WORDS.get(unexpected.first)
-    if other in words and unexpected.token_text not in _WRITING:
+    words = LINE_WORDS_BY_RULE[unexpected.rule]
+    other = FOREIGN_FIRST_WORDS.get(unexpected.first)
+    if other in words and unexpected.token_text not in _WRITING_SIGNS:
         return other
     declares = unexpected.earlier == unexpected.first and unexpected.token_text == "="  # `parm smell = …`
     if (
         unexpected.first in words
         or not unexpected.first.isidentifier()
-        or (unexpected.token_text in (*_WRITING, "(") and not declares)
+        or (unexpected.token_text in (*_WRITING_SIGNS, "(") and not declares)
     ):
         return None
     return nearest_name(unexpected.first, words)
@@ -208,18 +227,18 @@ def _explain_misspelling(unexpected: UnexpectedToken) -> Diagnostic | None:
 
 
 def _explain_misplaced(unexpected: UnexpectedToken) -> Diagnostic | None:
-    if unexpected.first in LINE_WORDS[unexpected.rule] or unexpected.first not in BELONGS:
+    if unexpected.first in LINE_WORDS_BY_RULE[unexpected.rule] or unexpected.first not in LINE_CONTEXT_BY_WORD:
         return None
     return misplaced_diagnostic(unexpected.first, unexpected.first_span)
 
 
 def misplaced_diagnostic(word: str, span: Span) -> Diagnostic:
     """Return the error about a line that begins with a word which belongs elsewhere."""
-    return Diagnostic("misplaced-line", f"`{word}` does not stand here", span, help=f"it belongs {BELONGS[word]}")
+    return Diagnostic("misplaced-line", f"`{word}` does not stand here", span, help=f"it belongs {LINE_CONTEXT_BY_WORD[word]}")
 
 
 def _explain_no_line(unexpected: UnexpectedToken) -> Diagnostic | None:
-    words = LINE_WORDS[unexpected.rule]
+    words = LINE_WORDS_BY_RULE[unexpected.rule]
     if unexpected.previous_text or not words or unexpected.token_text in words or unexpected.rule == "behaviour_line":
         return None
     begins = f"a line here begins with one of {' '.join(words)}"
@@ -257,11 +276,11 @@ def _explain_unit(unexpected: UnexpectedToken) -> Diagnostic | None:
     number = unexpected.previous_kind == "number" and unexpected.previous_text[-1:].isdigit()
     if not number or unexpected.token_kind != "word" or unexpected.token_text in _keywords() or unexpected.next == ":":
         return None
-    if unexpected.next in _ASSIGNING and "$END" in unexpected.expected_terminals:
+    if unexpected.next in _ASSIGNMENT_SIGNS and "$END" in unexpected.expected_terminals:
         return _explain_line_end(unexpected)
     if (
         _forgets_arrow(unexpected)
-        and unexpected.token_text not in UNIT_SLIPS
+        and unexpected.token_text not in UNIT_SLIP_HELP
         and nearest_name(unexpected.token_text, UNIT_NAMES) is None
     ):
         return None
@@ -270,7 +289,11 @@ def _explain_unit(unexpected: UnexpectedToken) -> Diagnostic | None:
 
 
 def _keywords() -> frozenset[str]:
-    return frozenset(word for words in LINE_WORDS.values() for word in words) | set(CONTINUATIONS) | {"relax", "strongest"}
+    return (
+        frozenset(word for words in LINE_WORDS_BY_RULE.values() for word in words)
+        | set(CONTINUATION_TEXTS)
+        | {"relax", "strongest"}
+    )
 
 
 def _explain_equals(unexpected: UnexpectedToken) -> Diagnostic | None:
@@ -280,7 +303,7 @@ def _explain_equals(unexpected: UnexpectedToken) -> Diagnostic | None:
     if unexpected.token_text != "=" or "SAME" not in unexpected.expected_terminals:
         return None
     named = unexpected.previous_kind == "word" and unexpected.earlier in ("(", ",") and "RPAR" in unexpected.expected_terminals
-    if named and not _ASKING.search(unexpected.span.source.text, 0, unexpected.span.start):
+    if named and not _QUERY_START_PATTERN.search(unexpected.span.source.text, 0, unexpected.span.start):
         name = unexpected.previous_text
         message, help = f"found `=` after the argument's name `{name}`", f"write `{name}: …`"
         return Diagnostic("unexpected-text", message, unexpected.span, help=help, fix=Fix(unexpected.span, ":"))
@@ -296,7 +319,7 @@ def has_doubled_sign(unexpected: UnexpectedToken) -> bool:
 
 def _explain_double_comparison(unexpected: UnexpectedToken) -> Diagnostic | None:
     expected = unexpected.expected_terminals
-    if unexpected.token_text not in _COMPARISONS or "SAME" in expected or not {"AND", "OR"} & expected:
+    if unexpected.token_text not in _COMPARISON_SIGNS or "SAME" in expected or not {"AND", "OR"} & expected:
         return None
     message = f"found a second comparison `{unexpected.token_text}`"
     return Diagnostic("unexpected-text", message, unexpected.span, help="join two comparisons with `and`")
@@ -328,8 +351,8 @@ def _insert_behind(unexpected: UnexpectedToken, text: str) -> Fix:
 
 def begins_line(unexpected: UnexpectedToken) -> bool:
     """Return whether the unexpected token is a word that begins a line, after something that could end one."""
-    words = LINE_WORDS[unexpected.rule]
-    assigns = bool(words) and unexpected.token_kind == "word" and unexpected.next in _ASSIGNING
+    words = LINE_WORDS_BY_RULE[unexpected.rule]
+    assigns = bool(words) and unexpected.token_kind == "word" and unexpected.next in _ASSIGNMENT_SIGNS
     return (unexpected.token_text in words or assigns) and "$END" in unexpected.expected_terminals
 
 
@@ -346,20 +369,20 @@ def _describe_expected(unexpected: UnexpectedToken) -> str:
         return {"top": "the type of the result, such as `push`", "rule": "a value from 0 to 1"}.get(
             unexpected.rule, "the name of a state"
         )
-    if expected_terminals >= _VALUE:
-        return CONTINUATIONS.get(unexpected.previous_text, "a value")
+    if expected_terminals >= _VALUE_TERMINALS:
+        return CONTINUATION_TEXTS.get(unexpected.previous_text, "a value")
     if {"RPAR", "_COMMA"} <= expected_terminals:
         return "`,` or `)`"
     begins = expected_terminals & {"NAME", "STRING", "NUMBER", "NONE"} and "PLUS" not in expected_terminals
-    if begins and unexpected.previous_text in CONTINUATIONS and unexpected.previous_text not in ("{", "("):
-        return CONTINUATIONS[unexpected.previous_text]
+    if begins and unexpected.previous_text in CONTINUATION_TEXTS and unexpected.previous_text not in ("{", "("):
+        return CONTINUATION_TEXTS[unexpected.previous_text]
     if unexpected.rule == "world_item" and "NAME" in expected_terminals:
-        return f"a name after one of {' '.join(WORLD_KINDS)}" if not unexpected.previous_text else "a name"
+        return f"a name after one of {' '.join(WORLD_KIND_WORDS)}" if not unexpected.previous_text else "a name"
     if unexpected.rule == "setting" and not unexpected.previous_text:
-        return f"one of {' '.join(FIELD_SETTINGS)}"
+        return f"one of {' '.join(FIELD_SETTING_WORDS)}"
     if expected_terminals == {"$END"}:
         return "the end of the line"
-    for terminal, words in _NEEDED:
+    for terminal, words in _REQUIRED_TERMINALS:
         if terminal in expected_terminals and not (
             "$END" in expected_terminals and terminal in ("EQUAL", "_COMMA", "_TO", "_IN", "WHEN", "ON")
         ):
@@ -379,12 +402,16 @@ def _form_text(unexpected: UnexpectedToken) -> str:
     if (
         unexpected.rule == "statement"
         and unexpected.token_text == "("
-        and unexpected.previous_text == unexpected.first not in LINE_WORDS["statement"]
+        and unexpected.previous_text == unexpected.first not in LINE_WORDS_BY_RULE["statement"]
     ):
         return f"write `steer {unexpected.first}(…)` to move that way"
-    form = FORMS.get(unexpected.first) if unexpected.first in LINE_WORDS[unexpected.rule] else RULE_FORMS.get(unexpected.rule)
+    form = (
+        EXAMPLE_LINES.get(unexpected.first)
+        if unexpected.first in LINE_WORDS_BY_RULE[unexpected.rule]
+        else EXAMPLE_LINE_BY_RULE.get(unexpected.rule)
+    )
     if form is None:
-        return f"a line here begins with one of {' '.join(LINE_WORDS[unexpected.rule])}"
+        return f"a line here begins with one of {' '.join(LINE_WORDS_BY_RULE[unexpected.rule])}"
     return f"write it like `{form}`"
 
 

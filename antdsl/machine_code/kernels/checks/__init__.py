@@ -13,15 +13,15 @@ from collections.abc import Callable
 from functools import wraps
 from typing import Any, Final
 
-from antdsl.machine_code.kernels.ir import CHECKS, Function, Instruction
-from antdsl.machine_code.kinds import WIDTH
-from antdsl.machine_code.machine import Code
+from antdsl.machine_code.kernels.ir import CHECK_MESSAGES, Instruction, IrFunction
+from antdsl.machine_code.kinds import LANE_COUNT
+from antdsl.machine_code.machine import LoadedCode
 
-VARIABLE: Final = "ANTDSL_CHECKED_KERNELS"
-CHECKED: Final = os.environ.get(VARIABLE) == "1"
-_WORD, _MESSAGES = "fault", "fault.places"
-_LANES, _MASK = f"<{WIDTH} x i64>", f"<{WIDTH} x i1>"
-_HELPERS = f"""@{_WORD} = global i64 0
+CHECKS_VARIABLE: Final = "ANTDSL_CHECKED_KERNELS"
+CHECKS_ENABLED: Final = os.environ.get(CHECKS_VARIABLE) == "1"
+_FAULT_VARIABLE, _FAULT_MESSAGES_VARIABLE = "fault", "fault.places"
+_LANES_TYPE, _MASK_TYPE = f"<{LANE_COUNT} x i64>", f"<{LANE_COUNT} x i1>"
+_HELPER_FUNCTIONS_TEXT = f"""@{_FAULT_VARIABLE} = global i64 0
 define internal i1 @check.index(i64 %i, i64 %length, i64 %count) alwaysinline {{
   %last = sub i64 %length, %count
   %low = icmp sge i64 %i, 0
@@ -29,21 +29,21 @@ define internal i1 @check.index(i64 %i, i64 %length, i64 %count) alwaysinline {{
   %fine = and i1 %low, %high
   ret i1 %fine
 }}
-define internal i1 @check.all({_MASK} %fine, {_MASK} %mask) alwaysinline {{
-  %wrong = xor {_MASK} %fine, splat (i1 true)
-  %counts = and {_MASK} %wrong, %mask
-  %bits = bitcast {_MASK} %counts to i{WIDTH}
-  %none = icmp eq i{WIDTH} %bits, 0
+define internal i1 @check.all({_MASK_TYPE} %fine, {_MASK_TYPE} %mask) alwaysinline {{
+  %wrong = xor {_MASK_TYPE} %fine, splat (i1 true)
+  %counts = and {_MASK_TYPE} %wrong, %mask
+  %bits = bitcast {_MASK_TYPE} %counts to i{LANE_COUNT}
+  %none = icmp eq i{LANE_COUNT} %bits, 0
   ret i1 %none
 }}
-define internal i1 @check.indices({_LANES} %i, i64 %length, i64 %count, {_MASK} %mask) alwaysinline {{
+define internal i1 @check.indices({_LANES_TYPE} %i, i64 %length, i64 %count, {_MASK_TYPE} %mask) alwaysinline {{
   %last = sub i64 %length, %count
-  %one = insertelement {_LANES} poison, i64 %last, i64 0
-  %lasts = shufflevector {_LANES} %one, {_LANES} poison, <{WIDTH} x i32> zeroinitializer
-  %low = icmp sge {_LANES} %i, zeroinitializer
-  %high = icmp sle {_LANES} %i, %lasts
-  %fine = and {_MASK} %low, %high
-  %found = call i1 @check.all({_MASK} %fine, {_MASK} %mask)
+  %one = insertelement {_LANES_TYPE} poison, i64 %last, i64 0
+  %lasts = shufflevector {_LANES_TYPE} %one, {_LANES_TYPE} poison, <{LANE_COUNT} x i32> zeroinitializer
+  %low = icmp sge {_LANES_TYPE} %i, zeroinitializer
+  %high = icmp sle {_LANES_TYPE} %i, %lasts
+  %fine = and {_MASK_TYPE} %low, %high
+  %found = call i1 @check.all({_MASK_TYPE} %fine, {_MASK_TYPE} %mask)
   ret i1 %found
 }}"""
 
@@ -54,17 +54,17 @@ class KernelFault(RuntimeError):
 
 def check_message(file: str, line: int, op: str) -> str:
     """The message of a check that fails."""
-    return f"{file}, line {line}: {CHECKS[op]}"
+    return f"{file}, line {line}: {CHECK_MESSAGES[op]}"
 
 
-class Checks:
+class CheckRenderer:
     """Writer of the checks in the functions of one text."""
 
     def __init__(self) -> None:
         self._messages: list[str] = []
         self._numbers = 0
 
-    def lines(self, function: Function, each: Instruction) -> list[str]:
+    def lines(self, function: IrFunction, each: Instruction) -> list[str]:
         """A check, and the return where it fails."""
         self._messages.append(check_message(function.file, each.line, each.op))
         self._numbers += 1
@@ -74,7 +74,7 @@ class Checks:
             lines.append(f"  {fine} = icmp ne {first.typed}, 0")
         elif each.op == "divisor":
             lines.append(f"  {fine}.each = icmp ne {first.typed}, zeroinitializer")
-            lines.append(f"  {fine} = call i1 @check.all({_MASK} {fine}.each, {_mask(others)})")
+            lines.append(f"  {fine} = call i1 @check.all({_MASK_TYPE} {fine}.each, {_mask(others)})")
         elif first.wide:
             passed = f"{first.typed}, {others[0].typed}, i64 {each.extra}, {_mask(others[1:])}"
             lines.append(f"  {fine} = call i1 @check.indices({passed})")
@@ -84,18 +84,18 @@ class Checks:
                 lines.append(f"  {fine}.of{k} = mul i64 {length}, {other.name}")
                 length = f"{fine}.of{k}"
             lines.append(f"  {fine} = call i1 @check.index({first.typed}, i64 {length}, i64 {each.extra})")
-        return [*lines, *self._return_lines(function, fine, f"  store i64 {len(self._messages)}, ptr @{_WORD}")]
+        return [*lines, *self._return_lines(function, fine, f"  store i64 {len(self._messages)}, ptr @{_FAULT_VARIABLE}")]
 
-    def after_call(self, function: Function) -> list[str]:
+    def after_call(self, function: IrFunction) -> list[str]:
         """Return where the called function has failed."""
         self._numbers += 1
         fine = f"%c{self._numbers}"
         return [
-            f"  {fine}.word = load i64, ptr @{_WORD}", f"  {fine} = icmp eq i64 {fine}.word, 0",
+            f"  {fine}.word = load i64, ptr @{_FAULT_VARIABLE}", f"  {fine} = icmp eq i64 {fine}.word, 0",
             *self._return_lines(function, fine),
         ]  # fmt: skip
 
-    def _return_lines(self, function: Function, fine: str, *lines: str) -> list[str]:
+    def _return_lines(self, function: IrFunction, fine: str, *lines: str) -> list[str]:
         label = fine[1:]
         passed = "ret void" if function.result == "void" else f"ret {function.result} zeroinitializer"
         branch = f"  br i1 {fine}, label %{label}.fine, label %{label}.fault"
@@ -105,22 +105,22 @@ class Checks:
         """Definitions that the checks of a module share."""
         data = "\n".join(self._messages).encode("utf-8", "surrogateescape") + b"\0"
         escaped = "".join(chr(each) if 32 <= each < 127 and each not in b'"\\' else f"\\{each:02X}" for each in data)
-        return f'{_HELPERS}\n@{_MESSAGES} = constant [{len(data)} x i8] c"{escaped}"'
+        return f'{_HELPER_FUNCTIONS_TEXT}\n@{_FAULT_MESSAGES_VARIABLE} = constant [{len(data)} x i8] c"{escaped}"'
 
 
 def _mask(operands: list[Any]) -> str:
-    return operands[0].typed if operands else f"{_MASK} splat (i1 true)"
+    return operands[0].typed if operands else f"{_MASK_TYPE} splat (i1 true)"
 
 
-def guard_call(run: Callable[..., Any], code: Code) -> Callable[..., Any]:
+def guard_call(run: Callable[..., Any], code: LoadedCode) -> Callable[..., Any]:
     """Return a call of a checked kernel that raises KernelFault."""
-    word = ctypes.c_int64.from_address(code.constant_address(_WORD))
+    word = ctypes.c_int64.from_address(code.constant_address(_FAULT_VARIABLE))
 
     @wraps(run, assigned=())
     def call(*arguments: Any) -> Any:
         output = run(*arguments)
         if word.value:
-            message = code.constant_text(_MESSAGES).split("\n")[word.value - 1]
+            message = code.constant_text(_FAULT_MESSAGES_VARIABLE).split("\n")[word.value - 1]
             word.value = 0
             raise KernelFault(message)
         return output

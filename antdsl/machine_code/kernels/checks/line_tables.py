@@ -9,8 +9,8 @@ from typing import Final
 
 import antdsl
 
-_ROOT: Final = Path(antdsl.__file__).resolve().parent.parent
-_HEAD: Final = (
+_SOURCE_ROOT: Final = Path(antdsl.__file__).resolve().parent.parent
+_HEADER_LINES: Final = (
     "!llvm.dbg.cu = !{!0}",
     "!llvm.module.flags = !{!1}",
     '!0 = distinct !DICompileUnit(language: DW_LANG_Python, file: !2, producer: "antdsl", emissionKind: LineTablesOnly)',
@@ -29,7 +29,7 @@ class LineTables:
         self._first = 0
 
     def _node(self, text: str) -> int:
-        return self._nodes.setdefault(text, len(_HEAD) - 2 + len(self._nodes))
+        return self._nodes.setdefault(text, len(_HEADER_LINES) - 2 + len(self._nodes))
 
     def begin_function(self, name: str, file_name: str, line: int) -> str:
         """What is written after the head of a function."""
@@ -45,12 +45,12 @@ class LineTables:
 
     def text(self) -> list[str]:
         """All nodes."""
-        return [*_HEAD, *(f"!{number} = {text}" for text, number in self._nodes.items())]
+        return [*_HEADER_LINES, *(f"!{number} = {text}" for text, number in self._nodes.items())]
 
 
 def _relative_path(file: str) -> str:
     path = Path(file)
-    return path.relative_to(_ROOT).as_posix() if path.is_relative_to(_ROOT) else path.name
+    return path.relative_to(_SOURCE_ROOT).as_posix() if path.is_relative_to(_SOURCE_ROOT) else path.name
 
 
 def _escape_name(name: str) -> str:

@@ -21,11 +21,11 @@ import numpy as np
 from antdsl.machine_code import machine
 from antdsl.machine_code.kernels.direct import argument_text as reading
 
-_PIECE, _ALIGNED, _WRITEABLE = 0x1, 0x100, 0x400  # flags of arrays
-_FASTCALL = 0x80
+_CONTIGUOUS_FLAG, _ALIGNED_FLAG, _WRITEABLE_FLAG = 0x1, 0x100, 0x400  # flags of arrays
+_FASTCALL_FLAG = 0x80
 
 
-class _Method(ctypes.Structure):
+class _MethodDefinition(ctypes.Structure):
     """`PyMethodDef`."""
 
     _fields_ = (("name", ctypes.c_char_p), ("code", ctypes.c_void_p), ("flags", ctypes.c_int), ("text", ctypes.c_char_p))
@@ -45,7 +45,7 @@ class ArgumentSpec:
 
     path: tuple[int, ...]
     place: int = 0
-    kind: int = reading.REAL
+    kind: int = reading.REAL_KIND
     dtype: np.dtype[Any] | None = None
     axes: int = 0
     strided: bool = False
@@ -55,7 +55,7 @@ class ArgumentSpec:
 
 def make_builtin(
     name: str,
-    code: machine.Code,
+    code: machine.LoadedCode,
     specs: Sequence[ArgumentSpec],
     words: int,
     gives: Sequence[int],
@@ -66,16 +66,16 @@ def make_builtin(
     Tuples precede their contents. `run`: the address of a function that runs such code in parts. Then two more words are `specs`
     behind the table, and a list is returned. None where no function can be made."""
     if (
-        words + 2 > reading.WORDS
-        or len(gives) > reading.RESULTS
-        or any(len(each.path) >= reading.DEPTH for each in specs)
+        words + 2 > reading.MAX_TABLE_WORDS
+        or len(gives) > reading.RESULT_WORDS
+        or any(len(each.path) >= reading.MAX_TUPLE_DEPTH for each in specs)
         or not possible()
     ):
         return None
     count = sum(len(each.path) == 1 for each in specs)
     head = [code.place(name), count, id(otherwise), len(specs), len(gives), ctypes.addressof(_addresses()), run, words, *gives]
-    descriptor = struct.pack(f"={len(head)}q", *head).ljust(8 * reading.HEADER, b"\0") + b"".join(map(_pack_step, specs))
-    method = _Method(name.encode(), _code().place("direct"), _FASTCALL, None)
+    descriptor = struct.pack(f"={len(head)}q", *head).ljust(8 * reading.HEADER_WORDS, b"\0") + b"".join(map(_pack_step, specs))
+    method = _MethodDefinition(name.encode(), _code().place("direct"), _FASTCALL_FLAG, None)
     make = ctypes.pythonapi.PyCFunction_NewEx
     make.argtypes, make.restype = (ctypes.c_void_p, ctypes.py_object, ctypes.py_object), ctypes.py_object
     return make(
@@ -86,16 +86,28 @@ def make_builtin(
 def _pack_step(each: ArgumentSpec) -> bytes:
     depth, index = len(each.path) - 1, each.path[-1]
     if each.count is not None:
-        return struct.pack(f"={reading.STEP}q", reading.TUPLE, depth, index, 0, each.count, 0, 0, 0)
+        return struct.pack(f"={reading.WORDS_PER_ARGUMENT}q", reading.TUPLE_ARGUMENT, depth, index, 0, each.count, 0, 0, 0)
     if each.dtype is None:
-        return struct.pack(f"={reading.STEP}q", reading.NUMBER, depth, index, each.place, each.kind, 0, 0, 0)
-    flags = _ALIGNED | (0 if each.strided else _PIECE) | (_WRITEABLE if each.written else 0)
+        return struct.pack(
+            f"={reading.WORDS_PER_ARGUMENT}q", reading.NUMBER_ARGUMENT, depth, index, each.place, each.kind, 0, 0, 0
+        )
+    flags = _ALIGNED_FLAG | (0 if each.strided else _CONTIGUOUS_FLAG) | (_WRITEABLE_FLAG if each.written else 0)
     size = each.dtype.itemsize if each.strided else 0
-    return struct.pack(f"={reading.STEP}q", reading.ARRAY, depth, index, each.place, id(each.dtype), each.axes, flags, size)
+    return struct.pack(
+        f"={reading.WORDS_PER_ARGUMENT}q",
+        reading.ARRAY_ARGUMENT,
+        depth,
+        index,
+        each.place,
+        id(each.dtype),
+        each.axes,
+        flags,
+        size,
+    )
 
 
 @cache
-def _code() -> machine.Code:
+def _code() -> machine.LoadedCode:
     return reading.text.code()
 
 
@@ -106,17 +118,21 @@ def possible() -> bool:
         return False
     if sysconfig.get_config_var("Py_GIL_DISABLED") or bytes.__basicsize__ != reading.bytes_offset() + 1:
         return False
-    if not all(hasattr(ctypes.pythonapi, name) for name in (*reading.CALLS, "PyCFunction_NewEx")):
+    if not all(hasattr(ctypes.pythonapi, name) for name in (*reading.PYTHON_API_CALLS, "PyCFunction_NewEx")):
         return False
     head = object.__basicsize__
     for array in (np.arange(6.0).reshape(2, 3), np.zeros((4, 3), np.float32).T, np.zeros(3, np.bool_)[::2]):
         array.flags.writeable = array.ndim > 1
         data, axes, lengths, steps, _, dtype = (ctypes.c_int64 * 6).from_address(id(array) + head)
         flags = ctypes.c_int.from_address(id(array) + head + 48).value
-        expected_flags = _PIECE * array.flags.c_contiguous + _ALIGNED * array.flags.aligned + _WRITEABLE * array.flags.writeable
+        expected_flags = (
+            _CONTIGUOUS_FLAG * array.flags.c_contiguous
+            + _ALIGNED_FLAG * array.flags.aligned
+            + _WRITEABLE_FLAG * array.flags.writeable
+        )
         if (data, axes & 0xFFFFFFFF, dtype) != (array.__array_interface__["data"][0], array.ndim, id(array.dtype)):
             return False
-        if flags & (_PIECE | _ALIGNED | _WRITEABLE) != expected_flags:
+        if flags & (_CONTIGUOUS_FLAG | _ALIGNED_FLAG | _WRITEABLE_FLAG) != expected_flags:
             return False
         for place, values in ((lengths, array.shape), (steps, array.strides)):
             if tuple((ctypes.c_int64 * array.ndim).from_address(place)) != values:
@@ -126,7 +142,7 @@ def possible() -> bool:
         if struct.unpack(form, ctypes.string_at(id(value) + head, struct.calcsize(form)))[0] != value:
             return False
     for type_ in (tuple, ArgumentSpec, int, _Pair):
-        if ctypes.c_uint64.from_address(id(type_) + reading.TYPE_FLAGS).value != type_.__flags__:
+        if ctypes.c_uint64.from_address(id(type_) + reading.TYPE_FLAGS_OFFSET).value != type_.__flags__:
             return False
         if bool(type_.__flags__ & reading.TUPLE_FLAG) != issubclass(type_, tuple):
             return False
@@ -139,6 +155,6 @@ def possible() -> bool:
 @cache
 def _addresses() -> ctypes.Array[ctypes.c_int64]:
     """Return the addresses of everything that the text calls and compares with, in the order of `CALLS` and `OBJECTS`."""
-    calls = [ctypes.cast(getattr(ctypes.pythonapi, name), ctypes.c_void_p).value or 0 for name in reading.CALLS]
-    addresses = [*calls, *map(id, reading.OBJECTS.values())]
+    calls = [ctypes.cast(getattr(ctypes.pythonapi, name), ctypes.c_void_p).value or 0 for name in reading.PYTHON_API_CALLS]
+    addresses = [*calls, *map(id, reading.PYTHON_OBJECTS.values())]
     return (ctypes.c_int64 * len(addresses))(*addresses)

@@ -11,21 +11,21 @@ import numpy as np
 from antdsl.machine_code import machine
 from antdsl.machine_code.library import library_text, read_language
 
-WORDS = 256  # of a call's table at most: 2 kB of the stack
-PARTS = 64  # of a job at most
-RESULTS = 8  # words at the beginning of a table for what is given back
-RESULTS_WORD = 40  # word of a pool from which on stands what each part of a job gave
-DEPTH = 6  # tuples within tuples at most
-TYPE_FLAGS, TUPLE_FLAG = 168, 1 << 26  # the place of a type's flags, and the flag of tuples and their subclasses
-REAL, INTEGER, UNSIGNED, TRUTH = range(4)  # kinds of numbers
-ARRAY, TUPLE, NUMBER = range(3)
-STEP = 8  # words that tell of an argument
-HEADER = 16  # words before these
-OBJECTS: Mapping[str, Any] = {
+MAX_TABLE_WORDS = 256  # of a call's table at most: 2 kB of the stack
+MAX_JOB_PARTS = 64  # of a job at most
+RESULT_WORDS = 8  # words at the beginning of a table for what is given back
+PART_RESULTS_WORD = 40  # word of a pool from which on stands what each part of a job gave
+MAX_TUPLE_DEPTH = 6  # tuples within tuples at most
+TYPE_FLAGS_OFFSET, TUPLE_FLAG = 168, 1 << 26  # the place of a type's flags, and the flag of tuples and their subclasses
+REAL_KIND, INTEGER_KIND, UNSIGNED_KIND, TRUTH_KIND = range(4)  # kinds of numbers
+ARRAY_ARGUMENT, TUPLE_ARGUMENT, NUMBER_ARGUMENT = range(3)
+WORDS_PER_ARGUMENT = 8  # words that tell of an argument
+HEADER_WORDS = 16  # words before these
+PYTHON_OBJECTS: Mapping[str, Any] = {
     "array.type": np.ndarray, "float": float, "f64": np.float64, "f32": np.float32, "int": int, "i64": np.int64,
     "u64": np.uint64, "bool": bool, "b8": np.bool_, "None": None, "True": True,
 }  # fmt: skip
-CALLS = (
+PYTHON_API_CALLS = (
     "PyObject_Vectorcall", "PyEval_SaveThread", "PyEval_RestoreThread", "PyLong_AsLongLongAndOverflow",
     "PyLong_AsUnsignedLongLong", "PyErr_Clear", "PyTuple_New", "PyTuple_SetItem", "PyFloat_FromDouble", "PyLong_FromLongLong",
     "PyLong_FromUnsignedLongLong", "PyBool_FromLong", "Py_IncRef", "Py_DecRef", "PyList_New",
@@ -41,16 +41,16 @@ def bytes_offset() -> int:
 def text(_: machine.Target) -> str:
     """Return `PyObject *direct(PyObject *description, PyObject *const *given, Py_ssize_t count)` in LLVM's language."""
     head = object.__basicsize__
-    names = (*(f"call.{name}" for name in CALLS), *OBJECTS)
+    names = (*(f"call.{name}" for name in PYTHON_API_CALLS), *PYTHON_OBJECTS)
     readers = (_reader_text(name, number) for number, name in enumerate(names))
     code_text = read_language("direct.ll") + "\n".join([*readers, ""])
     values = {"HEAD": head, "TYPE": head - 8, "DESCRIPTION": bytes_offset(), "INSIDE": tuple.__basicsize__}
-    values |= {"WORDS": WORDS, "DEPTH": DEPTH}
+    values |= {"WORDS": MAX_TABLE_WORDS, "DEPTH": MAX_TUPLE_DEPTH}
     values |= {"AXES": head + 8, "LENGTHS": head + 16, "STEPS": head + 24, "DTYPE": head + 40, "FLAGS": head + 48}
-    values |= {"STEP": 8 * STEP, "FIRST": 8 * HEADER, "ARRAY": ARRAY, "TUPLE": TUPLE}
-    values |= {"TYPE.FLAGS": TYPE_FLAGS, "TUPLE.FLAG": TUPLE_FLAG}
-    values |= {"GIVEN": 8 * RESULTS_WORD, "GIVEN.STEP": 8 * RESULTS}
-    values |= {"REAL": REAL, "WHOLE": INTEGER, "UNSIGNED": UNSIGNED, "RESULTS": RESULTS}
+    values |= {"STEP": 8 * WORDS_PER_ARGUMENT, "FIRST": 8 * HEADER_WORDS, "ARRAY": ARRAY_ARGUMENT, "TUPLE": TUPLE_ARGUMENT}
+    values |= {"TYPE.FLAGS": TYPE_FLAGS_OFFSET, "TUPLE.FLAG": TUPLE_FLAG}
+    values |= {"GIVEN": 8 * PART_RESULTS_WORD, "GIVEN.STEP": 8 * RESULT_WORDS}
+    values |= {"REAL": REAL_KIND, "WHOLE": INTEGER_KIND, "UNSIGNED": UNSIGNED_KIND, "RESULTS": RESULT_WORDS}
     for name, value in values.items():
         code_text = code_text.replace(f"${name}$", str(value))
     return code_text

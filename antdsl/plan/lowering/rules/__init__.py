@@ -7,16 +7,16 @@ from collections.abc import Callable
 from antdsl.plan.lowering import clips, pair_values
 from antdsl.plan.lowering.rules import chance, logic, numbers, places, senses
 from antdsl.plan.lowering.sets import lower_set, reduce
-from antdsl.plan.lowering.values import Value
-from antdsl.plan.lowering.writer import Rules, Writer
+from antdsl.plan.lowering.values import LoweredValue
+from antdsl.plan.lowering.writer import LoweringRules, PlanWriter
 from antdsl.program import model
 
-OPERATIONS: dict[str, Callable[[Writer, model.Op], Value]] = {
-    **numbers.RULES,
+OPERATION_RULES: dict[str, Callable[[PlanWriter, model.OperationExpr], LoweredValue]] = {
+    **numbers.NUMBER_RULES,
     **numbers.VECTOR_RULES,
-    **logic.RULES,
-    **chance.RULES,
-    **places.RULES,
-    **senses.RULES,
+    **logic.LOGIC_RULES,
+    **chance.CHANCE_RULES,
+    **places.PLACE_RULES,
+    **senses.SENSE_RULES,
 }
-RULES = Rules(OPERATIONS, lower_set, reduce, pair_values.read, clips.lower_clip_test)
+LOWERING_RULES = LoweringRules(OPERATION_RULES, lower_set, reduce, pair_values.read, clips.lower_clip_test)

@@ -5,26 +5,26 @@ from __future__ import annotations
 from math import pi
 
 from antdsl.plan.builder import PlanError
-from antdsl.plan.ir import Node
+from antdsl.plan.ir import PlanNode
 from antdsl.plan.lowering.expressions import lower, scalar, select
-from antdsl.plan.lowering.values import EntityRef, NamedThing, Value
-from antdsl.plan.lowering.writer import Writer
+from antdsl.plan.lowering.values import EntityRef, LoweredValue, NamedThing
+from antdsl.plan.lowering.writer import PlanWriter
 from antdsl.program import model
 
 
-def draw(w: Writer, e: model.Op, index: int = 0) -> Node:
+def draw(w: PlanWriter, e: model.OperationExpr, index: int = 0) -> PlanNode:
     """Uniform in [0, 1)."""
     if not e.site:
         raise PlanError(f"a draw without a site: {e.span.text!r}")
     return w.b("draw", attrs=(e.site, index))
 
 
-def _uniform(w: Writer, e: model.Op) -> Value:
+def _uniform(w: PlanWriter, e: model.OperationExpr) -> LoweredValue:
     low, high = (scalar(w, a) for a in e.args if a is not None)
     return w.b("add", low, w.b("mul", w.b("sub", high, low), draw(w, e)))
 
 
-def _normal(w: Writer, e: model.Op) -> Value:
+def _normal(w: PlanWriter, e: model.OperationExpr) -> LoweredValue:
     """Box and Muller 1958; 1 - u lies in (0, 1], so the logarithm is finite."""
     mean, deviation = (scalar(w, a) for a in e.args if a is not None)
     b = w.b
@@ -33,7 +33,7 @@ def _normal(w: Writer, e: model.Op) -> Value:
     return b("add", mean, b("mul", deviation, b("mul", radius, wave)))
 
 
-def _pick(w: Writer, e: model.Op) -> Value:
+def _pick(w: PlanWriter, e: model.OperationExpr) -> LoweredValue:
     choices = [lower(w, a) for a in e.args if a is not None]
     place = w.b("mul", draw(w, e), w.b.number(len(choices)))
     result = choices[-1]
@@ -42,15 +42,15 @@ def _pick(w: Writer, e: model.Op) -> Value:
     return result
 
 
-def _random_agent(w: Writer, e: model.Op) -> Value:
+def _random_agent(w: PlanWriter, e: model.OperationExpr) -> LoweredValue:
     assert e.args[0] is not None
     of = lower(w, e.args[0])
     if not isinstance(of, NamedThing) or not e.site:
         raise PlanError(f"random of no species: {e.span.text!r}")
-    return EntityRef(model.Kind.AGENT, of.name, w.b("draw.agent", attrs=(e.site, of.name)))
+    return EntityRef(model.TypeKind.AGENT, of.name, w.b("draw.agent", attrs=(e.site, of.name)))
 
 
-def _chance(w: Writer, e: model.Op) -> Value:
+def _chance(w: PlanWriter, e: model.OperationExpr) -> LoweredValue:
     """Lower `chance`: a rate per time becomes the probability 1 - exp(-rate dt) per step, for any step length; a share is used
     directly."""
     argument = e.args[0]
@@ -62,4 +62,4 @@ def _chance(w: Writer, e: model.Op) -> Value:
     return b("lt", draw(w, e), share)
 
 
-RULES = {"uniform": _uniform, "normal": _normal, "pick": _pick, "random_agent": _random_agent, "chance": _chance}
+CHANCE_RULES = {"uniform": _uniform, "normal": _normal, "pick": _pick, "random_agent": _random_agent, "chance": _chance}

@@ -4,21 +4,21 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from antdsl.plan.ir import Kind, Node
+from antdsl.plan.ir import PlanNode, ValueKind
 from antdsl.plan.lowering.expressions import as_truth, lower, presence, scalar, select, truth
-from antdsl.plan.lowering.values import Value
-from antdsl.plan.lowering.writer import Writer
+from antdsl.plan.lowering.values import LoweredValue
+from antdsl.plan.lowering.writer import PlanWriter
 from antdsl.program import model
 
-Rule = Callable[[Writer, model.Op], Value]
+OperationRule = Callable[[PlanWriter, model.OperationExpr], LoweredValue]
 
 
-def _make_connective(sharp: str, shaded: str) -> Rule:
+def _make_connective(sharp: str, shaded: str) -> OperationRule:
     """Return the rule of `and` or `or`: for bools, or for degrees from 0 to 1 as their minimum or maximum (Zadeh 1965, section
     2)."""
 
-    def rule(w: Writer, e: model.Op) -> Value:
-        if e.type.kind is model.Kind.NUMBER:
+    def rule(w: PlanWriter, e: model.OperationExpr) -> LoweredValue:
+        if e.type.kind is model.TypeKind.NUMBER:
             return w.b(shaded, *(_shade(w, a) for a in e.args if a is not None))
         first, second = (truth(w, a) for a in e.args if a is not None)
         return w.b(sharp, first, second)
@@ -26,14 +26,14 @@ def _make_connective(sharp: str, shaded: str) -> Rule:
     return rule
 
 
-def _shade(w: Writer, e: model.Expr) -> Node:
+def _shade(w: PlanWriter, e: model.Expr) -> PlanNode:
     value = lower(w, e)
-    if isinstance(value, Node) and value.kind is Kind.F32:
+    if isinstance(value, PlanNode) and value.kind is ValueKind.F32:
         return value
     return w.b("number", as_truth(w, value, e))
 
 
-def _fuzzy(w: Writer, e: model.Op) -> Value:
+def _fuzzy(w: PlanWriter, e: model.OperationExpr) -> LoweredValue:
     """Return the mean of the rules' outputs, weighted by how true each rule is; 0 if none is. Degrees are clamped to 0 to 1; NaN
     counts as 0."""
     b = w.b
@@ -45,32 +45,32 @@ def _fuzzy(w: Writer, e: model.Op) -> Value:
     return b("where", b("gt", below, b.number(0)), b("div", above, below), b.number(0))
 
 
-def _not(w: Writer, e: model.Op) -> Value:
+def _not(w: PlanWriter, e: model.OperationExpr) -> LoweredValue:
     argument = e.args[0]
     assert argument is not None
-    if e.type.kind is model.Kind.NUMBER:
+    if e.type.kind is model.TypeKind.NUMBER:
         return w.b("sub", w.b.number(1), _shade(w, argument))
     return w.b("not", truth(w, argument))
 
 
-def _if(w: Writer, e: model.Op) -> Value:
+def _if(w: PlanWriter, e: model.OperationExpr) -> LoweredValue:
     condition, then, other = (a for a in e.args if a is not None)
     return select(w, truth(w, condition), lower(w, then), lower(w, other))
 
 
-def _is_some(w: Writer, e: model.Op) -> Value:
+def _is_some(w: PlanWriter, e: model.OperationExpr) -> LoweredValue:
     argument = e.args[0]
     assert argument is not None
     return presence(w, lower(w, argument), argument)
 
 
-def _is_none(w: Writer, e: model.Op) -> Value:
+def _is_none(w: PlanWriter, e: model.OperationExpr) -> LoweredValue:
     argument = e.args[0]
     assert argument is not None
     return w.b("not", presence(w, lower(w, argument), argument))
 
 
-def _first(w: Writer, e: model.Op) -> Value:
+def _first(w: PlanWriter, e: model.OperationExpr) -> LoweredValue:
     choices = [(a, lower(w, a)) for a in e.args if a is not None]
     result = choices[-1][1]
     for expr, value in reversed(choices[:-1]):
@@ -78,7 +78,7 @@ def _first(w: Writer, e: model.Op) -> Value:
     return result
 
 
-RULES = {
+LOGIC_RULES = {
     "and": _make_connective("and", "min"), "or": _make_connective("or", "max"), "not": _not, "if": _if, "is_some": _is_some,
     "is_none": _is_none,
     "first": _first, "fuzzy": _fuzzy,

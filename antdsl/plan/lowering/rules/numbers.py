@@ -5,23 +5,23 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from antdsl.plan.builder import PlanError
-from antdsl.plan.ir import Kind, Node
+from antdsl.plan.ir import PlanNode, ValueKind
 from antdsl.plan.lowering import values
 from antdsl.plan.lowering.expressions import lower, scalar, single_node, vector
-from antdsl.plan.lowering.values import Value, Vec
-from antdsl.plan.lowering.writer import Writer
+from antdsl.plan.lowering.values import LoweredValue, VectorNodes
+from antdsl.plan.lowering.writer import PlanWriter
 from antdsl.plan.simplify import constant_value
 from antdsl.program import model
 
-Rule = Callable[[Writer, model.Op], Value]
+OperationRule = Callable[[PlanWriter, model.OperationExpr], LoweredValue]
 
 
-def args(w: Writer, e: model.Op) -> list[Node]:
+def args(w: PlanWriter, e: model.OperationExpr) -> list[PlanNode]:
     """All operands as scalars; none may be absent."""
     return [scalar(w, a) for a in e.args if a is not None]
 
 
-def _lower_both(w: Writer, e: model.Op) -> tuple[Value, Value, Callable[[], list[Node]]]:
+def _lower_both(w: PlanWriter, e: model.OperationExpr) -> tuple[LoweredValue, LoweredValue, Callable[[], list[PlanNode]]]:
     """Return both operands, and a function that gives them as scalars. Each is lowered once; otherwise nested sums would double
     the work with each term."""
     first, second = (a for a in e.args if a is not None)
@@ -29,42 +29,42 @@ def _lower_both(w: Writer, e: model.Op) -> tuple[Value, Value, Callable[[], list
     return left, right, lambda: [single_node(w, first, left), single_node(w, second, right)]
 
 
-def _make_binary(op: str) -> Rule:
-    def rule(w: Writer, e: model.Op) -> Value:
+def _make_binary(op: str) -> OperationRule:
+    def rule(w: PlanWriter, e: model.OperationExpr) -> LoweredValue:
         left, right, scalars = _lower_both(w, e)
-        if isinstance(left, Vec) and isinstance(right, Vec):
+        if isinstance(left, VectorNodes) and isinstance(right, VectorNodes):
             return values.zip_with(lambda p, q: w.b(op, p, q), left, right)
         return w.b(op, *scalars())
 
     return rule
 
 
-def _mul(w: Writer, e: model.Op) -> Value:
+def _mul(w: PlanWriter, e: model.OperationExpr) -> LoweredValue:
     left, right, scalars = _lower_both(w, e)
-    if isinstance(left, Vec) and isinstance(right, Node):
+    if isinstance(left, VectorNodes) and isinstance(right, PlanNode):
         return values.scale(w.b, left, right)
-    if isinstance(right, Vec) and isinstance(left, Node):
+    if isinstance(right, VectorNodes) and isinstance(left, PlanNode):
         return values.scale(w.b, right, left)
     return w.b("mul", *scalars())
 
 
-def _div(w: Writer, e: model.Op) -> Value:
+def _div(w: PlanWriter, e: model.OperationExpr) -> LoweredValue:
     dividend, divisor = (a for a in e.args if a is not None)
     left, right = lower(w, dividend), scalar(w, divisor)
-    if isinstance(left, Vec):
+    if isinstance(left, VectorNodes):
         return values.zip_with(lambda p: w.b("div", p, right), left)
     return w.b("div", single_node(w, dividend, left), right)
 
 
-def _neg(w: Writer, e: model.Op) -> Value:
+def _neg(w: PlanWriter, e: model.OperationExpr) -> LoweredValue:
     (operand,) = (a for a in e.args if a is not None)
     inner = lower(w, operand)
-    if isinstance(inner, Vec):
+    if isinstance(inner, VectorNodes):
         return values.neg(w.b, inner)
     return w.b("neg", single_node(w, operand, inner))
 
 
-def _pow(w: Writer, e: model.Op) -> Value:
+def _pow(w: PlanWriter, e: model.OperationExpr) -> LoweredValue:
     base, exponent = args(w, e)
     known = constant_value(exponent)
     if known is None:
@@ -79,16 +79,16 @@ def _pow(w: Writer, e: model.Op) -> Value:
     return w.b("div", w.b.number(1), result) if known < 0 else result
 
 
-def _make_plain(op: str) -> Rule:
+def _make_plain(op: str) -> OperationRule:
     return lambda w, e: w.b(op, *args(w, e))
 
 
-def _clamp(w: Writer, e: model.Op) -> Value:
+def _clamp(w: PlanWriter, e: model.OperationExpr) -> LoweredValue:
     x, low, high = args(w, e)
     return w.b("min", w.b("max", x, low), high)
 
 
-def share(w: Writer, x: Node, low: Node, high: Node) -> Node:
+def share(w: PlanWriter, x: PlanNode, low: PlanNode, high: PlanNode) -> PlanNode:
     """Return the position of x between low and high, from 0 to 1. If low equals high, it is a step there."""
     b = w.b
     wide = b("sub", high, low)
@@ -97,36 +97,36 @@ def share(w: Writer, x: Node, low: Node, high: Node) -> Node:
     return b("where", b("ne", wide, b.number(0)), between, step)
 
 
-def _ramp(w: Writer, e: model.Op) -> Value:
+def _ramp(w: PlanWriter, e: model.OperationExpr) -> LoweredValue:
     x, from_low, from_high, to_low, to_high = args(w, e)
     return _interpolate(w, to_low, to_high, share(w, x, from_low, from_high))
 
 
-def _interpolate(w: Writer, a: Node, z: Node, t: Node) -> Node:
+def _interpolate(w: PlanWriter, a: PlanNode, z: PlanNode, t: PlanNode) -> PlanNode:
     if constant_value(a) == 0:
         return w.b("mul", z, t)
     return w.b("add", w.b("mul", a, w.b("sub", w.b.number(1), t)), w.b("mul", z, t))
 
 
-def _mix(w: Writer, e: model.Op) -> Value:
+def _mix(w: PlanWriter, e: model.OperationExpr) -> LoweredValue:
     first, second = (lower(w, a) for a in e.args[:2] if a is not None)
     t = scalar(w, e.args[2])  # type: ignore[arg-type]
-    if isinstance(first, Vec) and isinstance(second, Vec):
+    if isinstance(first, VectorNodes) and isinstance(second, VectorNodes):
         return values.zip_with(lambda p, q: _interpolate(w, p, q, t), first, second)
-    if isinstance(first, Node) and isinstance(second, Node):
+    if isinstance(first, PlanNode) and isinstance(second, PlanNode):
         return _interpolate(w, first, second, t)
     raise PlanError("mix of two unlike values")
 
 
-def _rising(w: Writer, e: model.Op) -> Value:
+def _rising(w: PlanWriter, e: model.OperationExpr) -> LoweredValue:
     return share(w, *args(w, e))
 
 
-def _falling(w: Writer, e: model.Op) -> Value:
+def _falling(w: PlanWriter, e: model.OperationExpr) -> LoweredValue:
     return w.b("sub", w.b.number(1), share(w, *args(w, e)))
 
 
-def _around(w: Writer, e: model.Op) -> Value:
+def _around(w: PlanWriter, e: model.OperationExpr) -> LoweredValue:
     x, low, high = args(w, e)
     b = w.b
     half = b("mul", b("sub", high, low), b.number(0.5))
@@ -134,21 +134,21 @@ def _around(w: Writer, e: model.Op) -> Value:
     return b("max", b("sub", b.number(1), b("div", b("abs", b("sub", x, middle)), half)), b.number(0))
 
 
-def _make_comparison(op: str) -> Rule:
-    def rule(w: Writer, e: model.Op) -> Value:
+def _make_comparison(op: str) -> OperationRule:
+    def rule(w: PlanWriter, e: model.OperationExpr) -> LoweredValue:
         left, right, scalars = _lower_both(w, e)
-        if isinstance(left, Vec) and isinstance(right, Vec):
+        if isinstance(left, VectorNodes) and isinstance(right, VectorNodes):
             same = w.b.all(*(w.b("eq", p, q) for p, q in zip(left, right, strict=True)))
             return same if op == "eq" else w.b("not", same)
         first, second = scalars()
         if first.kind is not second.kind:  # a truth beside a number: both as numbers
-            first, second = (n if n.kind is Kind.F32 else w.b("number", n) for n in (first, second))
+            first, second = (n if n.kind is ValueKind.F32 else w.b("number", n) for n in (first, second))
         return w.b(op, first, second)
 
     return rule
 
 
-RULES = {
+NUMBER_RULES = {
     "add": _make_binary("add"), "sub": _make_binary("sub"), "mul": _mul, "div": _div, "neg": _neg, "pow": _pow,
     "lt": _make_plain("lt"), "le": _make_plain("le"), "gt": _make_plain("gt"), "ge": _make_plain("ge"),
     "eq": _make_comparison("eq"), "ne": _make_comparison("ne"),
@@ -159,52 +159,52 @@ RULES = {
 }  # fmt: skip
 
 
-def _length(w: Writer, e: model.Op) -> Value:
+def _length(w: PlanWriter, e: model.OperationExpr) -> LoweredValue:
     return values.length(w.b, vector(w, e.args[0]))  # type: ignore[arg-type]
 
 
-def _unit(w: Writer, e: model.Op) -> Value:
+def _unit(w: PlanWriter, e: model.OperationExpr) -> LoweredValue:
     return values.unit(w.b, vector(w, e.args[0]))  # type: ignore[arg-type]
 
 
-def _pair(w: Writer, e: model.Op) -> tuple[Vec, Vec]:
+def _pair(w: PlanWriter, e: model.OperationExpr) -> tuple[VectorNodes, VectorNodes]:
     return vector(w, e.args[0]), vector(w, e.args[1])  # type: ignore[arg-type]
 
 
-def _dot(w: Writer, e: model.Op) -> Value:
+def _dot(w: PlanWriter, e: model.OperationExpr) -> LoweredValue:
     return values.dot(w.b, *_pair(w, e))
 
 
-def _cross(w: Writer, e: model.Op) -> Value:
+def _cross(w: PlanWriter, e: model.OperationExpr) -> LoweredValue:
     return values.cross(w.b, *_pair(w, e))
 
 
-def _angle(w: Writer, e: model.Op) -> Value:
+def _angle(w: PlanWriter, e: model.OperationExpr) -> LoweredValue:
     return values.angle_between(w.b, *_pair(w, e))
 
 
-def _unit_direction(w: Writer, e: model.Expr) -> Vec:
+def _unit_direction(w: PlanWriter, e: model.Expr) -> VectorNodes:
     """A direction of length 1; `up` and `heading` are so already."""
-    if isinstance(e, model.Attribute) and e.of is None and e.name in ("up", "heading"):
+    if isinstance(e, model.AttributeRef) and e.of is None and e.name in ("up", "heading"):
         return vector(w, e)
     return values.unit(w.b, vector(w, e))
 
 
-def _rotate(w: Writer, e: model.Op) -> Value:
+def _rotate(w: PlanWriter, e: model.OperationExpr) -> LoweredValue:
     return values.rotate(w.b, vector(w, e.args[0]), _unit_direction(w, e.args[1]), scalar(w, e.args[2]))  # type: ignore[arg-type]
 
 
-def _project(w: Writer, e: model.Op) -> Value:
+def _project(w: PlanWriter, e: model.OperationExpr) -> LoweredValue:
     direction = _unit_direction(w, e.args[1])  # type: ignore[arg-type]
     return values.scale(w.b, direction, values.dot(w.b, vector(w, e.args[0]), direction))  # type: ignore[arg-type]
 
 
-def _limit(w: Writer, e: model.Op) -> Value:
+def _limit(w: PlanWriter, e: model.OperationExpr) -> LoweredValue:
     return values.limit(w.b, vector(w, e.args[0]), scalar(w, e.args[1]))  # type: ignore[arg-type]
 
 
-def _vector(w: Writer, e: model.Op) -> Value:
-    return Vec(*(scalar(w, a) for a in e.args if a is not None))
+def _vector(w: PlanWriter, e: model.OperationExpr) -> LoweredValue:
+    return VectorNodes(*(scalar(w, a) for a in e.args if a is not None))
 
 
 VECTOR_RULES = {

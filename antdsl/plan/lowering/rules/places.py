@@ -5,60 +5,60 @@ from __future__ import annotations
 from math import inf
 
 from antdsl.plan.builder import PlanError
-from antdsl.plan.ir import Kind, Node
+from antdsl.plan.ir import PlanNode, ValueKind
 from antdsl.plan.lowering import values
 from antdsl.plan.lowering.expressions import lower, scalar
-from antdsl.plan.lowering.values import Element, EntityRef, Hit, NamedThing, OwnPlace, Value, Vec
-from antdsl.plan.lowering.writer import AXES, UnsupportedConstruct, Writer
+from antdsl.plan.lowering.values import EntityRef, LoweredValue, NamedThing, OwnPlace, RayHit, SetElement, VectorNodes
+from antdsl.plan.lowering.writer import AXES, PlanWriter, UnsupportedConstruct
 from antdsl.program import model
 
 
-def where(w: Writer, value: Value, e: model.Expr) -> tuple[Node, Vec]:
+def where(w: PlanWriter, value: LoweredValue, e: model.Expr) -> tuple[PlanNode, VectorNodes]:
     """Whether the place is there, and where it is."""
     b = w.b
-    if isinstance(value, Vec):
+    if isinstance(value, VectorNodes):
         return b.true, value
     if isinstance(value, OwnPlace):
         return b.true, w.read_vector("position")
     value = _nearest_of(w, value)
     if isinstance(value, EntityRef):
         return _ref_position(w, value)
-    if isinstance(value, Element):
-        prefix = "" if value.what is model.Kind.ITEM else "position."
-        return b.true, Vec(*(b("other", attrs=(prefix + axis,), kind=Kind.F32) for axis in AXES))
+    if isinstance(value, SetElement):
+        prefix = "" if value.what is model.TypeKind.ITEM else "position."
+        return b.true, VectorNodes(*(b("other", attrs=(prefix + axis,), kind=ValueKind.F32) for axis in AXES))
     is_present, offset = offset_to(w, value, e)
     return is_present, values.add(b, w.read_vector("position"), offset)
 
 
-def offset_to(w: Writer, value: Value, e: model.Expr) -> tuple[Node, Vec]:
+def offset_to(w: PlanWriter, value: LoweredValue, e: model.Expr) -> tuple[PlanNode, VectorNodes]:
     """Whether the place is there, and the way from the agent to it (mm)."""
     b = w.b
     value = _nearest_of(w, value)
-    if isinstance(value, Element):
-        return b.true, Vec(b("pair.x"), b("pair.y"), b("pair.z"))
-    if isinstance(value, Hit):
+    if isinstance(value, SetElement):
+        return b.true, VectorNodes(b("pair.x"), b("pair.y"), b("pair.z"))
+    if isinstance(value, RayHit):
         return value.hit, values.scale(b, value.direction, value.distance)
     if isinstance(value, NamedThing) and value.row.nearest == "obstacle.near":
         near = b(value.row.nearest, b.number(inf), attrs=(value.name,))
         within, distance, x, y, z = (b("get", near, attrs=(i,)) for i in range(5))
-        return within, values.scale(b, Vec(x, y, z), b("neg", distance))
+        return within, values.scale(b, VectorNodes(x, y, z), b("neg", distance))
     if isinstance(value, NamedThing) and value.row.nearest == "curve.closest":
-        is_present: Node = b.true
+        is_present: PlanNode = b.true
         point = _point(w, value.name)
-    elif isinstance(value, Vec | OwnPlace | EntityRef):
+    elif isinstance(value, VectorNodes | OwnPlace | EntityRef):
         is_present, point = where(w, value, e)
     else:
         raise PlanError(f"a {type(value).__name__} has no place: {e.span.text!r}")
     return is_present, values.sub(b, point, w.read_vector("position"))
 
 
-def distance_to(w: Writer, value: Value, e: model.Expr) -> Node:
+def distance_to(w: PlanWriter, value: LoweredValue, e: model.Expr) -> PlanNode:
     """Distance in mm; infinite to none."""
     b = w.b
     value = _nearest_of(w, value)
-    if isinstance(value, Element):
+    if isinstance(value, SetElement):
         return b("pair.distance")
-    if isinstance(value, Hit):
+    if isinstance(value, RayHit):
         return b("where", value.hit, value.distance, b.number(inf))
     if isinstance(value, NamedThing) and value.row.nearest == "curve.closest":
         return b("get", b(value.row.nearest, attrs=(value.name,)), attrs=(0,))
@@ -69,32 +69,34 @@ def distance_to(w: Writer, value: Value, e: model.Expr) -> Node:
     return b("where", is_present, values.length(b, offset), b.number(inf))
 
 
-def _nearest_of(w: Writer, value: Value) -> Value:
+def _nearest_of(w: PlanWriter, value: LoweredValue) -> LoweredValue:
     """Of several items or agents, the nearest."""
     if isinstance(value, NamedThing) and value.row.nearest == "set.items":
         every = w.b(value.row.nearest, w.b.number(inf), attrs=(value.name,))
-        return EntityRef(model.Kind.ITEM, value.name, w.b("reduce.item", every, w.b.true, w.b("pair.distance")))
+        return EntityRef(model.TypeKind.ITEM, value.name, w.b("reduce.item", every, w.b.true, w.b("pair.distance")))
     if isinstance(value, NamedThing) and value.row.nearest == "set.every":
         every = w.b(value.row.nearest, attrs=(value.name,))
-        return EntityRef(model.Kind.AGENT, value.name, w.b("reduce.agent", every, w.b.true, w.b("pair.distance")))
+        return EntityRef(model.TypeKind.AGENT, value.name, w.b("reduce.agent", every, w.b.true, w.b("pair.distance")))
     return value
 
 
-def _ref_position(w: Writer, ref: EntityRef) -> tuple[Node, Vec]:
+def _ref_position(w: PlanWriter, ref: EntityRef) -> tuple[PlanNode, VectorNodes]:
     b = w.b
-    if ref.what is model.Kind.ITEM:
+    if ref.what is model.TypeKind.ITEM:
         is_present = b("item.alive", ref.node, attrs=(ref.of,))
-        return is_present, Vec(*(b("item.get", ref.node, attrs=(ref.of, axis), kind=Kind.F32) for axis in AXES))
+        return is_present, VectorNodes(*(b("item.get", ref.node, attrs=(ref.of, axis), kind=ValueKind.F32) for axis in AXES))
     is_present = b("agent.alive", ref.node, attrs=(ref.of,))
-    return is_present, Vec(*(b("agent.get", ref.node, attrs=(ref.of, f"position.{axis}"), kind=Kind.F32) for axis in AXES))
+    return is_present, VectorNodes(
+        *(b("agent.get", ref.node, attrs=(ref.of, f"position.{axis}"), kind=ValueKind.F32) for axis in AXES)
+    )
 
 
-def _point(w: Writer, curve: str) -> Vec:
+def _point(w: PlanWriter, curve: str) -> VectorNodes:
     closest = w.b("curve.closest", attrs=(curve,))
-    return Vec(*(w.b("get", closest, attrs=(1 + i,)) for i in range(3)))
+    return VectorNodes(*(w.b("get", closest, attrs=(1 + i,)) for i in range(3)))
 
 
-def _place(w: Writer, e: model.Op, index: int = 0) -> tuple[Value, model.Expr]:
+def _place(w: PlanWriter, e: model.OperationExpr, index: int = 0) -> tuple[LoweredValue, model.Expr]:
     expr = e.args[index]
     assert expr is not None
     return lower(w, expr), expr
@@ -103,11 +105,11 @@ def _place(w: Writer, e: model.Op, index: int = 0) -> tuple[Value, model.Expr]:
 # --- the rules -------------------------------------------------------------------------------------------------------
 
 
-def _distance(w: Writer, e: model.Op) -> Value:
+def _distance(w: PlanWriter, e: model.OperationExpr) -> LoweredValue:
     return distance_to(w, *_place(w, e))
 
 
-def _direction(w: Writer, e: model.Op) -> Value:
+def _direction(w: PlanWriter, e: model.OperationExpr) -> LoweredValue:
     b = w.b
     start, start_expr = _place(w, e)
     if len(e.args) < 2 or e.args[1] is None:
@@ -122,33 +124,35 @@ def _direction(w: Writer, e: model.Op) -> Value:
     return values.vector_if(b, b("and", has_start, has_end), values.unit(b, values.sub(b, to_point, from_point)))
 
 
-def _toward(w: Writer, value: Value, e: model.Expr) -> Vec:
+def _toward(w: PlanWriter, value: LoweredValue, e: model.Expr) -> VectorNodes:
     b = w.b
-    if isinstance(value, Hit):
+    if isinstance(value, RayHit):
         return values.vector_if(b, value.hit, value.direction)
     is_present, offset = offset_to(w, value, e)
-    size = b("pair.distance") if isinstance(value, Element) else values.length(b, offset)
+    size = b("pair.distance") if isinstance(value, SetElement) else values.length(b, offset)
     return values.vector_if(b, is_present, values.divide(b, offset, size))
 
 
-def _position(w: Writer, e: model.Op) -> Value:
+def _position(w: PlanWriter, e: model.OperationExpr) -> LoweredValue:
     is_present, point = where(w, *_place(w, e))
     return values.choose(w.b, is_present, point, w.read_vector("position"))
 
 
-def _velocity(w: Writer, e: model.Op) -> Value:
+def _velocity(w: PlanWriter, e: model.OperationExpr) -> LoweredValue:
     value = _place(w, e)[0]
     if isinstance(value, OwnPlace):
         return w.read_vector("velocity")
     value = _nearest_of(w, value)
-    if isinstance(value, EntityRef) and value.what is model.Kind.AGENT:
-        return Vec(*(w.b("agent.get", value.node, attrs=(value.of, f"velocity.{axis}"), kind=Kind.F32) for axis in AXES))
-    if isinstance(value, Element) and value.what is model.Kind.AGENT:
-        return Vec(*(w.b("other", attrs=(f"velocity.{axis}",), kind=Kind.F32) for axis in AXES))
+    if isinstance(value, EntityRef) and value.what is model.TypeKind.AGENT:
+        return VectorNodes(
+            *(w.b("agent.get", value.node, attrs=(value.of, f"velocity.{axis}"), kind=ValueKind.F32) for axis in AXES)
+        )
+    if isinstance(value, SetElement) and value.what is model.TypeKind.AGENT:
+        return VectorNodes(*(w.b("other", attrs=(f"velocity.{axis}",), kind=ValueKind.F32) for axis in AXES))
     return values.zero(w.b)
 
 
-def _touching(w: Writer, e: model.Op) -> Value:
+def _touching(w: PlanWriter, e: model.OperationExpr) -> LoweredValue:
     value, expr = _place(w, e)
     b = w.b
     radius = w.read("radius")
@@ -160,20 +164,20 @@ def _touching(w: Writer, e: model.Op) -> Value:
             return b("get", b(row.nearest, radius, attrs=(value.name,)), attrs=(0,))
         if row.nearest == "set.items":
             every = b(row.nearest, b.number(inf), attrs=(value.name,))
-            reach = b("add", b("other", attrs=("radius",), kind=Kind.F32), radius)
+            reach = b("add", b("other", attrs=("radius",), kind=ValueKind.F32), radius)
             return b("reduce.any", every, b("le", b("pair.distance"), reach))
         if row.nearest == "set.every":
             words = "touching any agent of a species"
             raise UnsupportedConstruct(words, e.span, f"any(n in neighbours(size, of: {value.name}): touching(n))")
-    if isinstance(value, Element):
-        radius = b("add", b("other", attrs=("radius",), kind=Kind.F32), radius)
+    if isinstance(value, SetElement):
+        radius = b("add", b("other", attrs=("radius",), kind=ValueKind.F32), radius)
     if isinstance(value, EntityRef):
-        op = "item.get" if value.what is model.Kind.ITEM else "agent.get"
-        radius = b("add", b(op, value.node, attrs=(value.of, "radius"), kind=Kind.F32), radius)
+        op = "item.get" if value.what is model.TypeKind.ITEM else "agent.get"
+        radius = b("add", b(op, value.node, attrs=(value.of, "radius"), kind=ValueKind.F32), radius)
     return b("le", distance_to(w, value, expr), radius)
 
 
-def _falloff(w: Writer, e: model.Op) -> Value:
+def _falloff(w: PlanWriter, e: model.OperationExpr) -> LoweredValue:
     """Return floor / max(distance, floor) (decision 19): 1 near the place, 0 if there is none."""
     distance = distance_to(w, *_place(w, e))
     assert e.args[1] is not None
@@ -181,7 +185,7 @@ def _falloff(w: Writer, e: model.Op) -> Value:
     return w.b("div", floor, w.b("max", distance, floor))
 
 
-RULES = {
+PLACE_RULES = {
     "distance": _distance, "direction": _direction, "position": _position, "velocity": _velocity, "touching": _touching,
     "falloff": _falloff,
 }  # fmt: skip

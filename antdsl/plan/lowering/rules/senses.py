@@ -5,19 +5,19 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from antdsl.plan.builder import PlanError
-from antdsl.plan.ir import Node
+from antdsl.plan.ir import PlanNode
 from antdsl.plan.lowering import values
 from antdsl.plan.lowering.expressions import lower, scalar, vector
 from antdsl.plan.lowering.sets import cast_ray
-from antdsl.plan.lowering.values import NamedThing, Value, Vec
-from antdsl.plan.lowering.writer import UnsupportedConstruct, Writer
+from antdsl.plan.lowering.values import LoweredValue, NamedThing, VectorNodes
+from antdsl.plan.lowering.writer import PlanWriter, UnsupportedConstruct
 from antdsl.plan.simplify import constant_value
 from antdsl.program import model
-from antdsl.program.tables.rows import Builtin, Sense
-from antdsl.program.tables.senses import SENSES
+from antdsl.program.tables.rows import BuiltinRow, SenseRow
+from antdsl.program.tables.senses import SENSE_BY_OPERATION
 
 
-def _thing_name(w: Writer, e: model.Op, index: int = 0) -> str:
+def _thing_name(w: PlanWriter, e: model.OperationExpr, index: int = 0) -> str:
     expr = e.args[index]
     assert expr is not None
     thing = lower(w, expr)
@@ -26,32 +26,32 @@ def _thing_name(w: Writer, e: model.Op, index: int = 0) -> str:
     return thing.name
 
 
-def _make_plain(sense: Sense, word: Builtin) -> Callable[[Writer, model.Op], Value]:
+def _make_plain(sense: SenseRow, word: BuiltinRow) -> Callable[[PlanWriter, model.OperationExpr], LoweredValue]:
     """Return the rule of a word with the arguments of its sense: the thing that it names, then its operands."""
     first, size = sense.place(word.part)
 
-    def rule(w: Writer, e: model.Op) -> Value:
+    def rule(w: PlanWriter, e: model.OperationExpr) -> LoweredValue:
         rest = e.args[1:] if sense.of else e.args
         operands = [node for arg in rest if arg is not None for node in _operands(lower(w, arg), arg)]
         sense_node = w.b(sense.op, *operands, attrs=(_thing_name(w, e),) if sense.of else ())
         if len(sense.kinds) == 1:
             return sense_node
         components = [w.b("get", sense_node, attrs=(first + i,)) for i in range(size)]
-        return Vec(*components) if size == 3 else components[0]
+        return VectorNodes(*components) if size == 3 else components[0]
 
     return rule
 
 
-def _operands(value: Value, e: model.Expr) -> tuple[Node, ...]:
+def _operands(value: LoweredValue, e: model.Expr) -> tuple[PlanNode, ...]:
     """A number as one operand, a vector as three."""
-    if isinstance(value, Node):
+    if isinstance(value, PlanNode):
         return (value,)
-    if isinstance(value, Vec):
+    if isinstance(value, VectorNodes):
         return (value.x, value.y, value.z)
     raise PlanError(f"a {type(value).__name__} where a number or a vector was due: {e.span.text!r}")
 
 
-def _nearest_cells(w: Writer, e: model.Op) -> list[Node]:
+def _nearest_cells(w: PlanWriter, e: model.OperationExpr) -> list[PlanNode]:
     count_expr = e.args[1]
     assert count_expr is not None
     count = constant_value(scalar(w, count_expr))
@@ -61,44 +61,44 @@ def _nearest_cells(w: Writer, e: model.Op) -> list[Node]:
     return [w.b("get", cells, attrs=(i,)) for i in range(4)]
 
 
-def _field_max(w: Writer, e: model.Op) -> Value:
+def _field_max(w: PlanWriter, e: model.OperationExpr) -> LoweredValue:
     return _nearest_cells(w, e)[0]
 
 
-def _strongest(w: Writer, e: model.Op) -> Value:
-    return Vec(*_nearest_cells(w, e)[1:])
+def _strongest(w: PlanWriter, e: model.OperationExpr) -> LoweredValue:
+    return VectorNodes(*_nearest_cells(w, e)[1:])
 
 
-def _ray(w: Writer, e: model.Op) -> Value:
+def _ray(w: PlanWriter, e: model.OperationExpr) -> LoweredValue:
     direction, reach = e.args[0], e.args[1]
     assert direction is not None and reach is not None
     return cast_ray(w, values.unit(w.b, vector(w, direction)), scalar(w, reach), _thing_name(w, e, 2))
 
 
-def _slope(w: Writer, e: model.Op) -> Value:
+def _slope(w: PlanWriter, e: model.OperationExpr) -> LoweredValue:
     return values.angle_between(w.b, w.read_vector("up"), _world_up(w))
 
 
-def _uphill(w: Writer, e: model.Op) -> Value:
+def _uphill(w: PlanWriter, e: model.OperationExpr) -> LoweredValue:
     """Return the world's up minus its component along the agent's up. Its length is the sine of the slope."""
     up, sky = w.read_vector("up"), _world_up(w)
     return values.sub(w.b, sky, values.scale(w.b, up, values.dot(w.b, up, sky)))
 
 
-def _world_up(w: Writer) -> Vec:
-    return Vec(w.run("up_x"), w.run("up_y"), w.run("up_z"))
+def _world_up(w: PlanWriter) -> VectorNodes:
+    return VectorNodes(w.run("up_x"), w.run("up_y"), w.run("up_z"))
 
 
-def _run(w: Writer, e: model.Op) -> Value:
+def _run(w: PlanWriter, e: model.OperationExpr) -> LoweredValue:
     name = _thing_name(w, e)
     return w.run(name) if name == "dt" else w.b("step", attrs=(name,))
 
 
-def _event(w: Writer, e: model.Op) -> Value:
+def _event(w: PlanWriter, e: model.OperationExpr) -> LoweredValue:
     return w.b("event", attrs=(_thing_name(w, e),))
 
 
-def _match(w: Writer, e: model.Op) -> Value:
+def _match(w: PlanWriter, e: model.OperationExpr) -> LoweredValue:
     """Return the push that reaches a velocity within this step, (requested - own) mass / (max_force dt), at most 1 (Reynolds
     1999, 6)."""
     assert e.args[0] is not None
@@ -108,10 +108,13 @@ def _match(w: Writer, e: model.Op) -> Value:
     return values.limit(b, values.scale(b, change, b("div", w.read("mass"), strength)), b.number(1))
 
 
-_COMPUTED = {
+_COMPUTED_SENSES = {
     "field_max": _field_max, "strongest": _strongest, "ray": _ray, "slope": _slope, "uphill": _uphill, "run": _run,
     "event": _event, "match": _match,
 }  # fmt: skip
-RULES = {
-    word.op: _make_plain(sense, word) for sense in SENSES.values() for word in sense.words if word.op not in _COMPUTED
-} | _COMPUTED
+SENSE_RULES = {
+    word.op: _make_plain(sense, word)
+    for sense in SENSE_BY_OPERATION.values()
+    for word in sense.words
+    if word.op not in _COMPUTED_SENSES
+} | _COMPUTED_SENSES

@@ -6,13 +6,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from antdsl.program.model import Program
-from antdsl.program.names.scope import Declared, FileNames
+from antdsl.program.names.scope import Declarations, FileNames
 
 
 @dataclass(frozen=True, slots=True)
 class CheckContext:
     program: Program
-    declared: Declared
+    declared: Declarations
     files: Sequence[FileNames]
 
     def is_used(self, kind: str, name: str) -> bool:

@@ -10,22 +10,22 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, is_dataclass
 
 from antdsl.program.checks.analysis.ranges import Interval, range_of
-from antdsl.program.model import Binding, BindingRef, Const, Expr, Kind, Op, Param
+from antdsl.program.model import Binding, BindingRef, Constant, Expr, OperationExpr, Param, TypeKind
 
-_MOST = 48  # cases; a condition with more is left alone
-_SWAPPED = {"lt": "gt", "le": "ge", "gt": "lt", "ge": "le", "eq": "eq", "ne": "ne"}
-_OPPOSITE = {"lt": "ge", "le": "gt", "gt": "le", "ge": "lt", "eq": "ne", "ne": "eq"}
+_MAX_CASES = 48  # cases; a condition with more is left alone
+_SWAPPED_COMPARISONS = {"lt": "gt", "le": "ge", "gt": "lt", "ge": "le", "eq": "eq", "ne": "ne"}
+_NEGATED_COMPARISONS = {"lt": "ge", "le": "gt", "gt": "le", "ge": "lt", "eq": "ne", "ne": "eq"}
 
 
 @dataclass(slots=True)
-class Case:
+class ConditionCase:
     """One case, in which all of this holds: each number (by the key of its expression) lies in its interval, and each other test
     is true or false."""
 
     numbers: dict[str, Interval] = field(default_factory=dict)
     tests: dict[str, bool] = field(default_factory=dict)
 
-    def intersect(self, other: Case) -> Case | None:
+    def intersect(self, other: ConditionCase) -> ConditionCase | None:
         """Return the case in which both cases hold, or None if they exclude each other."""
         numbers, tests = dict(self.numbers), dict(self.tests)
         for key, interval in other.numbers.items():
@@ -35,10 +35,10 @@ class Case:
         for key, holds in other.tests.items():
             if tests.setdefault(key, holds) != holds:
                 return None
-        return Case(numbers, tests)
+        return ConditionCase(numbers, tests)
 
 
-Cases = list[Case]
+ConditionCases = list[ConditionCase]
 
 
 class TooManyCases(Exception):
@@ -46,7 +46,7 @@ class TooManyCases(Exception):
 
 
 # Such a condition is left alone; so is one that goes through more lets, each in the other, than can be followed.
-NOT_FOLLOWED = (TooManyCases, RecursionError)
+UNREADABLE_CONDITION_ERRORS = (TooManyCases, RecursionError)
 
 
 @dataclass(slots=True)
@@ -59,50 +59,50 @@ class ConditionReader:
     references: list[object] = field(default_factory=list)  # what the ids of `keys` belong to stays alive
     # A let may stand in many places, and what it names be made of lets again: each is looked at once.
     ranges: dict[int, Interval] = field(default_factory=dict)
-    behind: dict[tuple[int, bool], Cases] = field(default_factory=dict)
+    behind: dict[tuple[int, bool], ConditionCases] = field(default_factory=dict)
 
-    def cases(self, test: Expr | None, holds: bool = True) -> Cases:
+    def cases(self, test: Expr | None, holds: bool = True) -> ConditionCases:
         """Return the cases in which a condition is true, or false if not `holds`. Raises TooManyCases."""
         if test is None:
-            return [Case()] if holds else []
+            return [ConditionCase()] if holds else []
         if isinstance(test, BindingRef) and test.binding.role in ("let", "argument") and test.binding.value is not None:
             found = self.behind.get((id(test.binding), holds))
             if found is None:
                 found = self.behind[id(test.binding), holds] = self.cases(test.binding.value, holds)
             return found
-        if isinstance(test, Const):
-            return [Case()] if (test.number != 0) == holds else []
-        if isinstance(test, Op) and test.type.kind is Kind.BOOL:
+        if isinstance(test, Constant):
+            return [ConditionCase()] if (test.number != 0) == holds else []
+        if isinstance(test, OperationExpr) and test.type.kind is TypeKind.BOOL:
             if test.name == "not":
                 return self.cases(test.args[0], not holds)
             if test.name in ("and", "or"):
                 left, right = (self.cases(arg, holds) for arg in test.args)
                 return _combine(left, right) if (test.name == "and") == holds else _limit_cases(left + right)
-            if test.name in _SWAPPED:
-                return self._comparison(test, test.name if holds else _OPPOSITE[test.name])
+            if test.name in _SWAPPED_COMPARISONS:
+                return self._comparison(test, test.name if holds else _NEGATED_COMPARISONS[test.name])
             if test.name == "is_some":
-                return [Case(tests={f"is_none({self.key(test.args[0])})": not holds})]
-        return [Case(tests={self.key(test): holds})]
+                return [ConditionCase(tests={f"is_none({self.key(test.args[0])})": not holds})]
+        return [ConditionCase(tests={self.key(test): holds})]
 
-    def _comparison(self, test: Op, name: str) -> Cases:
+    def _comparison(self, test: OperationExpr, name: str) -> ConditionCases:
         left, right = test.args
         assert left is not None and right is not None
-        if left.type.kind is not Kind.NUMBER:
+        if left.type.kind is not TypeKind.NUMBER:
             same = f"eq({','.join(sorted((self.key(left), self.key(right))))})"
-            return [Case(tests={same: name == "eq"})]
+            return [ConditionCase(tests={same: name == "eq"})]
         if _constant_value(left) is not None:
-            left, right, name = right, left, _SWAPPED[name]
+            left, right, name = right, left, _SWAPPED_COMPARISONS[name]
         edge = _constant_value(right)
         if edge is None:  # two that change: their difference against 0
             if self.key(left) > self.key(right):
-                left, right, name = right, left, _SWAPPED[name]
+                left, right, name = right, left, _SWAPPED_COMPARISONS[name]
             key = f"{self.key(left)} - {self.key(right)}"
             a, b = range_of(left, self.params, self.ranges), range_of(right, self.params, self.ranges)
             return self._compare_with_edge(key, Interval(a.low - b.high, a.high - b.low), 0.0, name)
         subject, edge, name = _isolate(left, edge, name)
         return self._compare_with_edge(self.key(subject), range_of(subject, self.params, self.ranges), edge, name)
 
-    def _compare_with_edge(self, key: str, known: Interval, edge: float, name: str) -> Cases:
+    def _compare_with_edge(self, key: str, known: Interval, edge: float, name: str) -> ConditionCases:
         if not (math.isnan(known.low) or math.isnan(known.high)):
             self.known[key] = known
         below, above = Interval(high=edge, high_open=True), Interval(low=edge, low_open=True)
@@ -111,7 +111,7 @@ class ConditionReader:
             "le": (Interval(high=edge),), "ge": (Interval(low=edge),),
         }[name]  # fmt: skip
         intervals = [interval.intersect(self.known.get(key, Interval())) for interval in alternatives]
-        return [Case(numbers={key: interval}) for interval in intervals if not interval.is_empty]
+        return [ConditionCase(numbers={key: interval}) for interval in intervals if not interval.is_empty]
 
     def key(self, part: object) -> str:
         """Return a key that is equal for expressions of equal meaning. Two draws, or two memories, never have equal keys. Long
@@ -142,15 +142,15 @@ def _constant_value(expr: Expr) -> float | None:
     """Return the constant number of an expression, also behind a name; else None."""
     while isinstance(expr, BindingRef) and expr.binding.role in ("let", "argument") and expr.binding.value is not None:
         expr = expr.binding.value
-    return expr.number if isinstance(expr, Const) and not (expr.u or expr.step) else None
+    return expr.number if isinstance(expr, Constant) and not (expr.u or expr.step) else None
 
 
 def _isolate(subject: Expr, edge: float, name: str) -> tuple[Expr, float, str]:
     """Rewrite `2 * x + 1 > 5` as `x > 2`."""
-    while isinstance(subject, Op) and subject.name in ("neg", "add", "sub", "mul", "div"):
+    while isinstance(subject, OperationExpr) and subject.name in ("neg", "add", "sub", "mul", "div"):
         if subject.name == "neg":
             assert subject.args[0] is not None
-            subject, edge, name = subject.args[0], -edge, _SWAPPED[name]
+            subject, edge, name = subject.args[0], -edge, _SWAPPED_COMPARISONS[name]
             continue
         left, right = subject.args
         assert left is not None and right is not None
@@ -160,22 +160,26 @@ def _isolate(subject: Expr, edge: float, name: str) -> tuple[Expr, float, str]:
         elif subject.name == "sub" and b is not None:
             subject, edge = left, edge + b
         elif subject.name == "mul" and (factor := b if b is not None else a):
-            subject, edge, name = (left if b is not None else right), edge / factor, _SWAPPED[name] if factor < 0 else name
+            subject, edge, name = (
+                (left if b is not None else right),
+                edge / factor,
+                _SWAPPED_COMPARISONS[name] if factor < 0 else name,
+            )
         elif subject.name == "div" and b:
-            subject, edge, name = left, edge * b, _SWAPPED[name] if b < 0 else name
+            subject, edge, name = left, edge * b, _SWAPPED_COMPARISONS[name] if b < 0 else name
         else:
             break
     return subject, edge, name
 
 
-def _combine(left: Cases, right: Cases) -> Cases:
-    if len(left) * len(right) > _MOST:
+def _combine(left: ConditionCases, right: ConditionCases) -> ConditionCases:
+    if len(left) * len(right) > _MAX_CASES:
         raise TooManyCases
     return [case for a in left for b in right if (case := a.intersect(b)) is not None]
 
 
-def _limit_cases(cases: Cases) -> Cases:
-    if len(cases) > _MOST:
+def _limit_cases(cases: ConditionCases) -> ConditionCases:
+    if len(cases) > _MAX_CASES:
         raise TooManyCases
     return cases
 
@@ -184,7 +188,7 @@ def is_never(reader: ConditionReader, test: Expr | None) -> bool:
     """Return whether a condition cannot hold."""
     try:
         return not reader.cases(test)
-    except NOT_FOLLOWED:
+    except UNREADABLE_CONDITION_ERRORS:
         return False
 
 
@@ -192,7 +196,7 @@ def is_always(reader: ConditionReader, test: Expr | None) -> bool:
     """Return whether a condition always holds. NaN, for which no comparison holds, is ignored."""
     try:
         return not reader.cases(test, False)
-    except NOT_FOLLOWED:
+    except UNREADABLE_CONDITION_ERRORS:
         return False
 
 
@@ -200,5 +204,5 @@ def implies(reader: ConditionReader, narrow: Expr | None, wide: Expr | None) -> 
     """Return whether `wide` holds whenever `narrow` does."""
     try:
         return not _combine(reader.cases(narrow), reader.cases(wide, False))
-    except NOT_FOLLOWED:
+    except UNREADABLE_CONDITION_ERRORS:
         return False

@@ -6,8 +6,19 @@ import math
 from collections.abc import Callable, Mapping
 from typing import NamedTuple
 
-from antdsl.program.model import Attribute, BindingRef, Const, Expr, InlinedBehaviour, Kind, Op, Param, ParamRef, Reduce
-from antdsl.program.tables.vocabulary import INTERVALS
+from antdsl.program.model import (
+    AttributeRef,
+    BindingRef,
+    Constant,
+    Expr,
+    InlinedBehaviour,
+    OperationExpr,
+    Param,
+    ParamRef,
+    ReduceExpr,
+    TypeKind,
+)
+from antdsl.program.tables.vocabulary import INTERVAL_BY_OPERATION
 
 
 class Interval(NamedTuple):
@@ -33,59 +44,59 @@ class Interval(NamedTuple):
         return Interval(low[0], high[0], low[1], not high[1])
 
 
-ANY, POSITIVE = Interval(), Interval(0)
-_OWN = {name: POSITIVE for name in ("speed", "age", "size", "mass", "radius", "distance", "group", "id")}
-_WORDS: dict[str, Interval] = {op: Interval(*ends) for op, ends in INTERVALS.items()}
+ANY_NUMBER, POSITIVE_NUMBERS = Interval(), Interval(0)
+_ATTRIBUTE_INTERVALS = {name: POSITIVE_NUMBERS for name in ("speed", "age", "size", "mass", "radius", "distance", "group", "id")}
+_OPERATION_INTERVALS: dict[str, Interval] = {op: Interval(*ends) for op, ends in INTERVAL_BY_OPERATION.items()}
 
 
 def range_of(expr: Expr | None, params: Mapping[str, Param], known: dict[int, Interval]) -> Interval:
     """Return the range of a number in base units. A param has its declared range, because a scene may set any value in it.
     `known` caches the ranges of bindings by id, because a let may be used in many places."""
-    if expr is None or expr.type.kind is not Kind.NUMBER:
-        return ANY
-    if isinstance(expr, Const):
+    if expr is None or expr.type.kind is not TypeKind.NUMBER:
+        return ANY_NUMBER
+    if isinstance(expr, Constant):
         return Interval(expr.number, expr.number) if not (expr.u or expr.step) else _sign(expr.number)
     if isinstance(expr, ParamRef):
         return _param_range(params.get(expr.name))
     if isinstance(expr, BindingRef):
         if expr.binding.role not in ("let", "argument") or expr.binding.value is None:
-            return ANY
+            return ANY_NUMBER
         if id(expr.binding) not in known:
             known[id(expr.binding)] = range_of(expr.binding.value, params, known)
         return known[id(expr.binding)]
-    if isinstance(expr, Attribute):
-        return POSITIVE if expr.name.endswith(".time_in_state") else _OWN.get(expr.name, ANY)
+    if isinstance(expr, AttributeRef):
+        return POSITIVE_NUMBERS if expr.name.endswith(".time_in_state") else _ATTRIBUTE_INTERVALS.get(expr.name, ANY_NUMBER)
     if isinstance(expr, InlinedBehaviour):
         return range_of(expr.result, params, known)
-    if isinstance(expr, Reduce):
-        return POSITIVE if expr.how == "count" else ANY
-    if isinstance(expr, Op):
+    if isinstance(expr, ReduceExpr):
+        return POSITIVE_NUMBERS if expr.how == "count" else ANY_NUMBER
+    if isinstance(expr, OperationExpr):
         return _operation_range(expr, params, known)
-    return ANY
+    return ANY_NUMBER
 
 
 def _sign(number: float) -> Interval:
     """Return the range of a constant that depends on the scene: only its sign is known."""
-    return Interval(0, 0) if number == 0 else POSITIVE if number > 0 else Interval(-math.inf, 0)
+    return Interval(0, 0) if number == 0 else POSITIVE_NUMBERS if number > 0 else Interval(-math.inf, 0)
 
 
 def _param_range(param: Param | None) -> Interval:
     if param is None or param.low is None or param.high is None:
-        return ANY
+        return ANY_NUMBER
     if any(end.u or end.step for end in (param.low, param.high)):
-        return ANY
+        return ANY_NUMBER
     return Interval(param.low.number, param.high.number)
 
 
-def _operation_range(op: Op, params: Mapping[str, Param], known: dict[int, Interval]) -> Interval:
-    if op.name in _WORDS:
-        return _WORDS[op.name]
-    rule = _RULES.get(op.name)
+def _operation_range(op: OperationExpr, params: Mapping[str, Param], known: dict[int, Interval]) -> Interval:
+    if op.name in _OPERATION_INTERVALS:
+        return _OPERATION_INTERVALS[op.name]
+    rule = _INTERVAL_RULES.get(op.name)
     if rule is None:
-        return ANY
+        return ANY_NUMBER
     parts = [range_of(arg, params, known) for arg in op.args]
     bounds = rule(parts)
-    return ANY if math.isnan(bounds.low) or math.isnan(bounds.high) else bounds
+    return ANY_NUMBER if math.isnan(bounds.low) or math.isnan(bounds.high) else bounds
 
 
 def _product(a: Interval, b: Interval) -> Interval:
@@ -96,7 +107,7 @@ def _product(a: Interval, b: Interval) -> Interval:
 
 def _quotient(a: Interval, b: Interval) -> Interval:
     if b.low <= 0 <= b.high:
-        return POSITIVE if a.low >= 0 and b.low >= 0 else ANY
+        return POSITIVE_NUMBERS if a.low >= 0 and b.low >= 0 else ANY_NUMBER
     return _product(a, Interval(1 / b.high, 1 / b.low))
 
 
@@ -104,7 +115,7 @@ def _absolute(a: Interval) -> Interval:
     return Interval(max(0.0, a.low, -a.high), max(-a.low, a.high))
 
 
-_RULES: dict[str, Callable[[list[Interval]], Interval]] = {
+_INTERVAL_RULES: dict[str, Callable[[list[Interval]], Interval]] = {
     "neg": lambda p: Interval(-p[0].high, -p[0].low),
     "add": lambda p: Interval(p[0].low + p[1].low, p[0].high + p[1].high),
     "sub": lambda p: Interval(p[0].low - p[1].high, p[0].high - p[1].low),

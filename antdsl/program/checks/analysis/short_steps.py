@@ -13,14 +13,24 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from enum import IntEnum
 
-from antdsl.program.model import Attribute, Binding, BindingRef, Const, Expr, InlinedBehaviour, Op, Reduce, ThingRef
-from antdsl.program.tables.vocabulary import DRAWS
+from antdsl.program.model import (
+    AttributeRef,
+    Binding,
+    BindingRef,
+    Constant,
+    Expr,
+    InlinedBehaviour,
+    OperationExpr,
+    ReduceExpr,
+    ThingRef,
+)
+from antdsl.program.tables.vocabulary import DRAWING_OPERATIONS
 from antdsl.program.traverse import parts
 
-Own = str | Binding  # the attribute that is set, or the stored memory
+OwnValue = str | Binding  # the attribute that is set, or the stored memory
 
 
-class Influence(IntEnum):
+class StepInfluence(IntEnum):
     """How a value that is read influences a result: not at all, less in shorter steps, unchanged, in an unknown way, or changed.
     Unchanged means that two updates in a row equal one, so the frequency does not matter."""
 
@@ -38,7 +48,7 @@ class ShortStepValue:
     influence. `makers`: the first two operations that change the value read. `by`: the operation that causes the deviation, or in
     which the value vanishes."""
 
-    influence: Influence = Influence.NONE
+    influence: StepInfluence = StepInfluence.NONE
     power: float = 0.0
     to: float | None = None
     off: float = math.inf
@@ -47,52 +57,52 @@ class ShortStepValue:
 
     @property
     def vanishes(self) -> bool:
-        return self.influence <= Influence.VANISHING and self.power > 0
+        return self.influence <= StepInfluence.VANISHING and self.power > 0
 
     @property
     def depends_on_dt(self) -> bool:
-        changes = self.off < math.inf or self.power < 0 or self.influence is Influence.VANISHING
-        return changes and self.influence <= Influence.VANISHING
+        changes = self.off < math.inf or self.power < 0 or self.influence is StepInfluence.VANISHING
+        return changes and self.influence <= StepInfluence.VANISHING
 
 
-Below = Sequence[ShortStepValue]
-_UNSURE = ShortStepValue(Influence.UNSURE)
-_QUERIES = frozenset(("lt", "le", "gt", "ge", "eq", "ne", "is_some", "is_none", "chance", "event", "touching"))
-_NOW_AND_THEN = frozenset(("chance", "event"))  # they come as often at any frame rate
+OperandValues = Sequence[ShortStepValue]
+_UNSURE_VALUE = ShortStepValue(StepInfluence.UNSURE)
+_QUERY_OPERATIONS = frozenset(("lt", "le", "gt", "ge", "eq", "ne", "is_some", "is_none", "chance", "event", "touching"))
+_RATE_FREE_OPERATIONS = frozenset(("chance", "event"))  # they come as often at any frame rate
 
 
-def find_changers(value: Expr, own: Own, driven: bool = False) -> tuple[Expr, ...]:
+def find_changers(value: Expr, own: OwnValue, driven: bool = False) -> tuple[Expr, ...]:
     """Return the operations, at most two, that change a value however short a step is, or not in proportion to it. Empty if the
     update is independent of the frame rate, or uses the unit `step`, which `--strict` reports. `driven`: something else also
     changes the value."""
     short = _analyse(value, own, driven)
-    if short.influence is Influence.CHANGED:
+    if short.influence is StepInfluence.CHANGED:
         makers = short.makers
     else:
-        is_slow = short.influence is Influence.SAME and not _grows_with_time(short.off, value)
-        wrong = is_slow or short.influence is Influence.VANISHING
+        is_slow = short.influence is StepInfluence.SAME and not _grows_with_time(short.off, value)
+        wrong = is_slow or short.influence is StepInfluence.VANISHING
         makers = (short.by,) if wrong and short.by is not None else ()
     return tuple(each for each in makers if not _uses_step_unit(each))
 
 
-def is_rate(value: Expr, own: Own) -> bool:
+def is_rate(value: Expr, own: OwnValue) -> bool:
     """Return whether a value that is added times `dt` is an amount per second."""
     short = _analyse(value, own, False)
-    return short.influence is Influence.UNSURE or _grows_with_time(short.power + 1, value) or _uses_step_unit(value)
+    return short.influence is StepInfluence.UNSURE or _grows_with_time(short.power + 1, value) or _uses_step_unit(value)
 
 
 def depends_on_step(value: Expr) -> bool:
     """Return whether an expression depends on the length of a step."""
-    return any(_is_dt(part) or (isinstance(part, Const) and bool(part.step)) for part in parts(value))
+    return any(_is_dt(part) or (isinstance(part, Constant) and bool(part.step)) for part in parts(value))
 
 
-def is_own(part: Expr, own: Own) -> bool:
+def is_own(part: Expr, own: OwnValue) -> bool:
     if isinstance(own, str):
-        return isinstance(part, Attribute) and part.of is None and part.name == own
+        return isinstance(part, AttributeRef) and part.of is None and part.name == own
     return isinstance(part, BindingRef) and part.binding is own
 
 
-def reads(expr: Expr, own: Own) -> bool:
+def reads(expr: Expr, own: OwnValue) -> bool:
     return any(isinstance(part, Expr) and is_own(part, own) for part in parts(expr))
 
 
@@ -100,33 +110,40 @@ def _grows_with_time(power: float, value: Expr) -> bool:
     """Return whether a value grows with time. With a draw in each step, its deviation grows as the root of time."""
     if power == math.inf or math.isclose(power, 1):
         return True
-    return math.isclose(power, 0.5) and any(isinstance(part, Op) and part.name in DRAWS for part in parts(value))
+    return math.isclose(power, 0.5) and any(
+        isinstance(part, OperationExpr) and part.name in DRAWING_OPERATIONS for part in parts(value)
+    )
 
 
 def _uses_step_unit(value: Expr) -> bool:
-    return any(isinstance(part, Const) and part.step for part in parts(value))
+    return any(isinstance(part, Constant) and part.step for part in parts(value))
 
 
 def _is_dt(part: object) -> bool:
-    return isinstance(part, Op) and part.name == "run" and isinstance(part.args[0], ThingRef) and part.args[0].name == "dt"
+    return (
+        isinstance(part, OperationExpr)
+        and part.name == "run"
+        and isinstance(part.args[0], ThingRef)
+        and part.args[0].name == "dt"
+    )
 
 
 # --- through an expression -------------------------------------------------------------------------------------------
 
 
-def _analyse(value: Expr, own: Own, driven: bool) -> ShortStepValue:
+def _analyse(value: Expr, own: OwnValue, driven: bool) -> ShortStepValue:
     known: dict[int, ShortStepValue] = {}
     for part in _dependencies(value, own):
         below = [known[id(each)] for each in _operands(part, own)]
         if is_own(part, own):
-            short = ShortStepValue(Influence.SAME)
-        elif isinstance(part, Op) and part.name == "if":
+            short = ShortStepValue(StepInfluence.SAME)
+        elif isinstance(part, OperationExpr) and part.name == "if":
             short = _conditional(part, below, own, driven)
-        elif isinstance(part, Op):
-            short = _RULES.get(part.name, _unknown_operation)(part, below)
-        elif isinstance(part, Const):
+        elif isinstance(part, OperationExpr):
+            short = _ANALYSIS_RULES.get(part.name, _unknown_operation)(part, below)
+        elif isinstance(part, Constant):
             short = _constant_value(part)
-        elif isinstance(part, Reduce):
+        elif isinstance(part, ReduceExpr):
             short = _combination(part, below)
             short = short if short.vanishes else ShortStepValue()  # what is read inside a set is about the others
         else:
@@ -135,7 +152,7 @@ def _analyse(value: Expr, own: Own, driven: bool) -> ShortStepValue:
     return known[id(value)]
 
 
-def _dependencies(value: Expr, own: Own) -> Iterator[Expr]:
+def _dependencies(value: Expr, own: OwnValue) -> Iterator[Expr]:
     """Yield the parts of an expression that contribute to its value, each once, operands first."""
     stack: list[tuple[Expr, bool]] = [(value, False)]
     visited: set[int] = set()
@@ -149,19 +166,19 @@ def _dependencies(value: Expr, own: Own) -> Iterator[Expr]:
             stack += [(each, False) for each in reversed(_operands(part, own))]
 
 
-def _operands(part: Expr, own: Own) -> list[Expr]:
+def _operands(part: Expr, own: OwnValue) -> list[Expr]:
     if is_own(part, own):
         return []
     if isinstance(part, BindingRef) and part.binding.role in ("let", "argument") and part.binding.value is not None:
         return [part.binding.value]
     if isinstance(part, InlinedBehaviour):
         return [part.result]
-    if isinstance(part, Reduce):
+    if isinstance(part, ReduceExpr):
         return [part.body] if part.how in ("sum", "mean", "min", "max") and part.body is not None else []
-    return [arg for arg in part.args if arg is not None] if isinstance(part, Op) else []
+    return [arg for arg in part.args if arg is not None] if isinstance(part, OperationExpr) else []
 
 
-def _constant_value(part: Const) -> ShortStepValue:
+def _constant_value(part: Constant) -> ShortStepValue:
     if part.number == 0:
         return _vanishing(math.inf)
     if part.step:
@@ -172,7 +189,7 @@ def _constant_value(part: Const) -> ShortStepValue:
 # --- one operation ---------------------------------------------------------------------------------------------------
 
 
-def _vanishing(power: float, influence: Influence = Influence.NONE, by: Expr | None = None) -> ShortStepValue:
+def _vanishing(power: float, influence: StepInfluence = StepInfluence.NONE, by: Expr | None = None) -> ShortStepValue:
     return ShortStepValue(influence, power, 0.0, power, by=by)
 
 
@@ -180,35 +197,35 @@ def _collect_changers(below: Iterable[ShortStepValue], *extra: Expr) -> tuple[Ex
     return tuple(dict.fromkeys([*(each for one in below for each in one.makers), *extra]))[:2]
 
 
-def _changed_value(op: Expr, below: Below) -> ShortStepValue:
-    return ShortStepValue(Influence.CHANGED, min([0.0, *(each.power for each in below)]), makers=_collect_changers(below, op))
+def _changed_value(op: Expr, below: OperandValues) -> ShortStepValue:
+    return ShortStepValue(StepInfluence.CHANGED, min([0.0, *(each.power for each in below)]), makers=_collect_changers(below, op))
 
 
 def _with_offset(own: ShortStepValue, off: float, by: Expr | None) -> ShortStepValue:
     """Return the value read, with an added deviation proportional to `dt ** off`."""
-    return replace(own, off=off, by=by) if own.influence is Influence.SAME and off < own.off else own
+    return replace(own, off=off, by=by) if own.influence is StepInfluence.SAME and off < own.off else own
 
 
-def _strongest_influence(below: Below) -> Influence:
-    return max((each.influence for each in below), default=Influence.NONE)
+def _strongest_influence(below: OperandValues) -> StepInfluence:
+    return max((each.influence for each in below), default=StepInfluence.NONE)
 
 
 def _is_near(value: float | None, number: float) -> bool:
     return value is not None and math.isclose(value, number, abs_tol=1e-12)
 
 
-def _sum(op: Op, below: Below) -> ShortStepValue:
+def _sum(op: OperationExpr, below: OperandValues) -> ShortStepValue:
     a, b = below
     if op.name == "sub" and _has_floor(op.args[1]):
         return a  # `x - floor(x)`: put back into its range
     own, other = (a, b) if a.influence >= b.influence else (b, a)
-    if own.influence is Influence.UNSURE:
-        return _UNSURE
-    if own.influence is Influence.CHANGED:
-        extra = () if other.vanishes or other.influence is Influence.UNSURE else (op,)
+    if own.influence is StepInfluence.UNSURE:
+        return _UNSURE_VALUE
+    if own.influence is StepInfluence.CHANGED:
+        extra = () if other.vanishes or other.influence is StepInfluence.UNSURE else (op,)
         return replace(own, makers=_collect_changers(below, *extra))
-    if own.influence is Influence.SAME:
-        if other.influence is Influence.SAME or not other.vanishes or (op.name == "sub" and own is b):
+    if own.influence is StepInfluence.SAME:
+        if other.influence is StepInfluence.SAME or not other.vanishes or (op.name == "sub" and own is b):
             return _changed_value(op, below)
         return _with_offset(own, other.power, op)
     off = min(a.off, b.off)
@@ -219,58 +236,60 @@ def _sum(op: Op, below: Below) -> ShortStepValue:
 
 
 def _has_floor(expr: Expr | None) -> bool:
-    return any(isinstance(part, Op) and part.name == "floor" for part in parts(expr))
+    return any(isinstance(part, OperationExpr) and part.name == "floor" for part in parts(expr))
 
 
-def _product(op: Op, below: Below) -> ShortStepValue:
+def _product(op: OperationExpr, below: OperandValues) -> ShortStepValue:
     a, b = below
-    if Influence.UNSURE in (a.influence, b.influence):
-        return _UNSURE
+    if StepInfluence.UNSURE in (a.influence, b.influence):
+        return _UNSURE_VALUE
     power = a.power + b.power
     own, other = (a, b) if a.influence >= b.influence else (b, a)
     if power > 0:
-        return _vanishing(power, min(own.influence, Influence.VANISHING), op if own.influence >= Influence.SAME else own.by)
-    if own.influence is Influence.NONE:
+        return _vanishing(
+            power, min(own.influence, StepInfluence.VANISHING), op if own.influence >= StepInfluence.SAME else own.by
+        )
+    if own.influence is StepInfluence.NONE:
         to = a.to * b.to if a.to is not None and b.to is not None and power == 0 else None
         return ShortStepValue(power=power, to=to, off=min(a.off, b.off))
-    if own.influence >= Influence.SAME and other.influence is Influence.NONE and _is_near(other.to, 1):
+    if own.influence >= StepInfluence.SAME and other.influence is StepInfluence.NONE and _is_near(other.to, 1):
         return _with_offset(own, other.off, op)
     return replace(_changed_value(op, below), power=power)
 
 
-def _quotient(op: Op, below: Below) -> ShortStepValue:
+def _quotient(op: OperationExpr, below: OperandValues) -> ShortStepValue:
     a, b = below
-    if b.influence > Influence.VANISHING:
-        return _product(op, (a, b if b.influence is Influence.UNSURE else _changed_value(op, (b,))))
+    if b.influence > StepInfluence.VANISHING:
+        return _product(op, (a, b if b.influence is StepInfluence.UNSURE else _changed_value(op, (b,))))
     if b.power == math.inf:
-        return _UNSURE
+        return _UNSURE_VALUE
     inverse = ShortStepValue(b.influence, -b.power, 1 / b.to if b.to else None, b.off if b.to else math.inf, by=b.by)
     return _product(op, (a, inverse))
 
 
-def _negative(op: Op, below: Below) -> ShortStepValue:
+def _negative(op: OperationExpr, below: OperandValues) -> ShortStepValue:
     a = below[0]
-    if a.influence is Influence.UNSURE or a.influence <= Influence.VANISHING:
+    if a.influence is StepInfluence.UNSURE or a.influence <= StepInfluence.VANISHING:
         return replace(a, to=None if a.to is None else -a.to)
     return _changed_value(op, below)
 
 
-def _root(op: Op, below: Below) -> ShortStepValue:
+def _root(op: OperationExpr, below: OperandValues) -> ShortStepValue:
     return _power(op, (*below, ShortStepValue(to=0.5)))
 
 
-def _power(op: Op, below: Below) -> ShortStepValue:
+def _power(op: OperationExpr, below: OperandValues) -> ShortStepValue:
     a, b = below
-    if Influence.UNSURE in (a.influence, b.influence) or b.influence is Influence.VANISHING:
-        return _UNSURE
-    if b.influence > Influence.VANISHING or a.influence > Influence.VANISHING:
-        if a.influence is Influence.SAME and _is_near(b.to, 1):
-            return a if b.off == math.inf else _UNSURE
-        return _UNSURE if b.depends_on_dt else _changed_value(op, below)
+    if StepInfluence.UNSURE in (a.influence, b.influence) or b.influence is StepInfluence.VANISHING:
+        return _UNSURE_VALUE
+    if b.influence > StepInfluence.VANISHING or a.influence > StepInfluence.VANISHING:
+        if a.influence is StepInfluence.SAME and _is_near(b.to, 1):
+            return a if b.off == math.inf else _UNSURE_VALUE
+        return _UNSURE_VALUE if b.depends_on_dt else _changed_value(op, below)
     if b.to is None:
-        return _UNSURE if a.depends_on_dt or b.depends_on_dt else ShortStepValue()
+        return _UNSURE_VALUE if a.depends_on_dt or b.depends_on_dt else ShortStepValue()
     if b.vanishes:
-        return ShortStepValue(to=1.0, off=b.off) if a.power == 0 else _UNSURE
+        return ShortStepValue(to=1.0, off=b.off) if a.power == 0 else _UNSURE_VALUE
     if a.power and not b.depends_on_dt:
         return _vanishing(a.power * b.to, a.influence, a.by) if a.power * b.to > 0 else ShortStepValue(power=a.power * b.to)
     return ShortStepValue(to=None if a.to is None else _evaluate(lambda x: x ** (b.to or 0.0), a.to), off=min(a.off, b.off))
@@ -284,70 +303,70 @@ def _evaluate(function: Callable[[float], float], at: float) -> float | None:
     return result if isinstance(result, float) and math.isfinite(result) else None
 
 
-def _function_rule(function: Callable[[float], float]) -> Callable[[Op, Below], ShortStepValue]:
-    def rule(op: Op, below: Below) -> ShortStepValue:
+def _function_rule(function: Callable[[float], float]) -> Callable[[OperationExpr, OperandValues], ShortStepValue]:
+    def rule(op: OperationExpr, below: OperandValues) -> ShortStepValue:
         a = below[0]
-        if a.influence > Influence.VANISHING:
-            return _UNSURE if a.influence is Influence.UNSURE else _changed_value(op, below)
+        if a.influence > StepInfluence.VANISHING:
+            return _UNSURE_VALUE if a.influence is StepInfluence.UNSURE else _changed_value(op, below)
         if a.power < 0:
-            return _UNSURE
+            return _UNSURE_VALUE
         to = None if a.to is None else _evaluate(function, a.to)
         return _vanishing(a.off, a.influence, a.by) if _is_near(to, 0) else ShortStepValue(to=to, off=a.off)
 
     return rule
 
 
-def _mix(op: Op, below: Below) -> ShortStepValue:
+def _mix(op: OperationExpr, below: OperandValues) -> ShortStepValue:
     a, b, share = below
-    if share.influence is Influence.UNSURE:
-        return _UNSURE
+    if share.influence is StepInfluence.UNSURE:
+        return _UNSURE_VALUE
     for side, end in ((a, 0), (b, 1)):
-        if share.influence <= Influence.VANISHING and _is_near(share.to, end):
-            if side.influence is Influence.NONE:
+        if share.influence <= StepInfluence.VANISHING and _is_near(share.to, end):
+            if side.influence is StepInfluence.NONE:
                 return replace(side, off=min(side.off, share.off), power=min(side.power, share.off) if side.power else 0.0)
             return _with_offset(side, share.off, op)
-    return _combination(op, below[:2]) if share.influence is Influence.NONE else _changed_value(op, below)
+    return _combination(op, below[:2]) if share.influence is StepInfluence.NONE else _changed_value(op, below)
 
 
-def _rotation(op: Op, below: Below) -> ShortStepValue:
+def _rotation(op: OperationExpr, below: OperandValues) -> ShortStepValue:
     own, by = below[0], below[-1]
     if not by.vanishes:
         return _combination(op, below)
-    return _with_offset(own, by.power, op) if own.influence >= Influence.SAME else own
+    return _with_offset(own, by.power, op) if own.influence >= StepInfluence.SAME else own
 
 
-def _combination(op: Expr, below: Below) -> ShortStepValue:
+def _combination(op: Expr, below: OperandValues) -> ShortStepValue:
     """Analyse a combination, such as a vector of its numbers or a draw between two ends: it vanishes if all its parts do."""
     influence = _strongest_influence(below)
-    if influence >= Influence.SAME:
-        return _UNSURE if influence is Influence.UNSURE else _changed_value(op, below)
+    if influence >= StepInfluence.SAME:
+        return _UNSURE_VALUE if influence is StepInfluence.UNSURE else _changed_value(op, below)
     if below and all(each.vanishes for each in below):
         return _vanishing(min(each.power for each in below), influence, next((each.by for each in below if each.by), None))
     off = min((each.off for each in below), default=math.inf)
     return ShortStepValue(power=min([0.0, *(each.power for each in below)]), off=off)
 
 
-def _first_operand(op: Op, below: Below) -> ShortStepValue:
+def _first_operand(op: OperationExpr, below: OperandValues) -> ShortStepValue:
     """Analyse a length or a component of a vector: it vanishes if the vector does."""
     a = below[0]
-    if a.influence <= Influence.VANISHING:
+    if a.influence <= StepInfluence.VANISHING:
         return a
     return _combination(op, below[:1]) if op.name == "length" else _pass_through(op, below)
 
 
-def _pass_through(op: Op, below: Below) -> ShortStepValue:
+def _pass_through(op: OperationExpr, below: OperandValues) -> ShortStepValue:
     influence = _strongest_influence(below)
-    if influence is Influence.CHANGED:
+    if influence is StepInfluence.CHANGED:
         return replace(next(each for each in below if each.influence is influence), makers=_collect_changers(below))
-    if influence is Influence.SAME:
+    if influence is StepInfluence.SAME:
         return min((each for each in below if each.influence is influence), key=lambda each: each.off)
     return _unknown_operation(op, below)
 
 
-def _clamp(op: Op, below: Below) -> ShortStepValue:
+def _clamp(op: OperationExpr, below: OperandValues) -> ShortStepValue:
     """Analyse `min`, `max` and `clamp`: for known numbers, the result is known."""
     tos = [each.to for each in below if each.to is not None]
-    if _strongest_influence(below) > Influence.VANISHING or len(tos) < len(below):
+    if _strongest_influence(below) > StepInfluence.VANISHING or len(tos) < len(below):
         return _pass_through(op, below)
     to = min(max(tos[0], tos[1]), tos[2]) if op.name == "clamp" else min(tos) if op.name == "min" else max(tos)
     left = [each for each in below if each.to == to]
@@ -356,39 +375,39 @@ def _clamp(op: Op, below: Below) -> ShortStepValue:
     return _vanishing(off, _strongest_influence(left), by) if _is_near(to, 0) else ShortStepValue(to=to, off=off)
 
 
-def _conditional(op: Op, below: Below, own: Own, driven: bool) -> ShortStepValue:
+def _conditional(op: OperationExpr, below: OperandValues, own: OwnValue, driven: bool) -> ShortStepValue:
     """Analyse `if`. Changes by chance or by an event happen equally often at any rate. A value that another line drives out of
     its range is only moved back: `if turn > 1 then turn - 1 else turn`."""
     (test, *ends), branches = op.args, below[1:]
     assert test is not None
     influence = _strongest_influence(branches)
-    if influence < Influence.SAME:
+    if influence < StepInfluence.SAME:
         return _combination(op, branches)
     back = driven and reads(test, own) and any(end is not None and is_own(end, own) for end in ends)
-    if back or any(isinstance(each, Op) and each.name in _NOW_AND_THEN for each in parts(test)):
-        return ShortStepValue(Influence.SAME)
-    lost = [each.by for each in branches if each.influence is Influence.VANISHING and each.by is not None]
-    if not lost or influence is Influence.UNSURE:
+    if back or any(isinstance(each, OperationExpr) and each.name in _RATE_FREE_OPERATIONS for each in parts(test)):
+        return ShortStepValue(StepInfluence.SAME)
+    lost = [each.by for each in branches if each.influence is StepInfluence.VANISHING and each.by is not None]
+    if not lost or influence is StepInfluence.UNSURE:
         return _pass_through(op, branches)
-    return ShortStepValue(Influence.CHANGED, makers=_collect_changers(branches, *lost))
+    return ShortStepValue(StepInfluence.CHANGED, makers=_collect_changers(branches, *lost))
 
 
-def _query(op: Op, below: Below) -> ShortStepValue:
+def _query(op: OperationExpr, below: OperandValues) -> ShortStepValue:
     return ShortStepValue()  # an answer; what is done by it is seen where it is used
 
 
-def _run_value(op: Op, below: Below) -> ShortStepValue:
+def _run_value(op: OperationExpr, below: OperandValues) -> ShortStepValue:
     return _vanishing(1.0) if _is_dt(op) else ShortStepValue()
 
 
-def _unknown_operation(op: Op, below: Below) -> ShortStepValue:
+def _unknown_operation(op: OperationExpr, below: OperandValues) -> ShortStepValue:
     influence = _strongest_influence(below)
-    if influence is Influence.UNSURE or any(each.depends_on_dt for each in below):
-        return _UNSURE
-    return _changed_value(op, below) if influence >= Influence.SAME else ShortStepValue()
+    if influence is StepInfluence.UNSURE or any(each.depends_on_dt for each in below):
+        return _UNSURE_VALUE
+    return _changed_value(op, below) if influence >= StepInfluence.SAME else ShortStepValue()
 
 
-_RULES: dict[str, Callable[[Op, Below], ShortStepValue]] = {
+_ANALYSIS_RULES: dict[str, Callable[[OperationExpr, OperandValues], ShortStepValue]] = {
     "add": _sum, "sub": _sum, "mul": _product, "div": _quotient, "dot": _product, "cross": _product, "neg": _negative,
     "pow": _power, "sqrt": _root, "exp": _function_rule(math.exp), "log": _function_rule(math.log),
     "sin": _function_rule(math.sin), "cos": _function_rule(math.cos), "mix": _mix, "rotate": _rotation, "run": _run_value,
@@ -396,5 +415,5 @@ _RULES: dict[str, Callable[[Op, Below], ShortStepValue]] = {
     "abs": _first_operand, "limit": _first_operand, "project": _first_operand, "length": _first_operand,
     **dict.fromkeys(("first", "floor", "unit", "and", "or"), _pass_through),
     **dict.fromkeys(("vector", "uniform", "normal", "pick"), _combination),
-    **dict.fromkeys(_QUERIES, _query),
+    **dict.fromkeys(_QUERY_OPERATIONS, _query),
 }  # fmt: skip

@@ -9,33 +9,33 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl.fields.pheromone import LARGEST_DEPOSIT, UNIT
-from antdsl.machine_code.kinds import F32, F64, FLOATS, I8, I32, I64, WIDTH
+from antdsl.fields.pheromone import DEPOSIT_UNIT, MAX_DEPOSIT
+from antdsl.machine_code.kinds import F32, F64, FLOAT_KINDS, I8, I32, I64, LANE_COUNT
 from antdsl.machine_code.lanes import Lanes
 from antdsl.plan import ir
-from antdsl.program.tables.effects import EFFECTS
-from antdsl.runtime.backends.compile import Instruction
+from antdsl.program.tables.effects import EFFECT_BY_OPERATION
+from antdsl.runtime.backends.compile import BlockInstruction
 from antdsl.runtime.backends.native.block import BlockWriter
 from antdsl.runtime.backends.native.senses import prefetch_cells
-from antdsl.runtime.requests import ClaimEntry, Effects, GiveEntry, RequestEntry
+from antdsl.runtime.requests import ClaimEntry, EffectRequests, GiveEntry, RequestEntry
 
 
-def _deposit(b: BlockWriter, each: Instruction, what: ir.Request) -> None:
+def _deposit(b: BlockWriter, each: BlockInstruction, what: ir.Request) -> None:
     """As `fields.pheromone.PheromoneField.deposit`: whole numbers of a unit, which add in any order."""
     e, mask, name = b.e, b.mask[-1], what.of
     amount: Lanes = b.slot(each.inputs[0])
-    mask = _check_finite(b, mask, amount, EFFECTS[what.op].refused.format(of=name), each)
+    mask = _check_finite(b, mask, amount, EFFECT_BY_OPERATION[what.op].refused.format(of=name), each)
     cell = e.read(b.base("cell", name), b.row, I32)
     laid = mask & (cell >= 0) & (amount != 0)
     prefetch_cells(b, name, b.base("field", name, "pending"), 8)
     with e.inside(e.any_lane(laid)):
-        wide = e.clamp(e.convert(amount, F64), e.constant(-LARGEST_DEPOSIT, F64), e.constant(LARGEST_DEPOSIT, F64))
-        amounts, cells = e.slot(I64, WIDTH), e.slot(I32, WIDTH)
-        e.put(amounts, e.rounded_bits(wide / UNIT))
+        wide = e.clamp(e.convert(amount, F64), e.constant(-MAX_DEPOSIT, F64), e.constant(MAX_DEPOSIT, F64))
+        amounts, cells = e.slot(I64, LANE_COUNT), e.slot(I32, LANE_COUNT)
+        e.put(amounts, e.rounded_bits(wide / DEPOSIT_UNIT))
         e.put(cells, cell)
         bits = e.mask_word(laid)
         pending = b.base("field", name, "pending")
-        with e.loop(WIDTH) as lane, e.inside(e.has_bit(bits, lane)):
+        with e.loop(LANE_COUNT) as lane, e.inside(e.has_bit(bits, lane)):
             at, increment = e.read_one(cells, lane, I32), e.read_one(amounts, lane, I64)
             place = e.address(pending, e.convert(at, I64), I64)
             adds = b.combine(name) == "add"
@@ -48,7 +48,7 @@ def _deposit(b: BlockWriter, each: Instruction, what: ir.Request) -> None:
         e.put(b.base("laid", name), e.constant(1, I8, 1))
 
 
-def _append_rows(b: BlockWriter, each: Instruction, mask: Lanes, values: list[Lanes]) -> None:
+def _append_rows(b: BlockWriter, each: BlockInstruction, mask: Lanes, values: list[Lanes]) -> None:
     """Append the rows of those of eight agents with a true condition to a statement's list, and a value of each beside."""
     e, number = b.e, len(b.code.lists)
     b.code.lists.append(each)
@@ -57,7 +57,7 @@ def _append_rows(b: BlockWriter, each: Instruction, mask: Lanes, values: list[La
         columns = [b.array(-1 - number, part, kind) for part, kind in enumerate((I64, *(value.kind for value in values)))]
         slots = []
         for value in stored:
-            slots.append(e.slot(value.kind, WIDTH))
+            slots.append(e.slot(value.kind, LANE_COUNT))
             e.put(slots[-1], value)
         left = e.slot(I64)
         bits = e.mask_word(mask)
@@ -76,19 +76,19 @@ def _append_rows(b: BlockWriter, each: Instruction, mask: Lanes, values: list[La
         e.put(total, old_total + count)
 
 
-def _check_finite(b: BlockWriter, mask: Lanes, amount: Lanes, what: str, by: Instruction) -> Lanes:
+def _check_finite(b: BlockWriter, mask: Lanes, amount: Lanes, what: str, by: BlockInstruction) -> Lanes:
     """Return the mask of agents with a finite amount; the others are at fault."""
     good: Lanes = np.isfinite(amount)
     b.refuse(mask & ~good, what, by)
     return mask & good
 
 
-def _request(b: BlockWriter, each: Instruction, what: ir.Request) -> None:
+def _request(b: BlockWriter, each: BlockInstruction, what: ir.Request) -> None:
     """As `numpy_statements` asks."""
-    row, slots = EFFECTS[what.op], iter(each.inputs)
+    row, slots = EFFECT_BY_OPERATION[what.op], iter(each.inputs)
     args: list[Lanes] = [b.slot(next(slots)) for node in what.args if node is not None]
     mask = b.mask[-1]
-    numbers = [arg for arg in args if arg.kind in FLOATS] if row.refused else []
+    numbers = [arg for arg in args if arg.kind in FLOAT_KINDS] if row.refused else []
     if numbers:
         good = np.isfinite(numbers[0])
         for arg in numbers[1:]:
@@ -100,7 +100,7 @@ def _request(b: BlockWriter, each: Instruction, what: ir.Request) -> None:
     _append_rows(b, each, mask, args)
 
 
-def _claim(b: BlockWriter, each: Instruction, what: ir.Claim) -> None:
+def _claim(b: BlockWriter, each: BlockInstruction, what: ir.Claim) -> None:
     e, mask, slots = b.e, b.mask[-1], iter(each.inputs)
     item: Lanes = e.read(b.base("cell", what.of), b.row, I32) if what.item is None else b.slot(next(slots))
     amount = e.constant(np.inf, F32)
@@ -110,7 +110,7 @@ def _claim(b: BlockWriter, each: Instruction, what: ir.Claim) -> None:
     _append_rows(b, each, mask, [item, amount])
 
 
-def _give(b: BlockWriter, each: Instruction, what: ir.Give) -> None:
+def _give(b: BlockWriter, each: BlockInstruction, what: ir.Give) -> None:
     e, mask, own = b.e, b.mask[-1], b.base("now", what.own)
     item: Lanes = b.slot(each.inputs[0])
     had = e.read(own, b.row, F32)
@@ -127,7 +127,7 @@ def _give(b: BlockWriter, each: Instruction, what: ir.Give) -> None:
     _append_rows(b, each, is_valid, [item, e.convert(had, F64) - e.convert(left, F64)])
 
 
-def ask(b: BlockWriter, each: Instruction) -> None:
+def ask(b: BlockWriter, each: BlockInstruction) -> None:
     """Emit a statement that asks for something."""
     match each.what:
         case ir.Request(op="deposit") as what:
@@ -140,7 +140,7 @@ def ask(b: BlockWriter, each: Instruction) -> None:
             _give(b, each, what)
 
 
-def record_request(each: Instruction, columns: Sequence[NDArray[Any]], effects: Effects) -> None:
+def record_request(each: BlockInstruction, columns: Sequence[NDArray[Any]], effects: EffectRequests) -> None:
     """Add the contents of a statement's list to the effects of a step: rows, then the values stored with them."""
     what = each.what
     match what:

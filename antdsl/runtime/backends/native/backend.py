@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl.machine_code import codes, machine
-from antdsl.machine_code.kinds import WIDTH
+from antdsl.machine_code.kinds import LANE_COUNT
 from antdsl.plan import ir
 from antdsl.plan.traverse import required_nodes
 from antdsl.runtime.backends.native import listing
@@ -17,24 +17,24 @@ from antdsl.runtime.backends.native.block import NeighbourSearch
 from antdsl.runtime.backends.native.programs import WorldFacts, program
 from antdsl.runtime.backends.native.ready import CodeUnavailable, ReadyCode, find, find_ready, start_building
 from antdsl.runtime.backends.native.rooms import PaddedArrays
-from antdsl.runtime.backends.native.runner import Block
+from antdsl.runtime.backends.native.runner import BlockRunner
 from antdsl.runtime.backends.native.search.grids import Arrays, SearchGrids
 from antdsl.runtime.backends.numpy_backend import NumpyBackend
 from antdsl.runtime.backends.reference import AgentRun
-from antdsl.runtime.requests import Effects
+from antdsl.runtime.requests import EffectRequests
 from antdsl.runtime.world import AXES, Population, World
 
-_MANY = 2_000  # agents; a few steps of so many make up for loading a program's code
-_LOADING = 0.2  # s of processor time of the steps before it
-_LOADED = 1.0  # s to wait for code that is stored
-_SAMPLED = 8  # agents with radii computed before the first search, to choose cells by
-_CELL = 8  # agents in a cell, where no radius is known
+_MIN_AGENTS_FOR_CODE = 2_000  # agents; a few steps of so many make up for loading a program's code
+_MIN_STEP_SECONDS = 0.2  # s of processor time of the steps before it
+_MAX_LOAD_SECONDS = 1.0  # s to wait for code that is stored
+_SAMPLED_RADII = 8  # agents with radii computed before the first search, to choose cells by
+_DEFAULT_AGENTS_PER_CELL = 8  # agents in a cell, where no radius is known
 
 
 class NativeBackend(NumpyBackend):
     """Compiled for a plan and the world it is bound to, in a thread from its first step on."""
 
-    spare = WIDTH
+    spare = LANE_COUNT
 
     def __init__(self, plan: ir.Plan) -> None:
         super().__init__(plan)
@@ -44,10 +44,10 @@ class NativeBackend(NumpyBackend):
         self._begun = False
         self._sought: set[WorldFacts] = set()  # of code that was sought in the store
         self.ready: ReadyCode | None = None
-        self._running: dict[tuple[str, str], Block] = {}
+        self._running: dict[tuple[str, str], BlockRunner] = {}
         self._timed = False  # the code to run or to load is timed by line
         # the other code
-        self._aside: tuple[ReadyCode | None, Future[ReadyCode] | None, dict[tuple[str, str], Block]] = (None, None, {})
+        self._aside: tuple[ReadyCode | None, Future[ReadyCode] | None, dict[tuple[str, str], BlockRunner]] = (None, None, {})
         self._rooms = PaddedArrays()
         self._versions: list[int] = []
         self._widest: dict[tuple[str, str, int], float] = {}
@@ -90,7 +90,7 @@ class NativeBackend(NumpyBackend):
         """Return the number of LLVM instructions of each function, compiled for a generic processor."""
         if self.ready is None:
             return {}
-        native_program = program(self._plan, self.blocks, self.ready.facts, machine.ANY)
+        native_program = program(self._plan, self.blocks, self.ready.facts, machine.PORTABLE_TARGET)
         return {f"instructions {name}": number for name, number in listing.instruction_counts(native_program).items()}
 
     def _request_code(self, world: World, waits: bool) -> None:
@@ -102,7 +102,7 @@ class NativeBackend(NumpyBackend):
             return  # elsewhere a program may not be allowed to read the counter
         facts = WorldFacts.of(world.setting, timed=self._timed)
         ready = find_ready(world.plan, facts)
-        pays = len(world) >= _MANY or sum(world.worked.values()) >= _LOADING
+        pays = len(world) >= _MIN_AGENTS_FOR_CODE or sum(world.worked.values()) >= _MIN_STEP_SECONDS
         if ready is None and self._coming is None and (waits or pays):
             is_first = facts not in self._sought
             self._sought.add(facts)
@@ -110,7 +110,7 @@ class NativeBackend(NumpyBackend):
             if waits or self._begun or stored is not None:
                 self._coming = start_building(world.plan, self.blocks, facts, stored)
                 if stored is not None:
-                    wait([self._coming], _LOADED)
+                    wait([self._coming], _MAX_LOAD_SECONDS)
         if self._coming is not None and (waits or self._coming.done()):
             try:
                 ready = self._coming.result()
@@ -151,11 +151,11 @@ class NativeBackend(NumpyBackend):
             for each in widest:
                 each.fill(0)
 
-    def _ready_block(self, species: str, block: str) -> Block | None:
+    def _ready_block(self, species: str, block: str) -> BlockRunner | None:
         """A block's machine code, made ready to run; None where it has none."""
         if self.ready is None or (species, block) not in self.ready.written:
             return None
-        native_block = self._running[species, block] = Block(self.ready, species, block, self._rooms)
+        native_block = self._running[species, block] = BlockRunner(self.ready, species, block, self._rooms)
         return native_block
 
     def _search_cells(self, world: World, population: Population, block: str, near: NeighbourSearch, number: int) -> Arrays:
@@ -170,13 +170,13 @@ class NativeBackend(NumpyBackend):
         return self._grids.of(world, other, widest if widest > 0 else 1.0, beside)
 
 
-def _estimate_radius(world: World, population: Population, other: Population, radii: list[ir.Node]) -> float:
+def _estimate_radius(world: World, population: Population, other: Population, radii: list[ir.PlanNode]) -> float:
     """Return the greatest radius (mm) of a search, sampled from some agents with the reference. A radius that itself searches
     agents would take too long; a radius that contains about `_CELL` of the others replaces it."""
     cheap = [radius for radius in radii if not any(each.op in ("set.agents", "set.every") for each in required_nodes([radius]))]
     lengths = [0.0] if len(cheap) == len(radii) else [_default_cell_size(other)]
-    for row in np.linspace(0, len(population) - 1, min(_SAMPLED, len(population))).astype(int) if cheap else ():
-        agent = AgentRun(world, population, int(row), population.now, int(row), Effects(), {})
+    for row in np.linspace(0, len(population) - 1, min(_SAMPLED_RADII, len(population))).astype(int) if cheap else ():
+        agent = AgentRun(world, population, int(row), population.now, int(row), EffectRequests(), {})
         lengths += [float(agent.value(radius)) for radius in cheap]
     return max((each for each in lengths if np.isfinite(each)), default=0.0)
 
@@ -185,5 +185,5 @@ def _default_cell_size(population: Population) -> float:
     """The edge (mm) of a cell that holds about `_CELL` agents, whether they lie on a line, a sheet or in a space."""
     columns = (population.start[f"position.{axis}"] for axis in AXES)
     extents = sorted((float(np.ptp(finite)) for place in columns if len(finite := place[np.isfinite(place)])), reverse=True)
-    share = _CELL / max(len(population), 1)
+    share = _DEFAULT_AGENTS_PER_CELL / max(len(population), 1)
     return max((float(np.prod(extents[:k]) * share) ** (1 / k) for k in range(1, len(extents) + 1)), default=0.0)

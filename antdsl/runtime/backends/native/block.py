@@ -10,30 +10,30 @@ from typing import Any
 import numpy as np
 
 from antdsl.machine_code.entries import outer_text
-from antdsl.machine_code.kernels.ir import Block
-from antdsl.machine_code.kinds import BOOL, F32, I8, I64, PTR, WIDTH
+from antdsl.machine_code.kernels.ir import BasicBlock
+from antdsl.machine_code.kinds import BOOL, F32, I8, I64, LANE_COUNT, PTR
 from antdsl.machine_code.lanes import LaneBuilder, Lanes, elementwise
-from antdsl.machine_code.module import Module
-from antdsl.numerics.elementwise import ELEMENTWISE
+from antdsl.machine_code.module import LlvmModule
+from antdsl.numerics.elementwise import FUNCTION_BY_NAME
 from antdsl.plan import ir
-from antdsl.runtime.backends.compile import BlockCompiler, Instruction, InstructionKind, Scope
-from antdsl.runtime.backends.native.layout import KINDS, Key, Layout
+from antdsl.runtime.backends.compile import BlockCompiler, BlockInstruction, InstructionKind, RowScope
+from antdsl.runtime.backends.native.layout import LANE_TYPE_BY_KIND, AddressKey, AddressLayout
 from antdsl.runtime.backends.native.marks import LineCounters, add_marks
 from antdsl.runtime.backends.native.scents import may_reach, strength
-from antdsl.runtime.backends.native.schedule import Schedule, operands_of
+from antdsl.runtime.backends.native.schedule import StageSchedule, operands_of
 
-_LONG = frozenset(("sin", "cos", "exp", "log", "pow", "atan2"))  # functions of the module rather than inlined
-_GUARDED = -1_000_000  # slots from here downward stand for who needs a call
+_OUT_OF_LINE_FUNCTIONS = frozenset(("sin", "cos", "exp", "log", "pow", "atan2"))  # functions of the module rather than inlined
+_FIRST_GUARD_SLOT = -1_000_000  # slots from here downward stand for who needs a call
 
 
 class FunctionWriter:
     """The context for writing one function: a builder, and the places of arrays and numbers."""
 
-    def __init__(self, module: Module, layout: Layout) -> None:
+    def __init__(self, module: LlvmModule, layout: AddressLayout) -> None:
         self.module, self.layout = module, layout
         e = self.e = LaneBuilder(module)
         self.table, self.begin, self.end = e.named_number(PTR, "%t"), e.named_number(I64, "%begin"), e.named_number(I64, "%end")
-        self._bases: dict[Key, Lanes] = {}
+        self._bases: dict[AddressKey, Lanes] = {}
 
     def base(self, *key: Any) -> Lanes:
         """Address of an array, read once a call."""
@@ -63,8 +63,8 @@ class FunctionWriter:
 
     def apply(self, op: str, *args: Lanes) -> Any:
         """Apply an elementwise operation to lanes: the function that NumPy uses."""
-        formula = ELEMENTWISE[op]
-        if op not in _LONG:
+        formula = FUNCTION_BY_NAME[op]
+        if op not in _OUT_OF_LINE_FUNCTIONS:
             return formula(*args)
         name = elementwise(self.module, f"f.{op}", tuple(each.kind for each in args), formula)
         return self.e.call(name, F32, *args)
@@ -80,7 +80,7 @@ class NeighbourSearch:
     four in a text, that are needed in the order of the cell grid."""
 
     species: str
-    sets: list[ir.Node]
+    sets: list[ir.PlanNode]
     beside: list[str]
 
 
@@ -90,24 +90,24 @@ class BlockCode:
 
     species: ir.SpeciesPlan
     names: list[str]
-    layout: Layout
-    schedule: Schedule
+    layout: AddressLayout
+    schedule: StageSchedule
     lines: LineCounters | None = None  # of code that is timed by line
-    faults: list[tuple[str, Instruction]] = field(default_factory=list)  # name and instruction of each
+    faults: list[tuple[str, BlockInstruction]] = field(default_factory=list)  # name and instruction of each
     near: list[NeighbourSearch] = field(default_factory=list)
-    lazy_nodes: list[ir.Node] = field(default_factory=list)
-    bounds: dict[int, ir.Node] = field(default_factory=dict)  # `scents.bounds`
-    lists: list[Instruction] = field(default_factory=list)  # statements with lists of requesting rows, from slot -1 downward
-    needs: list[Instruction] = field(default_factory=list)  # calls with a note whether an agent needs them
-    guarded: dict[Instruction, int] = field(default_factory=dict)  # calls that not all need, with the slot of who does
+    lazy_nodes: list[ir.PlanNode] = field(default_factory=list)
+    bounds: dict[int, ir.PlanNode] = field(default_factory=dict)  # `scents.bounds`
+    lists: list[BlockInstruction] = field(default_factory=list)  # statements with lists of requesting rows, from slot -1 downward
+    needs: list[BlockInstruction] = field(default_factory=list)  # calls with a note whether an agent needs them
+    guarded: dict[BlockInstruction, int] = field(default_factory=dict)  # calls that not all need, with the slot of who does
 
-    def mask_of(self, each: Instruction) -> int:
+    def mask_of(self, each: BlockInstruction) -> int:
         """Return the slot of the mask that a call is made for."""
         guarded = self.guarded.get(each)
         return self.schedule.slot(each.scope.rows) if guarded is None else guarded
 
 
-Lower = Callable[["BlockWriter", ir.Node, tuple[Any, ...]], Any]
+NodeLowerer = Callable[["BlockWriter", ir.PlanNode, tuple[Any, ...]], Any]
 
 
 class BlockWriter(FunctionWriter):
@@ -115,14 +115,14 @@ class BlockWriter(FunctionWriter):
 
     def __init__(
         self,
-        module: Module,
+        module: LlvmModule,
         code: BlockCode,
         compiler: BlockCompiler,
         stage: int,
-        senses: dict[str, Lower],
-        reduce: Callable[[BlockWriter, Instruction], None],
-        guards: Mapping[str, tuple[Lower, tuple[Any, ...]]],
-        ask: Callable[[BlockWriter, Instruction], None],
+        senses: dict[str, NodeLowerer],
+        reduce: Callable[[BlockWriter, BlockInstruction], None],
+        guards: Mapping[str, tuple[NodeLowerer, tuple[Any, ...]]],
+        ask: Callable[[BlockWriter, BlockInstruction], None],
         combine: Callable[[str], str],
     ) -> None:
         super().__init__(module, code.layout)
@@ -130,24 +130,24 @@ class BlockWriter(FunctionWriter):
         self.guards, self.ask, self.combine = guards, ask, combine
         self.schedule, self.species = code.schedule, code.species.name
         self._uniform = {slot: node for node, slot in compiler.uniforms.items()}
-        self._makers: dict[int, Instruction] = {}
-        self._kept: dict[int, ir.Node] = {}
+        self._makers: dict[int, BlockInstruction] = {}
+        self._kept: dict[int, ir.PlanNode] = {}
         self._kinds: dict[int, tuple[str, ...]] = {}
-        self._reductions: list[Instruction] = []
+        self._reductions: list[BlockInstruction] = []
         self._index(compiler.root)
         self.mask: list[Lanes] = []
         self._nobody: list[int] = []  # masks without agents where the scope around is skipped
         self.at_top: list[Callable[[], None]] = []  # what is written once all is, and runs first for each eight rows
-        self.groups: dict[Instruction, Any] = {}  # reductions over neighbours, by the search that finds them
+        self.groups: dict[BlockInstruction, Any] = {}  # reductions over neighbours, by the search that finds them
 
-    def _index(self, scope: Scope) -> None:
+    def _index(self, scope: RowScope) -> None:
         for each in scope.code:
             if each.does is InstructionKind.REDUCE and each in self.schedule.native:
                 self._reductions.append(each)
-            if isinstance(each.what, ir.Node) and each.out >= 0:
+            if isinstance(each.what, ir.PlanNode) and each.out >= 0:
                 self._makers[each.out] = each
-                kinds = ir.TUPLES.get(each.what.op, (each.what.kind,))
-                self._kinds[each.out] = tuple(KINDS.get(kind, "") for kind in kinds)
+                kinds = ir.TUPLE_KINDS_BY_OPERATION.get(each.what.op, (each.what.kind,))
+                self._kinds[each.out] = tuple(LANE_TYPE_BY_KIND.get(kind, "") for kind in kinds)
                 if each.does is InstructionKind.KEEP and each not in self.schedule.inlined:
                     self._kept[each.out] = each.what
             if each.inner is not None:
@@ -158,7 +158,7 @@ class BlockWriter(FunctionWriter):
         """Add the function to the module."""
         e = self.e
         rows = self.end - self.begin
-        with e.loop(rows, WIDTH) as offset:
+        with e.loop(rows, LANE_COUNT) as offset:
             self.offset = offset
             self.row = self.begin + offset
             root = self.compiler.root
@@ -169,7 +169,7 @@ class BlockWriter(FunctionWriter):
             self.mask.append(mask)
             top, place = e.block_now, len(e.block_now.body)
             self._scope(root)
-            last, e.block_now = e.block_now, Block("", [])
+            last, e.block_now = e.block_now, BasicBlock("", [])
             for slot in self._nobody:
                 e.write(self.array(slot, 0, BOOL), offset, e.constant(False, BOOL))
             for do in self.at_top:
@@ -182,7 +182,7 @@ class BlockWriter(FunctionWriter):
 
     # --- instructions --------------------------------------------------------------------------------------------------
 
-    def _timed_instruction(self, each: Instruction) -> AbstractContextManager[None]:
+    def _timed_instruction(self, each: BlockInstruction) -> AbstractContextManager[None]:
         """Attribute the code written inside the context to an instruction, if lines are timed."""
         return nullcontext() if self.code.lines is None else self._time_with_counter(self.code.lines.counter(each))
 
@@ -192,7 +192,7 @@ class BlockWriter(FunctionWriter):
         yield
         self.e.line = previous_line
 
-    def _scope(self, scope: Scope) -> None:
+    def _scope(self, scope: RowScope) -> None:
         for each in scope.code:
             with self._timed_instruction(each):
                 match each.does:
@@ -209,16 +209,16 @@ class BlockWriter(FunctionWriter):
                         if self.schedule.home.get(each.out) == self.stage:
                             self.slot(each.out)
 
-    def _note_need(self, each: Instruction, mask: Lanes) -> None:
+    def _note_need(self, each: BlockInstruction, mask: Lanes) -> None:
         """Note whether an agent needs a call."""
         e = self.e
         place = e.address(self.base("needs"), len(self.code.needs), I8)
         self.code.needs.append(each)
         e.put(place, e.load(place, I8) | e.mask_bits(mask))
 
-    def _guard(self, each: Instruction) -> None:
+    def _guard(self, each: BlockInstruction) -> None:
         """Note which agents need a call, if that is known, and store the result of the others."""
-        assert isinstance(each.what, ir.Node)
+        assert isinstance(each.what, ir.PlanNode)
         guard = self.guards.get(each.what.op)
         if guard is None:
             self._note_need(each, self.mask[-1])
@@ -226,13 +226,13 @@ class BlockWriter(FunctionWriter):
         asks, others = guard
         needed = self.mask[-1] & asks(self, each.what, tuple(self.slot(k) for k in each.inputs))
         self._note_need(each, needed)
-        slot = self.code.guarded.setdefault(each, _GUARDED - len(self.code.guarded))
+        slot = self.code.guarded.setdefault(each, _FIRST_GUARD_SLOT - len(self.code.guarded))
         self._nobody.append(slot)
         self.e.write(self.array(slot, 0, BOOL), self.offset, needed)
         for part, (value, kind) in enumerate(zip(others, self._kinds[each.out], strict=True)):
             self.e.write(self.array(each.out, part, kind), self.offset, self.e.constant(value, kind))
 
-    def _region(self, each: Instruction) -> None:
+    def _region(self, each: BlockInstruction) -> None:
         inner = each.inner
         assert inner is not None
         if not self.schedule.has(inner, self.stage):
@@ -243,7 +243,7 @@ class BlockWriter(FunctionWriter):
             self._scope(inner)
             self.mask.pop()
 
-    def _mask(self, inner: Scope, make: Callable[[], Lanes]) -> Lanes:
+    def _mask(self, inner: RowScope, make: Callable[[], Lanes]) -> Lanes:
         """The mask of an inner scope: made now, or as an earlier stage left it."""
         mask: Lanes
         if self.schedule.home[inner.rows] != self.stage:
@@ -255,9 +255,9 @@ class BlockWriter(FunctionWriter):
             self._store_slot(inner.rows, mask)
         return mask
 
-    def _write_lazy(self, each: Instruction) -> None:
+    def _write_lazy(self, each: BlockInstruction) -> None:
         inner, node = each.inner, each.what
-        assert inner is not None and isinstance(node, ir.Node)
+        assert inner is not None and isinstance(node, ir.PlanNode)
         if each in self.schedule.inlined:
             self._scope(inner)
             return
@@ -292,7 +292,7 @@ class BlockWriter(FunctionWriter):
         slot = self.schedule.slot(slot)
         if slot in self._uniform:
             node = self._uniform[slot]
-            return self.number(KINDS[node.kind], "node", node)
+            return self.number(LANE_TYPE_BY_KIND[node.kind], "node", node)
         return self.e.get_or_make(slot, lambda: self._compute(slot))
 
     def _compute(self, slot: int) -> Any:
@@ -305,7 +305,7 @@ class BlockWriter(FunctionWriter):
             return parts if len(parts) > 1 else parts[0]
         each = self._makers.get(slot)
         node = None if each is None else each.what
-        is_recomputed = isinstance(node, ir.Node) and node.op in ("snap", "id") and slot not in self.schedule.left
+        is_recomputed = isinstance(node, ir.PlanNode) and node.op in ("snap", "id") and slot not in self.schedule.left
         if each is None or each not in self.schedule.native or (self.schedule.home[slot] != self.stage and not is_recomputed):
             parts = tuple(self.e.read(self.array(slot, k, kind), self.offset, kind) for k, kind in enumerate(self._kinds[slot]))
             return parts if len(parts) > 1 else parts[0]
@@ -313,12 +313,12 @@ class BlockWriter(FunctionWriter):
             if each.does is InstructionKind.REDUCE:
                 self._reduce(self, each)
                 return self.e.known[-1][slot]
-            assert isinstance(node, ir.Node)
+            assert isinstance(node, ir.PlanNode)
             if node.op == "get":
                 value = self.slot(each.inputs[0])[node.attrs[0]]
             else:
                 args = tuple(self.slot(k) for k in each.inputs)
-                value = self.apply(node.op, *args) if node.op in ELEMENTWISE else self.senses[node.op](self, node, args)
+                value = self.apply(node.op, *args) if node.op in FUNCTION_BY_NAME else self.senses[node.op](self, node, args)
             self._store_slot(slot, value)
         return value
 
@@ -332,14 +332,19 @@ class BlockWriter(FunctionWriter):
             for part, each in enumerate(value if isinstance(value, tuple) else (value,)):
                 self.e.write(self.array(slot, part, each.kind), self.offset, each)
 
-    def joint_reductions(self, first: Instruction) -> list[Instruction]:
+    def joint_reductions(self, first: BlockInstruction) -> list[BlockInstruction]:
         """Return other reductions over the same species or items that one search can compute with `first`: they do not depend on
         its result. Those over agents may be in other scopes."""
-        assert isinstance(first.what, ir.Node)
+        assert isinstance(first.what, ir.PlanNode)
         reductions, of = [], first.what.args[0]
         for each in self._reductions:
             node = each.what
-            if each is first or not isinstance(node, ir.Node) or node.args[0].op != of.op or node.args[0].attrs[0] != of.attrs[0]:
+            if (
+                each is first
+                or not isinstance(node, ir.PlanNode)
+                or node.args[0].op != of.op
+                or node.args[0].attrs[0] != of.attrs[0]
+            ):
                 continue
             if self.schedule.home.get(each.out) != self.stage or any(each.out in names for names in self.e.known):
                 continue
@@ -357,20 +362,20 @@ class BlockWriter(FunctionWriter):
         each = self._makers.get(slot)
         if each is None or self.schedule.home.get(slot) != self.stage:
             return slot not in self._kept
-        if each.does is not InstructionKind.VALUE or not isinstance(each.what, ir.Node) or each.what.op == "load":
+        if each.does is not InstructionKind.VALUE or not isinstance(each.what, ir.PlanNode) or each.what.op == "load":
             return False
         return all(self._is_ready(k) for k in each.inputs)
 
     # --- statements ----------------------------------------------------------------------------------------------------
 
-    def _statement(self, each: Instruction) -> None:
+    def _statement(self, each: BlockInstruction) -> None:
         what = each.what
         if isinstance(what, ir.Store):
             self._store(each, what)
         else:
             self.ask(self, each)
 
-    def _store(self, each: Instruction, what: ir.Store) -> None:
+    def _store(self, each: BlockInstruction, what: ir.Store) -> None:
         value, mask = self.slot(each.inputs[0]), self.mask[-1]
         if value.kind == F32:
             good = np.isfinite(value)
@@ -380,7 +385,7 @@ class BlockWriter(FunctionWriter):
             mask = mask & good
         self.e.write_where(mask, self.base("now", what.register), self.row, value)
 
-    def refuse(self, bad: Lanes, what: str, by: Instruction) -> None:
+    def refuse(self, bad: Lanes, what: str, by: BlockInstruction) -> None:
         """Note the rows with a value that is not finite: first of the eight, then the number of the rejected value above their
         bits."""
         e, faults = self.e, self.code.faults
@@ -389,7 +394,7 @@ class BlockWriter(FunctionWriter):
             notes = self.base("notes")
             count = e.read_one(notes, 0, I64)
             first = e.address(notes, count * 2, I64)
-            note_word = e.mask_word(bad) | ((len(faults) - 1) << WIDTH)
+            note_word = e.mask_word(bad) | ((len(faults) - 1) << LANE_COUNT)
             for k, value in enumerate((self.row, note_word)):
                 e.put(e.address(first, k + 1, I64), value)
             e.put(notes, count + 1)

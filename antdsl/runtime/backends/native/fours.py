@@ -2,18 +2,18 @@
 
 from __future__ import annotations
 
-from antdsl.machine_code.kinds import F32, I64, WIDTH
+from antdsl.machine_code.kinds import F32, I64, LANE_COUNT
 from antdsl.machine_code.lanes import LaneBuilder, Lanes
 
-_FOUR = f"<4 x {F32}>"
+_FLOAT4_TYPE = f"<4 x {F32}>"
 
 
 def load_quadruples(e: LaneBuilder, base: Lanes, index: Lanes) -> list[Lanes]:
     """Return four values per lane, from an array of four floats per index; `index` is i32."""
-    fours = (quadruple_address(e, base, e.one(index, lane)) for lane in range(WIDTH))
+    fours = (quadruple_address(e, base, e.one(index, lane)) for lane in range(LANE_COUNT))
     return e.columns([e.op("load", F32, each, x=", align 4", lanes=4) for each in fours])
 
 
 def quadruple_address(e: LaneBuilder, base: Lanes, index: Lanes) -> Lanes:
     """Where the four of a single index lie."""
-    return e.address(base, e.convert(index, I64), _FOUR)
+    return e.address(base, e.convert(index, I64), _FLOAT4_TYPE)

@@ -8,18 +8,18 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl.casting.nearby import Ask
-from antdsl.machine_code.kinds import BOOL, F32, F64, I32, I64, WIDTH
+from antdsl.casting.nearby import FeelerQuery
+from antdsl.machine_code.kinds import BOOL, F32, F64, I32, I64, LANE_COUNT
 from antdsl.machine_code.memory import address
 from antdsl.plan import ir
-from antdsl.runtime.backends.compile import Instruction
+from antdsl.runtime.backends.compile import BlockInstruction
 from antdsl.runtime.backends.native.block import BlockCode
-from antdsl.runtime.backends.native.layout import Key
-from antdsl.runtime.backends.native.search import MOST
+from antdsl.runtime.backends.native.layout import AddressKey
+from antdsl.runtime.backends.native.search import MAX_LISTED_CANDIDATES
 
-DTYPES = {F32: np.float32, F64: np.float64, BOOL: np.bool_, I32: np.int32, I64: np.int64}
+DTYPE_BY_KIND = {F32: np.float32, F64: np.float64, BOOL: np.bool_, I32: np.int32, I64: np.int64}
 Arrays = dict[tuple[int, int], NDArray[Any]]  # by slot and part
-_OWN = ("array", "laid", "notes", "counts", "needs", "ticks", "candidates")  # kinds of keys
+_LANE_KEY_KINDS = ("array", "laid", "notes", "counts", "needs", "ticks", "candidates")  # kinds of keys
 
 
 class LaneMemory:
@@ -36,9 +36,11 @@ class LaneMemory:
         self.counts, self.needs = np.zeros(1 + len(code.lists), np.int64), np.zeros(max(len(code.needs), 1), np.uint8)
         self.ticks = np.zeros(0 if code.lines is None else len(code.lines.told), np.int64)
         self.laid: dict[str, NDArray[np.bool_]] = {}
-        self.widest = [np.zeros(WIDTH, np.float32) for _ in code.near]
+        self.widest = [np.zeros(LANE_COUNT, np.float32) for _ in code.near]
         self._candidates = np.zeros(0, np.int32)
-        self._keys = [(key, place) for key, place in code.layout.pointers.items() if key[0] in _OWN or key[2:] == ("widest",)]
+        self._keys = [
+            (key, place) for key, place in code.layout.pointers.items() if key[0] in _LANE_KEY_KINDS or key[2:] == ("widest",)
+        ]
         self._own = np.array([place for _, place in self._keys], np.intp)
         self._places = np.zeros(len(self._keys), np.int64)
 
@@ -62,7 +64,10 @@ class LaneMemory:
         for number in range(len(self.code.lists)):
             parts = sorted(part for slot, part in self.arrays if slot == -1 - number)
             self.columns.append([self.arrays[-1 - number, part] for part in parts])
-        notes, candidates = 1 + 2 * (len(self.code.faults) * (rows // WIDTH + 1)), 2 * others + (WIDTH + 1) * MOST
+        notes, candidates = (
+            1 + 2 * (len(self.code.faults) * (rows // LANE_COUNT + 1)),
+            2 * others + (LANE_COUNT + 1) * MAX_LISTED_CANDIDATES,
+        )
         if len(self.notes) < notes:
             self.notes = np.zeros(notes, np.int64)
         if len(self._candidates) < candidates:
@@ -70,7 +75,7 @@ class LaneMemory:
         for number, (key, _) in enumerate(self._keys):
             self._places[number] = address(self._array_for(key))
 
-    def _array_for(self, key: Key) -> NDArray[Any]:
+    def _array_for(self, key: AddressKey) -> NDArray[Any]:
         match key[0]:
             case "array":
                 return self.arrays[int(str(key[1])), int(str(key[2]))]
@@ -98,7 +103,9 @@ class LaneMemories:
         self.arrays: Arrays = {}
         self.every: list[LaneMemory] = []  # those of parts there are no longer, too
         self._rows = self._others = self._parts = 0
-        self._asks: dict[Instruction, tuple[Ask, list[tuple[ir.Node, Any]]]] = {}  # and what of it goes by values of the step
+        self._asks: dict[
+            BlockInstruction, tuple[FeelerQuery, list[tuple[ir.PlanNode, Any]]]
+        ] = {}  # and what of it goes by values of the step
 
     def prepare(self, parts: int, rows: int, others: int, pointers: NDArray[np.int64]) -> list[LaneMemory]:
         """Return lanes for `parts` parts of `rows` rows each (multiples of eight if there are several parts). They have buffers
@@ -114,16 +121,18 @@ class LaneMemories:
         return lanes
 
     def _allocate(self) -> None:
-        rows, length = self._rows, self._parts * self._rows + WIDTH
+        rows, length = self._rows, self._parts * self._rows + LANE_COUNT
         self._asks.clear()
         for key, kind in self.code.layout.arrays.items():
             if key not in self.arrays or len(self.arrays[key]) < length:
-                self.arrays[key] = np.zeros(length, DTYPES[kind])
+                self.arrays[key] = np.zeros(length, DTYPE_BY_KIND[kind])
         for k, lane in enumerate(self.every[: self._parts]):
-            own = {key: array[k * rows : (k + 1) * rows + WIDTH] for key, array in self.arrays.items()}
+            own = {key: array[k * rows : (k + 1) * rows + LANE_COUNT] for key, array in self.arrays.items()}
             lane.allocate(own, rows, self._others)
 
-    def ask(self, each: Instruction, rows: int, uniform: Mapping[int, ir.Node], values: Mapping[ir.Node, Any]) -> Ask:
+    def ask(
+        self, each: BlockInstruction, rows: int, uniform: Mapping[int, ir.PlanNode], values: Mapping[ir.PlanNode, Any]
+    ) -> FeelerQuery:
         """Return which of `rows` rows of all parts need a call, its arguments, and where the next stage reads its results.
         `uniform`: nodes with one value for all agents, by slot."""
         known = self._asks.get(each)
@@ -136,8 +145,8 @@ class LaneMemories:
         operands = [
             self.arrays[slot, 0][:rows] if (slot, 0) in self.arrays else np.full(rows, values[uniform[slot]]) for slot in slots
         ]
-        assert isinstance(each.what, ir.Node)
-        results = [self.arrays[each.out, part][:rows] for part in range(len(ir.TUPLES[each.what.op]))]
+        assert isinstance(each.what, ir.PlanNode)
+        results = [self.arrays[each.out, part][:rows] for part in range(len(ir.TUPLE_KINDS_BY_OPERATION[each.what.op]))]
         request = (self.arrays[self.code.mask_of(each), 0][:rows], tuple(operands), tuple(results))
         self._asks[each] = (request, same)
         return request

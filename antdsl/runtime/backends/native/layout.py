@@ -9,17 +9,17 @@ from dataclasses import dataclass, field
 from antdsl.machine_code.kinds import BOOL, F32, I32, I64
 from antdsl.plan import ir
 
-KINDS = {ir.Kind.F32: F32, ir.Kind.BOOL: BOOL, ir.Kind.I32: I32, ir.Kind.I64: I64}
-Key = tuple[Hashable, ...]
+LANE_TYPE_BY_KIND = {ir.ValueKind.F32: F32, ir.ValueKind.BOOL: BOOL, ir.ValueKind.I32: I32, ir.ValueKind.I64: I64}
+AddressKey = tuple[Hashable, ...]
 
 
 @dataclass(slots=True, eq=False)
-class Layout:
+class AddressLayout:
     """`pointers`: places in the table of addresses; the first is that of the numbers. `numbers`: places among the numbers, eight
     bytes each. `arrays`: kinds of values stored between stages or for calls, by slot and part."""
 
-    pointers: dict[Key, int] = field(default_factory=lambda: {("numbers",): 0})
-    numbers: dict[Key, int] = field(default_factory=dict)
+    pointers: dict[AddressKey, int] = field(default_factory=lambda: {("numbers",): 0})
+    numbers: dict[AddressKey, int] = field(default_factory=dict)
     arrays: dict[tuple[int, int], str] = field(default_factory=dict)
 
     def pointer(self, *key: Hashable) -> int:

@@ -7,21 +7,21 @@ from pathlib import Path
 
 from antdsl.machine_code.machine import Target
 from antdsl.plan import ir
-from antdsl.runtime.backends.native.programs import Program, WorldFacts, program
+from antdsl.runtime.backends.native.programs import NativeProgram, WorldFacts, program
 from antdsl.runtime.backends.numpy_backend import NumpyBackend
 
 _HEADER_PREFIXES = ("define ", "declare ", "}", "@")
 
 
-STILL = WorldFacts(moving=False, detail=False)
+STATIC_WORLD = WorldFacts(moving=False, detail=False)
 
 
-def plan_program(plan: ir.Plan, target: Target, facts: WorldFacts = STILL) -> Program:
+def plan_program(plan: ir.Plan, target: Target, facts: WorldFacts = STATIC_WORLD) -> NativeProgram:
     """Return a plan's program as it is compiled for a world."""
     return program(plan, NumpyBackend(plan).blocks, facts, target)
 
 
-def instruction_counts(native_program: Program) -> dict[str, int]:
+def instruction_counts(native_program: NativeProgram) -> dict[str, int]:
     """Return the number of instructions of each function, as emitted."""
     return {name: count_instructions(text) for name, text in native_program.functions.items() if text.startswith("define")}
 
@@ -32,7 +32,7 @@ def count_instructions(text: str) -> int:
     return sum(1 for line in lines if line and not line.startswith(_HEADER_PREFIXES) and not line.endswith(":"))
 
 
-def show(native_program: Program) -> str:
+def show(native_program: NativeProgram) -> str:
     """Readable text, the same for the same plan."""
     size, lines, named = instruction_counts(native_program), [], set()
     species = ""
@@ -46,7 +46,7 @@ def show(native_program: Program) -> str:
             named.add(function)
             called: Counter[str] = Counter()
             for each in code.schedule.calls[stage]:
-                if isinstance(each.what, ir.Node):
+                if isinstance(each.what, ir.PlanNode):
                     of = f"({each.what.attrs[0]})" if each.what.attrs else ""
                     called[f"{each.what.op}{of}{_source_place(each.what)}"] += 1
             lines += [f"    then NumPy: {what}{f', {count} times' if count > 1 else ''}" for what, count in called.items()]
@@ -58,10 +58,10 @@ def show(native_program: Program) -> str:
     return "\n".join(lines) + "\n"
 
 
-def _request_name(what: ir.Node | ir.Statement) -> str:
+def _request_name(what: ir.PlanNode | ir.PlanStatement) -> str:
     return what.op if isinstance(what, ir.Request) else type(what).__name__.lower()
 
 
-def _source_place(what: ir.Node | ir.Statement) -> str:
+def _source_place(what: ir.PlanNode | ir.PlanStatement) -> str:
     span = what.span
     return "" if span is None else f", {Path(span.source.path).name}:{span.source.line_column(span.start)[0]}"

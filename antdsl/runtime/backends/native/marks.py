@@ -12,11 +12,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl.machine_code.kernels.ir import Block
+from antdsl.machine_code.kernels.ir import BasicBlock
 from antdsl.machine_code.kernels.values import Number
 from antdsl.machine_code.kinds import I64
 from antdsl.machine_code.lanes import Lanes
-from antdsl.runtime.backends.compile import BlockCompiler, Instruction
+from antdsl.runtime.backends.compile import BlockCompiler, BlockInstruction
 from antdsl.runtime.backends.metering import instructions_of
 
 if TYPE_CHECKING:
@@ -33,7 +33,7 @@ class LineCounters:
         self.told = [-1]
         self._counters: dict[tuple[str, int, int], int] = {}
 
-    def counter(self, instruction: Instruction) -> int:
+    def counter(self, instruction: BlockInstruction) -> int:
         """That of an instruction's line."""
         span = instruction.span
         place = ("", 0) if span is None else (span.source.path, span.source.line_column(span.start)[0])
@@ -55,7 +55,7 @@ class _MarkWriter:
 
     def write(self) -> None:
         e, blocks = self.e, self.e.blocks
-        e.blocks, e.block_now = blocks[:1], Block(blocks[0].label, [])
+        e.blocks, e.block_now = blocks[:1], BasicBlock(blocks[0].label, [])
         e.blocks[0] = e.block_now
         e.put(self._last, self._read_counter())
         current = 0
@@ -127,7 +127,7 @@ class LineTimes:
     def __post_init__(self) -> None:
         self.ticks[:] = 0
 
-    def add_call(self, instruction: Instruction, seconds: float) -> None:
+    def add_call(self, instruction: BlockInstruction, seconds: float) -> None:
         """Add the time of an instruction without machine code."""
         self._add(self.lines.numbers[instruction], seconds)
 

@@ -7,33 +7,33 @@ from dataclasses import dataclass
 from functools import partial
 
 from antdsl.machine_code.machine import Target
-from antdsl.machine_code.module import Module
-from antdsl.numerics.elementwise import ELEMENTWISE
+from antdsl.machine_code.module import LlvmModule
+from antdsl.numerics.elementwise import FUNCTION_BY_NAME
 from antdsl.plan import ir
-from antdsl.runtime.backends.compile import BlockCompiler, Instruction
+from antdsl.runtime.backends.compile import BlockCompiler, BlockInstruction
 from antdsl.runtime.backends.native import search, sets
 from antdsl.runtime.backends.native.asking import ask
-from antdsl.runtime.backends.native.block import BlockCode, BlockWriter, Lower
-from antdsl.runtime.backends.native.layout import KINDS, Layout
+from antdsl.runtime.backends.native.block import BlockCode, BlockWriter, NodeLowerer
+from antdsl.runtime.backends.native.layout import LANE_TYPE_BY_KIND, AddressLayout
 from antdsl.runtime.backends.native.marks import LineCounters
 from antdsl.runtime.backends.native.scents import find_bounds
-from antdsl.runtime.backends.native.schedule import PAIRED, make_schedule
-from antdsl.runtime.backends.native.senses import GUARDS, NATIVE, OF_PAIRS, ON_MOVING_GROUND
+from antdsl.runtime.backends.native.schedule import PAIR_INSTRUCTION_KINDS, make_schedule
+from antdsl.runtime.backends.native.senses import GUARDED_SENSES, NATIVE_LOWERERS, PAIR_SENSES, SENSES_CALLED_ON_MOVING_GROUND
 from antdsl.runtime.pairs import is_nearest_only
-from antdsl.scene.setting import Setting
+from antdsl.scene.setting import WorldSetting
 
-Blocks = Mapping[tuple[str, str], BlockCompiler]
-_RUNS = ("decide", "act", "blend")
+CompiledBlocks = Mapping[tuple[str, str], BlockCompiler]
+_STEP_BLOCKS = ("decide", "act", "blend")
 
 
-def _emit_reduction(b: BlockWriter, instruction: Instruction) -> None:
+def _emit_reduction(b: BlockWriter, instruction: BlockInstruction) -> None:
     """Emit a reduction, and the others that the same search computes."""
-    assert isinstance(instruction.what, ir.Node)
+    assert isinstance(instruction.what, ir.PlanNode)
     (search.emit_neighbour_reduction if instruction.what.args[0].op == "set.agents" else sets.emit_member_loop)(b, instruction)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Program:
+class NativeProgram:
     """`text` of all functions, the text of each function by name, and the units that are compiled separately. A unit is a
     function that is called from outside, with everything that it calls. `blocks`: by species and block."""
 
@@ -53,41 +53,41 @@ class WorldFacts:
     timed: bool = False
 
     @classmethod
-    def of(cls, setting: Setting, *, timed: bool = False) -> WorldFacts:
+    def of(cls, setting: WorldSetting, *, timed: bool = False) -> WorldFacts:
         """Those of a world that is bound to a setting."""
         return cls(any(name in setting.surfaces for name in setting.moves.meshes), setting.detail is not None, timed)
 
 
-def begin_blocks(plan: ir.Plan, blocks: Blocks, facts: WorldFacts) -> dict[tuple[str, str], BlockCode]:
+def begin_blocks(plan: ir.Plan, blocks: CompiledBlocks, facts: WorldFacts) -> dict[tuple[str, str], BlockCode]:
     """All blocks of a plan but births, which are few, with their instructions in stages."""
     senses = _senses(facts)
 
-    def lowers(of: ir.SpeciesPlan, node: ir.Node) -> bool:
+    def lowers(of: ir.SpeciesPlan, node: ir.PlanNode) -> bool:
         if node.op.startswith("reduce."):
-            return sets.has_machine_code(node, OF_PAIRS) and not is_nearest_only(of, node.args[0])
-        return node.op == "get" or node.op in ELEMENTWISE or node.op in senses
+            return sets.has_machine_code(node, PAIR_SENSES) and not is_nearest_only(of, node.args[0])
+        return node.op == "get" or node.op in FUNCTION_BY_NAME or node.op in senses
 
-    def costly(node: ir.Node) -> bool:
+    def costly(node: ir.PlanNode) -> bool:
         return node.op.startswith("reduce.") or node.op == "field.strongest"
 
     output = {}
     for (species, block), compiler in blocks.items():
-        if block in _RUNS and compiler.root.code:
+        if block in _STEP_BLOCKS and compiler.root.code:
             of = plan.species[species]
             order = make_schedule(compiler, partial(lowers, of), costly)
             lines = LineCounters(compiler) if facts.timed else None
-            output[species, block] = BlockCode(of, [], Layout(), order, lines, bounds=find_bounds(compiler, order))
+            output[species, block] = BlockCode(of, [], AddressLayout(), order, lines, bounds=find_bounds(compiler, order))
     return output
 
 
-def program(plan: ir.Plan, blocks: Blocks, facts: WorldFacts, target: Target) -> Program:
+def program(plan: ir.Plan, blocks: CompiledBlocks, facts: WorldFacts, target: Target) -> NativeProgram:
     """The blocks of a plan with their text."""
-    guards = {} if facts.detail else GUARDS
+    guards = {} if facts.detail else GUARDED_SENSES
 
     def combine(field: str) -> str:
         return plan.fields[field].combine
 
-    module = Module(target)
+    module = LlvmModule(target)
     output = begin_blocks(plan, blocks, facts)
     for (species, block), code in output.items():
         compiler, order = blocks[species, block], code.schedule
@@ -96,12 +96,12 @@ def program(plan: ir.Plan, blocks: Blocks, facts: WorldFacts, target: Target) ->
             BlockWriter(module, code, compiler, stage, _senses(facts), _emit_reduction, guards, ask, combine).write(name)
             code.names.append(name)
         for each in (each for group in order.calls for each in group):
-            if each.does not in PAIRED and isinstance(each.what, ir.Node):
-                for part, kind in enumerate(ir.TUPLES.get(each.what.op, (each.what.kind,))):
-                    code.layout.array(each.out, part, KINDS[kind])
-    return Program(module.text(), module.functions, {name: module.unit(name) for name in module.entries()}, output)
+            if each.does not in PAIR_INSTRUCTION_KINDS and isinstance(each.what, ir.PlanNode):
+                for part, kind in enumerate(ir.TUPLE_KINDS_BY_OPERATION.get(each.what.op, (each.what.kind,))):
+                    code.layout.array(each.out, part, LANE_TYPE_BY_KIND[kind])
+    return NativeProgram(module.text(), module.functions, {name: module.unit(name) for name in module.entries()}, output)
 
 
-def _senses(facts: WorldFacts) -> dict[str, Lower]:
+def _senses(facts: WorldFacts) -> dict[str, NodeLowerer]:
     """Senses that have machine code in a world."""
-    return {op: lower for op, lower in NATIVE.items() if not (facts.moving and op in ON_MOVING_GROUND)}
+    return {op: lower for op, lower in NATIVE_LOWERERS.items() if not (facts.moving and op in SENSES_CALLED_ON_MOVING_GROUND)}

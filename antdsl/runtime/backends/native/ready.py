@@ -18,15 +18,15 @@ from weakref import ReferenceType, WeakKeyDictionary, ref
 from antdsl.machine_code import codes, machine
 from antdsl.plan import ir
 from antdsl.runtime.backends import numpy_calls
-from antdsl.runtime.backends.compile import Instruction, InstructionKind, Run
+from antdsl.runtime.backends.compile import BlockInstruction, InstructionKind, SlotFunction
 from antdsl.runtime.backends.native import stored
 from antdsl.runtime.backends.native.block import BlockCode
-from antdsl.runtime.backends.native.programs import Blocks, Program, WorldFacts, program
-from antdsl.runtime.sensing import SENSES
+from antdsl.runtime.backends.native.programs import CompiledBlocks, NativeProgram, WorldFacts, program
+from antdsl.runtime.sensing import SENSE_FUNCTIONS
 
-_plans: WeakKeyDictionary[ir.Plan, dict[WorldFacts, ReadyCode]] = WeakKeyDictionary()
-_requests: list[tuple[ReferenceType[Future[ReadyCode]], Generator[None, None, ReadyCode]]] = []
-_guard = Lock()
+_code_by_plan: WeakKeyDictionary[ir.Plan, dict[WorldFacts, ReadyCode]] = WeakKeyDictionary()
+_pending_requests: list[tuple[ReferenceType[Future[ReadyCode]], Generator[None, None, ReadyCode]]] = []
+_requests_lock = Lock()
 
 
 class CodeUnavailable(Exception):
@@ -39,12 +39,12 @@ class ReadyCode:
     function; `calls` makes each call of an instruction that has no machine code; `together`: by block and stage what is called
     after it, those of one sense with one name at once."""
 
-    blocks: Blocks
+    blocks: CompiledBlocks
     facts: WorldFacts
     written: Mapping[tuple[str, str], BlockCode]
-    codes: Mapping[str, machine.Code]
-    calls: Mapping[Instruction, Run]
-    together: Mapping[tuple[str, str, int], list[list[Instruction]]]
+    codes: Mapping[str, machine.LoadedCode]
+    calls: Mapping[BlockInstruction, SlotFunction]
+    together: Mapping[tuple[str, str, int], list[list[BlockInstruction]]]
 
     def function(self, name: str) -> Any:
         """Return a function of the program, as in `machine.Code`."""
@@ -53,12 +53,12 @@ class ReadyCode:
 
 def find_ready(plan: ir.Plan, facts: WorldFacts) -> ReadyCode | None:
     """Return an earlier result for a plan, while it is still in use somewhere."""
-    with _guard:
-        return _plans.get(plan, {}).get(facts)
+    with _requests_lock:
+        return _code_by_plan.get(plan, {}).get(facts)
 
 
 def _build_ready(
-    plan: ir.Plan, blocks: Blocks, facts: WorldFacts, known: stored.Written | None
+    plan: ir.Plan, blocks: CompiledBlocks, facts: WorldFacts, known: stored.StoredBlocks | None
 ) -> Generator[None, None, ReadyCode]:
     """Compile a plan's blocks for this processor, one piece of work per step of the generator. Raises CodeUnavailable."""
     if why := machine.unavailable():
@@ -72,8 +72,8 @@ def _build_ready(
             stored.write(subject, text())
     units, written = known
     yield
-    calls: dict[Instruction, Run] = {}
-    together: dict[tuple[str, str, int], list[list[Instruction]]] = {}
+    calls: dict[BlockInstruction, SlotFunction] = {}
+    together: dict[tuple[str, str, int], list[list[BlockInstruction]]] = {}
     for key, code in written.items():
         for stage, called in enumerate(code.schedule.calls):
             together[(*key, stage)] = _group_calls(called)
@@ -84,39 +84,41 @@ def _build_ready(
         machine_codes[name] = codes.code(named, partial(_unit, text, name))
         yield
     ready = ReadyCode(blocks, facts, written, machine_codes, calls, together)
-    with _guard:
-        _plans.setdefault(plan, {})[facts] = ready
+    with _requests_lock:
+        _code_by_plan.setdefault(plan, {})[facts] = ready
     return ready
 
 
-def _unit(text: Callable[[], Program], name: str) -> str:
+def _unit(text: Callable[[], NativeProgram], name: str) -> str:
     return text().units[name]
 
 
-def find(plan: ir.Plan, blocks: Blocks, facts: WorldFacts) -> stored.Written | None:
+def find(plan: ir.Plan, blocks: CompiledBlocks, facts: WorldFacts) -> stored.StoredBlocks | None:
     """What an earlier run stored of a plan's blocks: their code can be loaded at once."""
     subject = stored.subject(plan, blocks, facts, machine.host()) if machine.is_available() else None
     return None if subject is None else stored.read(subject)
 
 
-def start_building(plan: ir.Plan, blocks: Blocks, facts: WorldFacts, known: stored.Written | None = None) -> Future[ReadyCode]:
+def start_building(
+    plan: ir.Plan, blocks: CompiledBlocks, facts: WorldFacts, known: stored.StoredBlocks | None = None
+) -> Future[ReadyCode]:
     """Build a plan's blocks as machine code for this processor in a thread, and return a future; its result may be the error
     CodeUnavailable. The latest request is built first, because a user looks at it. Building stops once the caller drops the
     future, for example because the program was saved again before its code was ready. `known`: the result of `find`."""
     coming: Future[ReadyCode] = Future()
-    with _guard:
-        _requests.append((ref(coming), _build_ready(plan, blocks, facts, known)))
+    with _requests_lock:
+        _pending_requests.append((ref(coming), _build_ready(plan, blocks, facts, known)))
     _worker().submit(_do_piece)
     return coming
 
 
 def _do_piece() -> None:
     """Do one piece of the latest request that is still needed."""
-    with _guard:
-        _requests[:] = [each for each in _requests if each[0]() is not None]
-        if not _requests:
+    with _requests_lock:
+        _pending_requests[:] = [each for each in _pending_requests if each[0]() is not None]
+        if not _pending_requests:
             return
-        future_reference, making = _requests[-1]
+        future_reference, making = _pending_requests[-1]
     try:
         next(making)
     except StopIteration as made:
@@ -131,8 +133,8 @@ def _do_piece() -> None:
 
 def _finish_request(future_reference: ReferenceType[Future[ReadyCode]], tell: Callable[[Future[ReadyCode]], None]) -> None:
     """Complete a request: its result is ready, or it has failed."""
-    with _guard:
-        _requests[:] = [each for each in _requests if each[0] is not future_reference]
+    with _requests_lock:
+        _pending_requests[:] = [each for each in _pending_requests if each[0] is not future_reference]
     coming = future_reference()
     if coming is not None:
         tell(coming)
@@ -140,8 +142,8 @@ def _finish_request(future_reference: ReferenceType[Future[ReadyCode]], tell: Ca
 
 def release_code() -> None:
     """Drop all code in memory that no backend uses, as in a new process. Code stored in folders stays."""
-    with _guard:
-        _plans.clear()
+    with _requests_lock:
+        _code_by_plan.clear()
     codes.forget()
 
 
@@ -150,12 +152,16 @@ def _worker() -> ThreadPoolExecutor:
     return ThreadPoolExecutor(1, "machine code")
 
 
-def _group_calls(calls: list[Instruction]) -> list[list[Instruction]]:
+def _group_calls(calls: list[BlockInstruction]) -> list[list[BlockInstruction]]:
     """Return calls in their order, grouped: calls of one sense with one name run at once."""
-    groups: list[list[Instruction]] = []
-    known: dict[Any, list[Instruction]] = {}
+    groups: list[list[BlockInstruction]] = []
+    known: dict[Any, list[BlockInstruction]] = {}
     for each in calls:
-        if each.does is not InstructionKind.VALUE or not isinstance(each.what, ir.Node) or each.what.op not in SENSES:
+        if (
+            each.does is not InstructionKind.VALUE
+            or not isinstance(each.what, ir.PlanNode)
+            or each.what.op not in SENSE_FUNCTIONS
+        ):
             groups.append([each])
             continue
         key = (each.what.op, each.what.attrs)

@@ -9,12 +9,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl.machine_code.kinds import WIDTH
+from antdsl.machine_code.kinds import LANE_COUNT
 from antdsl.machine_code.memory import address, has_padding, padded_copy
-from antdsl.runtime.backends.native.layout import Key
+from antdsl.runtime.backends.native.layout import AddressKey
 from antdsl.runtime.world import Population
 
-_FEW = 64  # number of arrays below which unused ones are not searched for
+_MIN_ARRAYS_TO_DROP = 64  # number of arrays below which unused ones are not searched for
 
 
 class PaddedArrays:
@@ -22,8 +22,8 @@ class PaddedArrays:
 
     def __init__(self) -> None:
         self._moved: dict[int, tuple[NDArray[Any], NDArray[Any], int]] = {}  # by identity: an array, that with room, its address
-        self._most = _FEW  # arrays, above which it is looked who still has them
-        self._copies: dict[Key, PaddedCopy] = {}
+        self._most = _MIN_ARRAYS_TO_DROP  # arrays, above which it is looked who still has them
+        self._copies: dict[AddressKey, PaddedCopy] = {}
         self.step = 0  # goes up with each: what stays while one lasts is copied once
 
     def place(self, array: NDArray[Any]) -> tuple[NDArray[Any], int]:
@@ -56,7 +56,7 @@ class PaddedArrays:
         if len(self._moved) > self._most:
             held = {id(array) for each in populations for holder in (each.start, each.now) for array in holder.values()}
             self._moved = {key: known for key, known in self._moved.items() if id(known[1]) in held}
-            self._most = max(_FEW, 2 * len(self._moved))
+            self._most = max(_MIN_ARRAYS_TO_DROP, 2 * len(self._moved))
 
     def drop_unused(self) -> None:
         """Drop arrays that are no longer in use, after the rows changed."""
@@ -80,7 +80,7 @@ class PaddedCopy:
     def of(self, array: NDArray[Any], dtype: Any, stamp: Any = None) -> int:
         """Return the address of a copy. The copy is valid while `stamp` stays the same; without one, for one step."""
         stamp = self._rooms.step if stamp is None else stamp
-        if stamp != self._of or len(self._whole) != len(array) + WIDTH:
+        if stamp != self._of or len(self._whole) != len(array) + LANE_COUNT:
             self._resize(len(array), dtype)
             self._whole[: len(array)] = array
             self._of = stamp
@@ -94,6 +94,6 @@ class PaddedCopy:
         return self._address
 
     def _resize(self, rows: int, dtype: Any) -> None:
-        if len(self._whole) != rows + WIDTH:
-            self._whole = np.zeros(rows + WIDTH, dtype)
+        if len(self._whole) != rows + LANE_COUNT:
+            self._whole = np.zeros(rows + LANE_COUNT, dtype)
             self._address = address(self._whole)

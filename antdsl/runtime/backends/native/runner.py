@@ -12,11 +12,20 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl.machine_code.kinds import WIDTH
+from antdsl.machine_code.kinds import LANE_COUNT
 from antdsl.numerics import parallel
-from antdsl.numerics.host import EACH, cores
+from antdsl.numerics.host import PARTS_PER_THREAD, cores
 from antdsl.plan import ir
-from antdsl.runtime.backends.compile import EFFECTS, PAIRS, POPULATION, THREADS, WORLD, Instruction, InstructionKind, Scope
+from antdsl.runtime.backends.compile import (
+    EFFECTS_SLOT,
+    PAIRS_SLOT,
+    POPULATION_SLOT,
+    THREADS_SLOT,
+    WORLD_SLOT,
+    BlockInstruction,
+    InstructionKind,
+    RowScope,
+)
 from antdsl.runtime.backends.metering import MeteredBlock
 from antdsl.runtime.backends.native.asking import record_request
 from antdsl.runtime.backends.native.lane import LaneMemory
@@ -25,16 +34,16 @@ from antdsl.runtime.backends.native.ready import ReadyCode
 from antdsl.runtime.backends.native.rooms import PaddedArrays
 from antdsl.runtime.backends.native.tables import AddressTables
 from antdsl.runtime.requests import FaultEntry
-from antdsl.runtime.sensing import IN_PLACE, SENSES
+from antdsl.runtime.sensing import BATCHED_SENSES, SENSE_FUNCTIONS
 from antdsl.runtime.world import Population, World
 
-_GRAIN = 64  # rows: parts are of whole ones, so that some births change the length of none
+_PART_ROW_MULTIPLE = 64  # rows: parts are of whole ones, so that some births change the length of none
 # Calls at the end of a stage, those of one sense with one name together: whether what they give is answered where it is left, and
 # each with its number among `needs`.
-Calls = list[tuple[bool, list[tuple[Instruction, int]]]]
+StageCalls = list[tuple[bool, list[tuple[BlockInstruction, int]]]]
 
 
-class Block:
+class BlockRunner:
     """A block of one species, ready to be run step after step."""
 
     def __init__(self, ready: ReadyCode, species: str, name: str, rooms: PaddedArrays) -> None:
@@ -45,14 +54,14 @@ class Block:
         numbers = {each: number for number, each in enumerate(self.code.needs)}
         self._ready_for: tuple[int, ...] = ()
         self._rounds: list[PartGroup] = []
-        self.stages: list[tuple[Any, Calls]] = []  # function, and what is called after it
+        self.stages: list[tuple[Any, StageCalls]] = []  # function, and what is called after it
         for stage, function in enumerate(self.code.names):
             groups = ready.together[species, name, stage]
             calls = [(_is_in_place(group[0]), [(each, numbers.get(each, -1)) for each in group]) for group in groups]
             self.stages.append((ready.function(function), calls))
 
     def run(
-        self, world: World, population: Population, values: dict[ir.Node, Any], timed: MeteredBlock | None
+        self, world: World, population: Population, values: dict[ir.PlanNode, Any], timed: MeteredBlock | None
     ) -> list[tuple[int, int]]:
         """Run all rows through the block and add their requests to the population's effects, in row order. `values`: those that
         are equal for all agents. `timed`: collects times by line, if lines are timed. Returns the parts in which an agent has too
@@ -71,13 +80,13 @@ class Block:
         threads = max(1, min(threads, cores()))
         size = _part_size(count, chunk, threads)
         bounds = [(begin, min(begin + size, count)) for begin in range(0, count, size)]
-        lanes = self.tables.prepare_lanes(min(len(bounds), EACH * threads if threads > 1 else 1), size, others)
-        chunks = [Chunk(self, lane) for lane in lanes]
+        lanes = self.tables.prepare_lanes(min(len(bounds), PARTS_PER_THREAD * threads if threads > 1 else 1), size, others)
+        chunks = [RowChunk(self, lane) for lane in lanes]
         firsts = range(0, len(bounds), len(lanes))
         self._rounds = [PartGroup(self, chunks, bounds[first : first + len(lanes)], threads) for first in firsts]
 
     def _run_timed(
-        self, world: World, population: Population, values: dict[ir.Node, Any], timed: MeteredBlock
+        self, world: World, population: Population, values: dict[ir.PlanNode, Any], timed: MeteredBlock
     ) -> list[tuple[int, int]]:
         lines, chunks, began = self.code.lines, self._rounds[0].chunks, perf_counter()
         for each in chunks:
@@ -90,37 +99,40 @@ class Block:
             timed.add_lanes([spent.lane for spent in counted], perf_counter() - began if len(chunks) > 1 else np.inf)
         return bad
 
-    def _run_parts(self, world: World, population: Population, values: dict[ir.Node, Any]) -> list[tuple[int, int]]:
+    def _run_parts(self, world: World, population: Population, values: dict[ir.PlanNode, Any]) -> list[tuple[int, int]]:
         bad: list[tuple[int, int]] = []
         for each in self._rounds:
             bad += each.run(world, population, values)
         return bad
 
 
-def _is_in_place(each: Instruction) -> bool:
-    return each.does is InstructionKind.VALUE and isinstance(each.what, ir.Node) and each.what.op in IN_PLACE
+def _is_in_place(each: BlockInstruction) -> bool:
+    return each.does is InstructionKind.VALUE and isinstance(each.what, ir.PlanNode) and each.what.op in BATCHED_SENSES
 
 
 def _part_size(count: int, chunk: int, threads: int) -> int:
     """Return the rows of a part: at most a chunk, and where it pays several parts per thread for balance. The parts of a thread
     in one round are at most a chunk together, which stays in cache from stage to stage."""
-    most = chunk if threads < 2 else chunk // EACH
-    parts = max(-(-count // max(WIDTH, most)), min(EACH * threads, count // parallel.PART) if threads > 1 else 1)
-    most = _GRAIN * parts
-    return _GRAIN * max(1, -(-count // most))
+    most = chunk if threads < 2 else chunk // PARTS_PER_THREAD
+    parts = max(
+        -(-count // max(LANE_COUNT, most)),
+        min(PARTS_PER_THREAD * threads, count // parallel.MIN_AGENTS_PER_THREAD) if threads > 1 else 1,
+    )
+    most = _PART_ROW_MULTIPLE * parts
+    return _PART_ROW_MULTIPLE * max(1, -(-count // most))
 
 
 class PartGroup:
     """Consecutive parts of a block's rows that go through its stages together. All pass one stage without the interpreter, then
     the calls at its end, then the next stage."""
 
-    def __init__(self, block: Block, chunks: list[Chunk], bounds: list[tuple[int, int]], threads: int) -> None:
+    def __init__(self, block: BlockRunner, chunks: list[RowChunk], bounds: list[tuple[int, int]], threads: int) -> None:
         self._block, self._threads, self._bounds = block, threads, bounds
         self.chunks = chunks[: len(bounds)]
         self._begin, self._end = bounds[0][0], bounds[-1][1]
         self._table = np.array([(each.lane.address, *part) for each, part in zip(self.chunks, bounds, strict=True)], np.int64)
 
-    def run(self, world: World, population: Population, values: dict[ir.Node, Any]) -> list[tuple[int, int]]:
+    def run(self, world: World, population: Population, values: dict[ir.PlanNode, Any]) -> list[tuple[int, int]]:
         """Run the parts through all stages and add their requests to the population's effects. Return the parts in which an agent
         has too many others in a radius."""
         chunks, timed = self.chunks, self.chunks[0].times is not None
@@ -128,14 +140,14 @@ class PartGroup:
             each.begin(world, population, values, *part)
         for function, calls in self._block.stages:
             if timed:
-                self._for_each_part(partial(Chunk.run_stage, function=function))
+                self._for_each_part(partial(RowChunk.run_stage, function=function))
             else:
                 parallel.call_rows(function, self._table, self._threads)
             if calls:
                 self._calls(world, population, values, calls)
         return [part for each, part in zip(chunks, self._bounds, strict=True) if not each.end()]
 
-    def _for_each_part(self, work: Callable[[Chunk], object]) -> None:
+    def _for_each_part(self, work: Callable[[RowChunk], object]) -> None:
         """Have work done for each part, in threads."""
         coming = iter(self.chunks)
 
@@ -148,7 +160,7 @@ class PartGroup:
         else:
             run_parts(0)
 
-    def _calls(self, world: World, population: Population, values: dict[ir.Node, Any], every: Calls) -> None:
+    def _calls(self, world: World, population: Population, values: dict[ir.PlanNode, Any], every: StageCalls) -> None:
         """Run the calls at the end of a stage that some agent needs."""
         needs = [max(each) for each in zip(*[chunk.lane.needs.tolist() for chunk in self.chunks], strict=True)]
         others = []
@@ -159,16 +171,16 @@ class PartGroup:
             elif needed:
                 others.append(group)
         if others:
-            self._for_each_part(partial(Chunk.make_calls, every=others))
+            self._for_each_part(partial(RowChunk.make_calls, every=others))
 
     def _answer_calls(
-        self, world: World, population: Population, values: dict[ir.Node, Any], instructions: list[Instruction]
+        self, world: World, population: Population, values: dict[ir.PlanNode, Any], instructions: list[BlockInstruction]
     ) -> None:
         """Run one or several calls of one sense with one name. The inputs are where a stage stored them, the results where the
         next stage reads them."""
         began, block, node = perf_counter(), self._block, instructions[0].what
-        assert isinstance(node, ir.Node)
-        answer, nothing = IN_PLACE[node.op]
+        assert isinstance(node, ir.PlanNode)
+        answer, nothing = BATCHED_SENSES[node.op]
         asks = [block.tables.lanes.ask(each, self._end - self._begin, block.uniform, values) for each in instructions]
         for each, (_, _, results) in zip(instructions, asks, strict=True):
             if each not in block.code.guarded:
@@ -179,22 +191,22 @@ class PartGroup:
             self.chunks[0].add_call_time(began, instructions, [int(np.count_nonzero(asking)) for asking, _, _ in asks])
 
 
-class Chunk:
+class RowChunk:
     """Runs rows of a block through its stages, in a thread. `times`, if set, are counted."""
 
     world: World
     population: Population
-    values: dict[ir.Node, Any]
+    values: dict[ir.PlanNode, Any]
     first: int
     last: int
 
-    def __init__(self, block: Block, lane: LaneMemory) -> None:
+    def __init__(self, block: BlockRunner, lane: LaneMemory) -> None:
         self.block, self.lane = block, lane
         self.times: LineTimes | None = None
         self._picked: dict[int, NDArray[np.intp]] = {}
         self._slots: list[Any] | None = None
 
-    def begin(self, world: World, population: Population, values: dict[ir.Node, Any], first: int, last: int) -> None:
+    def begin(self, world: World, population: Population, values: dict[ir.PlanNode, Any], first: int, last: int) -> None:
         """Set the rows to run (from the first to before the last)."""
         self.world, self.population, self.values = world, population, values
         self.first, self.last = first, last
@@ -226,7 +238,7 @@ class Chunk:
         del self.world, self.population, self.values  # not needed once no other thread uses them
         return not crowded
 
-    def add_call_time(self, began: float, instructions: list[Instruction], rows: list[int]) -> None:
+    def add_call_time(self, began: float, instructions: list[BlockInstruction], rows: list[int]) -> None:
         """Divide the time of completed calls among them, by the rows of each."""
         if self.times is not None:
             each_row = (perf_counter() - began) / max(sum(rows), 1)
@@ -238,8 +250,8 @@ class Chunk:
         notes = self.lane.notes
         for k in range(int(notes[0])):
             row, fault_word = int(notes[1 + 2 * k]), int(notes[2 + 2 * k])
-            refused, by = self.block.code.faults[fault_word >> WIDTH]
-            rows = row + np.flatnonzero([fault_word >> bit & 1 for bit in range(WIDTH)])
+            refused, by = self.block.code.faults[fault_word >> LANE_COUNT]
+            rows = row + np.flatnonzero([fault_word >> bit & 1 for bit in range(LANE_COUNT)])
             self.population.effects.faults.append(FaultEntry(self.block.compiler.name, refused, by.span, rows))
 
     # --- calls ---------------------------------------------------------------------------------------------------------
@@ -249,8 +261,8 @@ class Chunk:
         if self._slots is None:
             compiler = self.block.compiler
             v = self._slots = [None] * compiler.slots
-            v[WORLD], v[POPULATION], v[EFFECTS] = self.world, self.population, self.population.effects
-            v[PAIRS], v[THREADS] = {}, 1
+            v[WORLD_SLOT], v[POPULATION_SLOT], v[EFFECTS_SLOT] = self.world, self.population, self.population.effects
+            v[PAIRS_SLOT], v[THREADS_SLOT] = {}, 1
             v[compiler.root.rows] = slice(self.first, self.last)
             for node, slot in compiler.uniforms.items():
                 v[slot] = self.values[node]
@@ -262,7 +274,7 @@ class Chunk:
             (self._picked[slot],) = self.lane.arrays[slot, 0][: self.last - self.first].nonzero()
         return self._picked[slot]
 
-    def _scope_rows(self, scope: Scope) -> NDArray[np.intp]:
+    def _scope_rows(self, scope: RowScope) -> NDArray[np.intp]:
         rows, v = self._rows_of(self.block.code.schedule.slot(scope.rows)), self._numpy_slots()
         is_complete = len(rows) == self.last - self.first
         v[scope.rows], v[scope.size] = (slice(self.first, self.last) if is_complete else rows + self.first), len(rows)
@@ -276,7 +288,7 @@ class Chunk:
             return array.take(rows)
         return self._numpy_slots()[source]
 
-    def _run_call(self, each: Instruction, rows: NDArray[np.intp]) -> Any:
+    def _run_call(self, each: BlockInstruction, rows: NDArray[np.intp]) -> Any:
         """Run a call of NumPy's for some rows."""
         v = self._numpy_slots()
         for slot in each.inputs:
@@ -284,7 +296,7 @@ class Chunk:
         self.block.made[each](v)
         return v[each.out]
 
-    def make_calls(self, every: Sequence[list[tuple[Instruction, int]]]) -> None:
+    def make_calls(self, every: Sequence[list[tuple[BlockInstruction, int]]]) -> None:
         """Make these calls, each for the rows that need it."""
         needs = self.lane.needs.tolist()
         for group in every:
@@ -293,7 +305,7 @@ class Chunk:
                 with np.errstate(all="ignore"):
                     self._make_call(needed)
 
-    def _make_call(self, instructions: list[Instruction]) -> None:
+    def _make_call(self, instructions: list[BlockInstruction]) -> None:
         """Make a call, or several of one sense with one name at once: a row appears once for each of its requests."""
         code, began = self.block.code, perf_counter()
         if len(instructions) == 1 and instructions[0] not in code.guarded:
@@ -313,16 +325,16 @@ class Chunk:
             spread = [part if isinstance(part, np.ndarray) and part.ndim else np.full(len(rows), part) for part, rows in pairs]
             columns.append(np.concatenate(spread))
         node = instructions[0].what
-        assert isinstance(node, ir.Node)
+        assert isinstance(node, ir.PlanNode)
         asking = np.concatenate(chosen) + self.first
-        results = SENSES[node.op](self.world, self.population, node, asking, *columns)
+        results = SENSE_FUNCTIONS[node.op](self.world, self.population, node, asking, *columns)
         parts_of = results if isinstance(results, tuple) else (results,)
         for each, rows, end in zip(instructions, chosen, ends, strict=True):
             if len(rows):
                 self._store_results(each, rows, tuple(part[end - len(rows) : end] for part in parts_of))
         self.add_call_time(began, instructions, [len(rows) for rows in chosen])
 
-    def _store_results(self, each: Instruction, rows: NDArray[np.intp], results: Any) -> None:
+    def _store_results(self, each: BlockInstruction, rows: NDArray[np.intp], results: Any) -> None:
         """Put the results of a call where the next stage looks for them."""
         for part, value in enumerate(results if isinstance(results, tuple) else (results,)):
             array = self.lane.arrays.get((each.out, part))

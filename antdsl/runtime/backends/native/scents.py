@@ -8,11 +8,11 @@ from typing import Any
 from antdsl.machine_code.kinds import BOOL, I32
 from antdsl.machine_code.lanes import Lanes
 from antdsl.plan import ir
-from antdsl.runtime.backends.compile import BlockCompiler, Instruction, InstructionKind, Scope
-from antdsl.runtime.backends.native.schedule import Schedule
+from antdsl.runtime.backends.compile import BlockCompiler, BlockInstruction, InstructionKind, RowScope
+from antdsl.runtime.backends.native.schedule import StageSchedule
 
-_STRENGTH = 0  # part of what `field.strongest` gives
-_COMPARED = frozenset(("lt", "le", "gt", "ge"))
+_STRENGTH_PART = 0  # part of what `field.strongest` gives
+_COMPARISON_OPERATIONS = frozenset(("lt", "le", "gt", "ge"))
 
 
 def own_cell(w: Any, field: str) -> Lanes:
@@ -22,7 +22,7 @@ def own_cell(w: Any, field: str) -> Lanes:
     return cell_number
 
 
-def may_reach(w: Any, node: ir.Node, bound: ir.Node) -> Lanes:
+def may_reach(w: Any, node: ir.PlanNode, bound: ir.PlanNode) -> Lanes:
     """Return the lanes for which a cell around may hold as much as a bound."""
 
     def make() -> Lanes:
@@ -33,18 +33,18 @@ def may_reach(w: Any, node: ir.Node, bound: ir.Node) -> Lanes:
     return may
 
 
-def strength(w: Any, node: ir.Node, bound: ir.Node, stored_strength: Lanes) -> Lanes:
+def strength(w: Any, node: ir.PlanNode, bound: ir.PlanNode, stored_strength: Lanes) -> Lanes:
     """Return the stored value `stored_strength` of scents that may reach the bound. For others, return 0, which is below the
     bound as their true value is."""
     bounded_strength: Lanes = w.e.where(may_reach(w, node, bound), stored_strength, w.e.constant(0.0, stored_strength.kind))
     return bounded_strength
 
 
-def find_bounds(compiler: BlockCompiler, schedule: Schedule) -> dict[int, ir.Node]:
+def find_bounds(compiler: BlockCompiler, schedule: StageSchedule) -> dict[int, ir.PlanNode]:
     """Return the bounds of scents by slot. These scents are stored for the step and only compared with one number, which is equal
     for all agents."""
     uniform = {slot: node for node, slot in compiler.uniforms.items()}
-    readers: dict[int, list[Instruction]] = {}
+    readers: dict[int, list[BlockInstruction]] = {}
     scents: list[int] = []
     for each in _all_instructions(compiler.root):
         if each.does is not InstructionKind.GATHER:  # which only stands for what it gathers
@@ -60,7 +60,7 @@ def find_bounds(compiler: BlockCompiler, schedule: Schedule) -> dict[int, ir.Nod
         if (
             not compared
             or not all(_is_strength(part) for part in parts)
-            or not all(_operation_name(by) in _COMPARED for by in compared)
+            or not all(_operation_name(by) in _COMPARISON_OPERATIONS for by in compared)
         ):
             continue
         others = {schedule.slot(slot) for by in compared for slot in by.inputs} - numbers
@@ -69,20 +69,20 @@ def find_bounds(compiler: BlockCompiler, schedule: Schedule) -> dict[int, ir.Nod
     return scent_bounds
 
 
-def _operation_name(each: Instruction) -> str:
-    return each.what.op if isinstance(each.what, ir.Node) else ""
+def _operation_name(each: BlockInstruction) -> str:
+    return each.what.op if isinstance(each.what, ir.PlanNode) else ""
 
 
-def _is_strength(each: Instruction) -> bool:
+def _is_strength(each: BlockInstruction) -> bool:
     return (
         each.does is InstructionKind.VALUE
-        and isinstance(each.what, ir.Node)
+        and isinstance(each.what, ir.PlanNode)
         and each.what.op == "get"
-        and each.what.attrs[0] == _STRENGTH
+        and each.what.attrs[0] == _STRENGTH_PART
     )
 
 
-def _all_instructions(scope: Scope) -> Iterator[Instruction]:
+def _all_instructions(scope: RowScope) -> Iterator[BlockInstruction]:
     for each in scope.code:
         yield each
         if each.inner is not None:

@@ -10,14 +10,14 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 
 from antdsl.plan import ir
-from antdsl.runtime.backends.compile import BlockCompiler, Instruction, InstructionKind, Scope
+from antdsl.runtime.backends.compile import BlockCompiler, BlockInstruction, InstructionKind, RowScope
 
 _REREAD_OPS = frozenset(("snap", "id"))  # read again rather than left in an array
-PAIRED = (InstructionKind.PAIRS, InstructionKind.SPREAD, InstructionKind.OF_PAIR, InstructionKind.BY_PAIR)
+PAIR_INSTRUCTION_KINDS = (InstructionKind.PAIRS, InstructionKind.SPREAD, InstructionKind.OF_PAIR, InstructionKind.BY_PAIR)
 
 
 @dataclass(slots=True, eq=False)
-class Schedule:
+class StageSchedule:
     """`home`: the stage in which a slot's value is computed. `left`: slots that are left in arrays. `calls[k]`: the calls after
     stage k. The mask of a scope has the slot of its rows; the mask of the root is known in every stage."""
 
@@ -25,11 +25,11 @@ class Schedule:
     home: dict[int, int]
     left: set[int]
     use_stages: dict[int, set[int]]
-    at: dict[Instruction, int]  # stage of statements, or of the end of a cached sense
-    calls: list[list[Instruction]]
+    at: dict[BlockInstruction, int]  # stage of statements, or of the end of a cached sense
+    calls: list[list[BlockInstruction]]
     alias: dict[int, int]
-    native: frozenset[Instruction]  # values and reductions with machine code
-    inlined: frozenset[Instruction]  # cached senses that are cheap enough to compute again
+    native: frozenset[BlockInstruction]  # values and reductions with machine code
+    inlined: frozenset[BlockInstruction]  # cached senses that are cheap enough to compute again
 
     def slot(self, slot: int) -> int:
         """Return the slot that stores a value, following the gathers of inner scopes."""
@@ -37,7 +37,7 @@ class Schedule:
             slot = self.alias[slot]
         return slot
 
-    def has(self, scope: Scope, stage: int) -> bool:
+    def has(self, scope: RowScope, stage: int) -> bool:
         """Whether anything in a scope runs in a stage."""
         return stage in self.use_stages.get(self.slot(scope.rows), ())
 
@@ -45,42 +45,44 @@ class Schedule:
 @dataclass(slots=True)
 class _ScheduleBuilder:
     compiler: BlockCompiler
-    lowers: Callable[[ir.Node], bool]
-    costly: Callable[[ir.Node], bool]
+    lowers: Callable[[ir.PlanNode], bool]
+    costly: Callable[[ir.PlanNode], bool]
     uniform: frozenset[int] = frozenset()
     first: dict[int, int] = field(default_factory=dict)  # earliest stage in which a slot's value can be known
     stored: dict[object, int] = field(default_factory=dict)
     loaded: dict[object, int] = field(default_factory=dict)
     alias: dict[int, int] = field(default_factory=dict)
-    at: dict[Instruction, int] = field(default_factory=dict)
-    native: set[Instruction] = field(default_factory=set)
-    inlined: set[Instruction] = field(default_factory=set)
-    called: dict[int, list[Instruction]] = field(default_factory=dict)
+    at: dict[BlockInstruction, int] = field(default_factory=dict)
+    native: set[BlockInstruction] = field(default_factory=set)
+    inlined: set[BlockInstruction] = field(default_factory=set)
+    called: dict[int, list[BlockInstruction]] = field(default_factory=dict)
     paired: set[int] = field(default_factory=set)  # slots over pairs that calls need
 
 
-def make_schedule(compiler: BlockCompiler, lowers: Callable[[ir.Node], bool], costly: Callable[[ir.Node], bool]) -> Schedule:
+def make_schedule(
+    compiler: BlockCompiler, lowers: Callable[[ir.PlanNode], bool], costly: Callable[[ir.PlanNode], bool]
+) -> StageSchedule:
     """Return the stages of a block. `lowers`: whether a node has machine code. `costly`: whether machine code must also store a
     node that is cached for the step, instead of computing it again."""
     maker = _ScheduleBuilder(compiler, lowers, costly, frozenset(compiler.uniforms.values()))
     for instruction in _all_instructions(compiler.root):
         what = instruction.what
-        if instruction.does is InstructionKind.REDUCE and isinstance(what, ir.Node) and not lowers(what):
+        if instruction.does is InstructionKind.REDUCE and isinstance(what, ir.PlanNode) and not lowers(what):
             _find_pair_slots(maker, instruction)
     _assign_stages(maker, compiler.root, 0)
     return _trace_uses(maker)
 
 
-def _all_instructions(scope: Scope) -> Iterator[Instruction]:
+def _all_instructions(scope: RowScope) -> Iterator[BlockInstruction]:
     for instruction in scope.code:
         yield instruction
         if instruction.inner is not None:
             yield from _all_instructions(instruction.inner)
 
 
-def _find_pair_slots(maker: _ScheduleBuilder, reduce: Instruction) -> None:
+def _find_pair_slots(maker: _ScheduleBuilder, reduce: BlockInstruction) -> None:
     """Slots over pairs that a called reduction is made of."""
-    makers = {each.out: each for each in reduce.scope.code if each.does in PAIRED}
+    makers = {each.out: each for each in reduce.scope.code if each.does in PAIR_INSTRUCTION_KINDS}
     pending = [slot for slot in reduce.inputs if slot in makers]
     while pending:
         slot = pending.pop()
@@ -99,7 +101,7 @@ def _earliest_stage(maker: _ScheduleBuilder, slots: tuple[int, ...]) -> int:
     return max((maker.first.get(_resolve_alias(maker, slot), 0) for slot in slots), default=0)
 
 
-def _assign_stages(maker: _ScheduleBuilder, scope: Scope, mask_stage: int) -> None:
+def _assign_stages(maker: _ScheduleBuilder, scope: RowScope, mask_stage: int) -> None:
     """Compute the first stage in which each value can be known, and that of each statement. `mask_stage`: the first stage with
     the scope's mask."""
     maker.first[scope.rows] = mask_stage
@@ -112,7 +114,7 @@ def _assign_stages(maker: _ScheduleBuilder, scope: Scope, mask_stage: int) -> No
                 assert each.inner is not None
                 _assign_stages(maker, each.inner, stage)
             case InstructionKind.KEEP:
-                assert each.inner is not None and isinstance(what, ir.Node)
+                assert each.inner is not None and isinstance(what, ir.PlanNode)
                 key = ("kept", what)
                 stage = max(mask_stage, maker.stored.get(key, 0))
                 if maker.lowers(what) and not maker.costly(what):
@@ -130,7 +132,7 @@ def _assign_stages(maker: _ScheduleBuilder, scope: Scope, mask_stage: int) -> No
                     stage = max(stage, maker.stored.get(register, 0), maker.loaded.get(register, 0))
                     maker.stored[register] = stage
                 maker.at[each] = stage
-            case InstructionKind.VALUE | InstructionKind.REDUCE if isinstance(what, ir.Node) and maker.lowers(what):
+            case InstructionKind.VALUE | InstructionKind.REDUCE if isinstance(what, ir.PlanNode) and maker.lowers(what):
                 if what.op == "load":
                     stage = max(stage, maker.stored.get(what.attrs[0], 0))
                     maker.loaded[what.attrs[0]] = max(stage, maker.loaded.get(what.attrs[0], 0))
@@ -139,19 +141,19 @@ def _assign_stages(maker: _ScheduleBuilder, scope: Scope, mask_stage: int) -> No
                 maker.native.add(each)
                 maker.first[each.out] = stage
             case _:
-                if each.does in PAIRED and each.out not in maker.paired:
+                if each.does in PAIR_INSTRUCTION_KINDS and each.out not in maker.paired:
                     if each.does is InstructionKind.SPREAD:
                         maker.alias[each.out] = each.inputs[0]
                     else:
                         maker.first[each.out] = stage
                     continue
                 maker.called.setdefault(stage, []).append(each)
-                maker.first[each.out] = stage if each.does in PAIRED else stage + 1
+                maker.first[each.out] = stage if each.does in PAIR_INSTRUCTION_KINDS else stage + 1
 
 
-def operands_of(reduce: Instruction) -> tuple[int, ...]:
+def operands_of(reduce: BlockInstruction) -> tuple[int, ...]:
     """Slots of the agents' own values that a reduction with machine code is made of."""
-    makers = {each.out: each for each in reduce.scope.code if each.does in PAIRED}
+    makers = {each.out: each for each in reduce.scope.code if each.does in PAIR_INSTRUCTION_KINDS}
     operands: dict[int, None] = {}
     pending = list(reduce.inputs)
     visited: set[int] = set()
@@ -170,7 +172,7 @@ def operands_of(reduce: Instruction) -> tuple[int, ...]:
     return tuple(operands)
 
 
-def _trace_uses(maker: _ScheduleBuilder) -> Schedule:
+def _trace_uses(maker: _ScheduleBuilder) -> StageSchedule:
     stages = 1 + max([*maker.first.values(), *maker.at.values(), *(k + 1 for k in maker.called)], default=0)
     calls = [maker.called.get(k, []) for k in range(stages)]
     called = {each for group in calls for each in group}
@@ -223,7 +225,7 @@ def _trace_uses(maker: _ScheduleBuilder) -> Schedule:
             want((*instruction.inputs, scope.rows), maker.at[instruction])
         elif instruction in maker.native and out in use_stages:
             what = instruction.what
-            assert isinstance(what, ir.Node)
+            assert isinstance(what, ir.PlanNode)
             inputs = operands_of(instruction) if instruction.does is InstructionKind.REDUCE else instruction.inputs
             if what.op in _REREAD_OPS and out not in left:
                 home[out] = min(use_stages[out])
@@ -238,17 +240,17 @@ def _trace_uses(maker: _ScheduleBuilder) -> Schedule:
     for slot, stages_ in use_stages.items():
         if slot in home and max(stages_) > home[slot] and slot not in made_by_calls and slot not in reread_slots:
             left.add(slot)
-    return Schedule(
+    return StageSchedule(
         stages, home, left, use_stages, maker.at, calls, maker.alias, frozenset(maker.native), frozenset(maker.inlined)
     )
 
 
-def _propagate_outwards(maker: _ScheduleBuilder, scope: Scope, use_stages: dict[int, set[int]], stages: set[int]) -> None:
+def _propagate_outwards(maker: _ScheduleBuilder, scope: RowScope, use_stages: dict[int, set[int]], stages: set[int]) -> None:
     """Mark the enclosing scopes of an inner scope as needed in the same stages."""
     use_stages.setdefault(_resolve_alias(maker, scope.rows), set()).update(stages)
 
 
-def _run_order(scope: Scope) -> Iterator[tuple[Instruction, bool]]:
+def _run_order(scope: RowScope) -> Iterator[tuple[BlockInstruction, bool]]:
     """Yield the instructions in execution order. One with an inner scope appears before that scope with False, and again after it
     with True."""
     for instruction in scope.code:

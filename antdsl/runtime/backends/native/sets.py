@@ -10,23 +10,23 @@ import numpy as np
 
 from antdsl.machine_code.kinds import F32, I32, I64
 from antdsl.machine_code.lanes import Lanes
-from antdsl.numerics.elementwise import ELEMENTWISE
+from antdsl.numerics.elementwise import FUNCTION_BY_NAME
 from antdsl.plan import ir
 from antdsl.plan.traverse import required_nodes
-from antdsl.runtime.backends.compile import Instruction, InstructionKind
+from antdsl.runtime.backends.compile import BlockInstruction, InstructionKind
 from antdsl.runtime.backends.native.block import BlockWriter, FunctionWriter
-from antdsl.runtime.backends.native.layout import KINDS
-from antdsl.runtime.backends.native.schedule import PAIRED
-from antdsl.runtime.backends.native.sums import START, RunningReduction
+from antdsl.runtime.backends.native.layout import LANE_TYPE_BY_KIND
+from antdsl.runtime.backends.native.schedule import PAIR_INSTRUCTION_KINDS
+from antdsl.runtime.backends.native.sums import INITIAL_VALUES, RunningReduction
 from antdsl.runtime.world import AXES
 
 
-def has_machine_code(node: ir.Node, leaves: frozenset[str]) -> bool:
+def has_machine_code(node: ir.PlanNode, leaves: frozenset[str]) -> bool:
     """Return whether a reduction has machine code: everything that depends on the other element is an operation or a leaf with
     machine code."""
     known = {"pair.x", "pair.y", "pair.z", "pair.distance", "other", "other.id", "other.row"} | leaves
-    pairs = [each for each in required_nodes(node.args[1:]) if each.rate is ir.Rate.PAIR]
-    return node.op in START and all(each.op in ELEMENTWISE or each.op in known for each in pairs)
+    pairs = [each for each in required_nodes(node.args[1:]) if each.rate is ir.UpdateRate.PAIR]
+    return node.op in INITIAL_VALUES and all(each.op in FUNCTION_BY_NAME or each.op in known for each in pairs)
 
 
 # --- values of a pair ------------------------------------------------------------------------------------------------
@@ -35,16 +35,18 @@ def has_machine_code(node: ir.Node, leaves: frozenset[str]) -> bool:
 class PairValues:
     """Values over pairs by node. `own` returns a value of the requesting agent, `leaf` a value of the pair."""
 
-    def __init__(self, w: FunctionWriter, own: Callable[[ir.Node], Lanes], leaf: Callable[[ir.Node], Lanes], senses: Any) -> None:
+    def __init__(
+        self, w: FunctionWriter, own: Callable[[ir.PlanNode], Lanes], leaf: Callable[[ir.PlanNode], Lanes], senses: Any
+    ) -> None:
         self.w, self.own, self.leaf, self.senses = w, own, leaf, senses
 
-    def value(self, node: ir.Node) -> Lanes:
+    def value(self, node: ir.PlanNode) -> Lanes:
         def make() -> Lanes:
-            if node.rate <= ir.Rate.STEP:
-                return self.w.number(KINDS[node.kind], "node", node)
-            if node.rate is not ir.Rate.PAIR:
+            if node.rate <= ir.UpdateRate.STEP:
+                return self.w.number(LANE_TYPE_BY_KIND[node.kind], "node", node)
+            if node.rate is not ir.UpdateRate.PAIR:
                 return self.own(node)
-            if node.op in ELEMENTWISE:
+            if node.op in FUNCTION_BY_NAME:
                 result: Lanes = self.w.apply(node.op, *(self.value(each) for each in node.args))
                 return result
             if node.op in self.senses:
@@ -59,10 +61,10 @@ class PairValues:
 # --- one by one ------------------------------------------------------------------------------------------------------
 
 
-def emit_member_loop(b: BlockWriter, first: Instruction) -> None:
+def emit_member_loop(b: BlockWriter, first: BlockInstruction) -> None:
     """For eight asking agents, all members in turn."""
     e, instructions = b.e, [first, *b.joint_reductions(first)]
-    nodes = [each.what for each in instructions if isinstance(each.what, ir.Node)]
+    nodes = [each.what for each in instructions if isinstance(each.what, ir.PlanNode)]
     sets = reduction_sets(instructions)
     own = own_values(b, instructions)
     of_items = nodes[0].args[0].op == "set.items"
@@ -87,14 +89,14 @@ def emit_member_loop(b: BlockWriter, first: Instruction) -> None:
         distance = np.sqrt((dx * dx + dy * dy) + dz * dz)
         of_pair: dict[str, Lanes] = {"pair.x": dx, "pair.y": dy, "pair.z": dz, "pair.distance": distance}
 
-        def leaf(node: ir.Node) -> Lanes:
+        def leaf(node: ir.PlanNode) -> Lanes:
             if node.op in of_pair:
                 return of_pair[node.op]
             if node.op == "other.row":
                 return e.widened(e.convert(number, I32))
             if node.op == "other.id":
                 return read("unsorted ids", I64)
-            return read(node.attrs[0], KINDS[node.kind])
+            return read(node.attrs[0], LANE_TYPE_BY_KIND[node.kind])
 
         pairs = PairValues(b, lambda node: own[node](), leaf, b.senses)
         for each, node in zip(sums, nodes, strict=True):
@@ -108,7 +110,7 @@ def emit_member_loop(b: BlockWriter, first: Instruction) -> None:
         b.known(instruction.out, each.result())
 
 
-def test_pairs(node: ir.Node, pairs: PairValues, near: Lanes) -> tuple[Lanes, Lanes | None]:
+def test_pairs(node: ir.PlanNode, pairs: PairValues, near: Lanes) -> tuple[Lanes, Lanes | None]:
     """Which pairs count in a reduction, and its body."""
     condition = node.args[1]
     if condition.op != "const.bool" or not condition.attrs[0]:
@@ -116,26 +118,26 @@ def test_pairs(node: ir.Node, pairs: PairValues, near: Lanes) -> tuple[Lanes, La
     return near, pairs.value(node.args[2]) if len(node.args) > 2 else None
 
 
-def accumulate(each: RunningReduction, node: ir.Node, pairs: PairValues, near: Lanes, label: Callable[[], Lanes]) -> None:
+def accumulate(each: RunningReduction, node: ir.PlanNode, pairs: PairValues, near: Lanes, label: Callable[[], Lanes]) -> None:
     """Add the pairs that count to a reduction."""
     each.add_term(*test_pairs(node, pairs, near), label() if node.op in ("reduce.agent", "reduce.item") else None)
 
 
-def reduction_sets(instructions: list[Instruction]) -> dict[ir.Node, tuple[int, ...]]:
+def reduction_sets(instructions: list[BlockInstruction]) -> dict[ir.PlanNode, tuple[int, ...]]:
     """The sets of some reductions, with the slots of their operands."""
     known = {each.what: each.inputs for each in instructions[0].scope.code if each.does is InstructionKind.PAIRS}
-    slots_by_set: dict[ir.Node, tuple[int, ...]] = {}
+    slots_by_set: dict[ir.PlanNode, tuple[int, ...]] = {}
     for each in instructions:
-        assert isinstance(each.what, ir.Node)
+        assert isinstance(each.what, ir.PlanNode)
         chosen = each.what.args[0]
         slots_by_set[chosen] = known[chosen]
     return slots_by_set
 
 
-def own_values(b: BlockWriter, instructions: list[Instruction]) -> dict[ir.Node, Callable[[], Any]]:
+def own_values(b: BlockWriter, instructions: list[BlockInstruction]) -> dict[ir.PlanNode, Callable[[], Any]]:
     """Return the requesting agents' own values that the reductions need."""
-    makers = {each.out: each for each in instructions[0].scope.code if each.does in PAIRED}
-    value_makers: dict[ir.Node, Callable[[], Any]] = {}
+    makers = {each.out: each for each in instructions[0].scope.code if each.does in PAIR_INSTRUCTION_KINDS}
+    value_makers: dict[ir.PlanNode, Callable[[], Any]] = {}
     for instruction in instructions:
         pending, visited = list(instruction.inputs), set()
         while pending:
@@ -144,7 +146,7 @@ def own_values(b: BlockWriter, instructions: list[Instruction]) -> dict[ir.Node,
             if producer is None or slot in visited:
                 continue
             visited.add(slot)
-            if producer.does is InstructionKind.SPREAD and isinstance(producer.what, ir.Node):
+            if producer.does is InstructionKind.SPREAD and isinstance(producer.what, ir.PlanNode):
                 value_makers[producer.what] = lambda source=producer.inputs[0]: b.slot(source)  # type: ignore[misc]
             elif producer.does is not InstructionKind.PAIRS:
                 pending += producer.inputs

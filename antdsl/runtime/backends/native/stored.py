@@ -17,36 +17,36 @@ from typing import Any
 from antdsl.machine_code import codes, object_cache
 from antdsl.machine_code.machine import Target
 from antdsl.plan import ir
-from antdsl.runtime.backends.compile import Instruction
+from antdsl.runtime.backends.compile import BlockInstruction
 from antdsl.runtime.backends.metering import instructions_of
 from antdsl.runtime.backends.native.block import BlockCode, NeighbourSearch
-from antdsl.runtime.backends.native.programs import Blocks, Program, WorldFacts, begin_blocks
+from antdsl.runtime.backends.native.programs import CompiledBlocks, NativeProgram, WorldFacts, begin_blocks
 from antdsl.source import Span
 from antdsl.source_hash import has_modules, sources
 
-_Place = tuple[str, str]
-Written = tuple[Mapping[str, str], Mapping[_Place, BlockCode]]  # keys of texts by the names of functions, and the blocks
+_BlockKey = tuple[str, str]
+StoredBlocks = tuple[Mapping[str, str], Mapping[_BlockKey, BlockCode]]  # keys of texts by the names of functions, and the blocks
 
 
-class _Unknown(Exception):
+class _UnsupportedValue(Exception):
     """Something that has no form in a file, or that may not be the same in another run."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Subject:
+class StoredSubject:
     """A plan and its blocks, as a file refers to them: `nodes` and `instructions` by number."""
 
     plan: ir.Plan
-    blocks: Blocks
+    blocks: CompiledBlocks
     facts: WorldFacts
     key: str
-    nodes: Mapping[ir.Node, int]
-    instructions: Mapping[_Place, list[Instruction]]
+    nodes: Mapping[ir.PlanNode, int]
+    instructions: Mapping[_BlockKey, list[BlockInstruction]]
 
 
-def subject(plan: ir.Plan, blocks: Blocks, facts: WorldFacts, target: Target) -> Subject | None:
+def subject(plan: ir.Plan, blocks: CompiledBlocks, facts: WorldFacts, target: Target) -> StoredSubject | None:
     """What finds and reads a file about a plan; None where nothing can be stored of it."""
-    written = _Written()
+    written = _PlanWriter()
     instructions = {place: instructions_of(compiler.root) for place, compiler in blocks.items()}
     if not has_modules():
         return None
@@ -54,11 +54,11 @@ def subject(plan: ir.Plan, blocks: Blocks, facts: WorldFacts, target: Target) ->
         written.add((sources(), facts.moving, facts.detail, facts.timed, plan))
         if facts.timed:
             written.add([_line(each) for place in instructions.values() for each in place])
-    except (_Unknown, OSError):
+    except (_UnsupportedValue, OSError):
         return None
     text = "program " + blake2b("\n".join(written.parts).encode("utf-8", "surrogatepass"), digest_size=32).hexdigest()
     key = object_cache.key(text, target, versions=object_cache.versions())
-    return Subject(plan, blocks, facts, key, written.numbers, instructions)
+    return StoredSubject(plan, blocks, facts, key, written.numbers, instructions)
 
 
 def text_key(text: str) -> str:
@@ -66,7 +66,7 @@ def text_key(text: str) -> str:
     return "program text " + blake2b(text.encode(), digest_size=32).hexdigest()
 
 
-def read(of: Subject) -> Written | None:
+def read(of: StoredSubject) -> StoredBlocks | None:
     """What is stored; None where nothing is."""
     data = codes.stored(of.key)
     if data is None:
@@ -81,15 +81,15 @@ def read(of: Subject) -> Written | None:
     return None
 
 
-def write(of: Subject, program: Program) -> None:
+def write(of: StoredSubject, program: NativeProgram) -> None:
     """Store what a plan became, where all of it has a form."""
-    with suppress(_Unknown, KeyError):
+    with suppress(_UnsupportedValue, KeyError):
         blocks = {" ".join(place): _form(code, of.nodes, of.instructions[place]) for place, code in program.blocks.items()}
         units = {name: text_key(text) for name, text in program.units.items()}
         codes.store(of.key, json.dumps({"units": units, "blocks": blocks}).encode())
 
 
-def _form(code: BlockCode, nodes: Mapping[ir.Node, int], instructions: list[Instruction]) -> dict[str, Any]:
+def _form(code: BlockCode, nodes: Mapping[ir.PlanNode, int], instructions: list[BlockInstruction]) -> dict[str, Any]:
     numbers = {each: number for number, each in enumerate(instructions)}
     layout = code.layout
     return {
@@ -107,7 +107,7 @@ def _form(code: BlockCode, nodes: Mapping[ir.Node, int], instructions: list[Inst
     }
 
 
-def _fill(code: BlockCode, form: Mapping[str, Any], nodes: list[ir.Node], instructions: list[Instruction]) -> None:
+def _fill(code: BlockCode, form: Mapping[str, Any], nodes: list[ir.PlanNode], instructions: list[BlockInstruction]) -> None:
     code.names[:] = form["names"]
     code.layout.pointers = {_key_of(key, nodes): place for place, key in enumerate(form["pointers"])}
     code.layout.numbers = {_key_of(key, nodes): place for place, key in enumerate(form["numbers"])}
@@ -124,34 +124,34 @@ def _fill(code: BlockCode, form: Mapping[str, Any], nodes: list[ir.Node], instru
         code.lines.told[:] = form["lines"]
 
 
-def _key_form(key: Iterable[Any], nodes: Mapping[ir.Node, int]) -> list[Any]:
+def _key_form(key: Iterable[Any], nodes: Mapping[ir.PlanNode, int]) -> list[Any]:
     """A key of a layout; a node as a list with its number."""
     form: list[Any] = []
     for each in key:
-        if isinstance(each, ir.Node):
+        if isinstance(each, ir.PlanNode):
             form.append([nodes[each]])
         elif each is None or type(each) in (str, int, bool):
             form.append(each)
         else:
-            raise _Unknown
+            raise _UnsupportedValue
     return form
 
 
-def _key_of(form: list[Any], nodes: list[ir.Node]) -> tuple[Any, ...]:
+def _key_of(form: list[Any], nodes: list[ir.PlanNode]) -> tuple[Any, ...]:
     return tuple([nodes[each[0]] if isinstance(each, list) else each for each in form])
 
 
-class _Written:
+class _PlanWriter:
     """A text that is the same for the same values, without the places of the program that they come from; `numbers` of nodes in
     the order in which they are met."""
 
     def __init__(self) -> None:
         self.parts: list[str] = []
-        self.numbers: dict[ir.Node, int] = {}
+        self.numbers: dict[ir.PlanNode, int] = {}
 
     def add(self, value: Any) -> None:
         kind = type(value)
-        if kind is ir.Node:
+        if kind is ir.PlanNode:
             self._node(value)
         elif value is None or kind in (str, int, float, bool):
             self.parts.append(f"{kind.__name__} {value!r}")
@@ -172,9 +172,9 @@ class _Written:
             for each in fields(value):
                 self.add(getattr(value, each.name))
         else:
-            raise _Unknown
+            raise _UnsupportedValue
 
-    def _node(self, node: ir.Node) -> None:
+    def _node(self, node: ir.PlanNode) -> None:
         """A node once all that it is made of is written; one that is written already by its number."""
         pending = [node]
         while pending:
@@ -191,7 +191,7 @@ class _Written:
         self.parts.append(f"number {self.numbers[node]}")
 
 
-def _line(each: Instruction) -> tuple[str, int, int]:
+def _line(each: BlockInstruction) -> tuple[str, int, int]:
     """The line and the layer that an instruction is timed for."""
     span = each.span
     return ("", 0, each.layer) if span is None else (span.source.path, span.source.line_column(span.start)[0], each.layer)

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from antdsl.machine_code.kernels.values import Number
-from antdsl.machine_code.kinds import F32, F64, I32, I64, WIDTH
+from antdsl.machine_code.kinds import F32, F64, I32, I64, LANE_COUNT
 from antdsl.machine_code.lanes import LaneBuilder, Lanes
 from antdsl.numerics import exact_sums
 from antdsl.plan import ir
@@ -23,14 +23,14 @@ class RunningReduction:
     """Running values of one reduction, on the stack: of eight agents, or of one agent in eight parts."""
 
     e: LaneBuilder
-    node: ir.Node
+    node: ir.PlanNode
     many: bool  # more terms than float64 adds exactly
     _parts: list[tuple[Number, str]] = field(default_factory=list)  # their places, with their kinds
 
     def start(self) -> None:
-        for k, row in enumerate(START[self.node.op]):
+        for k, row in enumerate(INITIAL_VALUES[self.node.op]):
             if k == 0 or self.many or self.node.op != "reduce.sum":
-                self._parts.append((self.e.slot(row[0], WIDTH), row[0]))
+                self._parts.append((self.e.slot(row[0], LANE_COUNT), row[0]))
                 self._write_part(k, self.e.constant(row[1], row[0]))
 
     def add_term(self, mask: Lanes, body: Lanes | None, label: Lanes | None) -> None:
@@ -42,7 +42,7 @@ class RunningReduction:
                 term = self._round_term(e.where(mask, body, e.constant(0.0, F32)))
                 if self.many:
                     quantum = int(self.node.attrs[0])
-                    magic = float(np.ldexp(1.5, quantum + exact_sums.HALF + 52))
+                    magic = float(np.ldexp(1.5, quantum + exact_sums.LOW_WORD_BITS + 52))
                     high = (term + magic) - magic
                     self._write_part(0, self._read_part(0) + high)
                     self._write_part(1, self._read_part(1) + (term - high))
@@ -69,7 +69,7 @@ class RunningReduction:
 
     def _read_part(self, part: int) -> Lanes:
         place, kind = self._parts[part]
-        return self.e.load(place, kind, WIDTH)
+        return self.e.load(place, kind, LANE_COUNT)
 
     def _write_part(self, part: int, value: Lanes) -> None:
         self.e.put(self._parts[part][0], value)
@@ -77,7 +77,7 @@ class RunningReduction:
     def _round_term(self, body: Lanes) -> Lanes:
         """Return a term rounded to a multiple of the quantum, as `exact_sums.rounded` does."""
         quantum = int(self.node.attrs[0])
-        bound, magic = float(np.ldexp(1.0, quantum + exact_sums.BOUND)), float(np.ldexp(1.5, quantum + 52))
+        bound, magic = float(np.ldexp(1.0, quantum + exact_sums.MAX_TERM_EXPONENT)), float(np.ldexp(1.5, quantum + 52))
         if float(np.float32(bound)) == bound:  # cut before it is widened, which is the same
             body, bound = self.e.apply_function(np.clip, body, -np.float32(bound), np.float32(bound)), np.inf
         wide = self.e.convert(body, F64)
@@ -131,7 +131,7 @@ class RunningReduction:
                 self._write_part(1, e.where(better, label, best_label))
 
 
-START: dict[str, tuple[tuple[str, Any], ...]] = {
+INITIAL_VALUES: dict[str, tuple[tuple[str, Any], ...]] = {
     "reduce.sum": ((F64, 0.0), (F64, 0.0)),
     "reduce.count": ((I32, 0),),
     "reduce.any": ((I32, 0),),

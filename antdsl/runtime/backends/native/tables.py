@@ -16,23 +16,23 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl.fields.pheromone import PheromoneField
-from antdsl.fields.reached import StrongCells
+from antdsl.fields.reached import CellsAboveThreshold
 from antdsl.machine_code.memory import address
 from antdsl.numerics import randomness
 from antdsl.plan import ir
 from antdsl.program.tables.columns import FIXED
 from antdsl.runtime.backends.native.block import BlockCode
 from antdsl.runtime.backends.native.lane import LaneMemories, LaneMemory
-from antdsl.runtime.backends.native.layout import Key
+from antdsl.runtime.backends.native.layout import AddressKey
 from antdsl.runtime.backends.native.rooms import PaddedArrays, PaddedCopy
 from antdsl.runtime.clip_values import clip_table
 from antdsl.runtime.moving.obstacle_clearance import cached_clearance
 from antdsl.runtime.world import Population, World
 
-Find = Callable[[World, Population], int]
-Holder = Callable[[World, Population], Any]
-Names = list[tuple[str, int]]  # with the places of their addresses
-Words = NDArray[np.int64]
+AddressFinder = Callable[[World, Population], int]
+HolderFinder = Callable[[World, Population], Any]
+NamedIndices = list[tuple[str, int]]  # with the places of their addresses
+TableWords = NDArray[np.int64]
 
 
 class HeldArrays:
@@ -42,7 +42,10 @@ class HeldArrays:
     __slots__ = ("get", "of", "put", "seen")
 
     def __init__(
-        self, of: Holder, get: Callable[[Any], Iterable[NDArray[Any]]], put: Callable[[World, Population, Any, Words], None]
+        self,
+        of: HolderFinder,
+        get: Callable[[Any], Iterable[NDArray[Any]]],
+        put: Callable[[World, Population, Any, TableWords], None],
     ) -> None:
         self.of, self.get, self.put = of, get, put
         self.seen: Iterable[Any] = repeat(None)
@@ -59,19 +62,19 @@ class AddressTables:
         self.lanes = LaneMemories(code)
         self.version = 0  # of the pointers
         self._views = {np.dtype(kind): self.numbers.view(kind) for kind in (np.int64, np.float64, np.float32, np.int32, np.bool_)}
-        nodes: list[tuple[ir.Node, int]] = []
+        nodes: list[tuple[ir.PlanNode, int]] = []
         self._draws: dict[tuple[str, str, int], dict[str, int]] = {}  # by species, site and block: places of words
         self._changing: list[tuple[Callable[[World, str], int | float], str, int]] = []
         for key, place in code.layout.numbers.items():
             node = key[1] if key[0] == "node" else None
-            if isinstance(node, ir.Node):
+            if isinstance(node, ir.PlanNode):
                 nodes.append((node, place))
             elif key[0] == "philox":
                 self._draws.setdefault((str(key[1]), str(key[2]), int(str(key[3]))), {})[str(key[4])] = place
             else:
-                self._changing.append((_NUMBERS[str(key[0])], str(key[1]) if len(key) > 1 else "", place))
-        self._lasting = [each for each in nodes if each[0].rate <= ir.Rate.RUN]
-        self._stepping = [each for each in nodes if each[0].rate > ir.Rate.RUN]
+                self._changing.append((_NUMBER_GETTERS[str(key[0])], str(key[1]) if len(key) > 1 else "", place))
+        self._lasting = [each for each in nodes if each[0].rate <= ir.UpdateRate.RUN]
+        self._stepping = [each for each in nodes if each[0].rate > ir.UpdateRate.RUN]
         self._filled: Any = None  # the values that `_lasting` were put down from
         self._seed: int | None = None  # that the words of draws were put down for
         self._told: list[int | float | None] = [None] * len(self._changing)
@@ -81,19 +84,25 @@ class AddressTables:
             (int(str(key[1])), str(key[2]), place) for key, place in pointers if key[0] == "grid" and key[2] != "widest"
         ]
         self._of: list[Any] = [None] * (1 + len(code.near))  # the values stored for the step and the grids, as of the last fill
-        groups: dict[Key, list[tuple[Key, int]]] = {}
-        self._found: list[tuple[Find, int]] = []
+        groups: dict[AddressKey, list[tuple[AddressKey, int]]] = {}
+        self._found: list[tuple[AddressFinder, int]] = []
         for key, place in pointers:
             holder = self._holder_key(key)
             if holder is not None:
                 groups.setdefault(holder, []).append((key, place))
-            elif key[0] in _FINDERS:
-                self._found.append((_FINDERS[str(key[0])](self, key), place))
+            elif key[0] in _FINDER_MAKERS:
+                self._found.append((_FINDER_MAKERS[str(key[0])](self, key), place))
         self._held = [self._held_arrays(holder, keys) for holder, keys in groups.items()]
         self._at = [0] * len(self._found)
 
     def fill(
-        self, world: World, population: Population, values: Mapping[ir.Node, Any], lasting: Any, stored_senses: Any, grids: Any
+        self,
+        world: World,
+        population: Population,
+        values: Mapping[ir.PlanNode, Any],
+        lasting: Any,
+        stored_senses: Any,
+        grids: Any,
     ) -> None:
         """Fill everything except what belongs to a single lane. `values`: those of the step, including those of the run, which
         stay valid while `lasting` is the same object. `grids`: a cell grid for each search."""
@@ -131,7 +140,7 @@ class AddressTables:
         tables."""
         return self.lanes.prepare(parts, rows, others, self.pointers)
 
-    def _update_numbers(self, world: World, values: Mapping[ir.Node, Any], lasting: Any) -> None:
+    def _update_numbers(self, world: World, values: Mapping[ir.PlanNode, Any], lasting: Any) -> None:
         """Write the numbers of the step. Lasting and unchanged ones are not written again."""
         if lasting is not self._filled:
             self._filled = lasting
@@ -162,7 +171,7 @@ class AddressTables:
 
     # --- arrays that the world has by name: keys of one holder, and what looks at it ------------------------------------------
 
-    def _holder_key(self, key: Key) -> Key | None:
+    def _holder_key(self, key: AddressKey) -> AddressKey | None:
         """Return the key of the object that holds an array by name, or None."""
         match key[0]:
             case "start" | "now" | "cell":
@@ -171,11 +180,11 @@ class AddressTables:
                 return ("own",)
             case "item" | "field":
                 return key[:2]
-            case "other" if key[2] not in _IN_ORDER:
+            case "other" if key[2] not in _SORTED_ID_NAMES:
                 return ("other" if key[2] in _OTHER_FIXED else "start of", key[1])
         return None
 
-    def _held_arrays(self, holder: Key, keys: list[tuple[Key, int]]) -> HeldArrays:
+    def _held_arrays(self, holder: AddressKey, keys: list[tuple[AddressKey, int]]) -> HeldArrays:
         """What looks at all arrays of one holder."""
         of, names = str(holder[-1]), [(str(key[-1]), place) for key, place in keys]
         match holder[0]:
@@ -194,20 +203,20 @@ class AddressTables:
                 return _held_field(of, [(key[2:], place) for key, place in keys])
         return self._held_mapping(lambda world, population: population.cells, names)
 
-    def _held_registers(self, names: Names, *, start: bool) -> HeldArrays:
+    def _held_registers(self, names: NamedIndices, *, start: bool) -> HeldArrays:
         """Registers at the start of the step, or now."""
 
-        def put(world: World, population: Population, holder: Any, words: Words) -> None:
+        def put(world: World, population: Population, holder: Any, words: TableWords) -> None:
             for name, place in names:
                 words[place] = self._rooms.move_register(population, name, start=start)[1]
 
-        find: Holder = (lambda world, population: population.start) if start else (lambda world, population: population.now)
+        find: HolderFinder = (lambda world, population: population.start) if start else (lambda world, population: population.now)
         return HeldArrays(find, _make_getter(names), put)
 
-    def _held_mapping(self, of: Holder, names: Names) -> HeldArrays:
+    def _held_mapping(self, of: HolderFinder, names: NamedIndices) -> HeldArrays:
         """What a mapping holds."""
 
-        def put(world: World, population: Population, holder: Any, words: Words) -> None:
+        def put(world: World, population: Population, holder: Any, words: TableWords) -> None:
             for name, place in names:
                 holder[name], words[place] = self._rooms.place(holder[name])
 
@@ -215,11 +224,11 @@ class AddressTables:
 
     # --- one kind of key each: gives what looks for its address in a step ---------------------------------------------------
 
-    def _find_mesh(self, key: Key) -> Find:
+    def _find_mesh(self, key: AddressKey) -> AddressFinder:
         copy = self._copy(key)
         return lambda world, population: copy.of(population.footing.mesh, np.int64)
 
-    def _find_event(self, key: Key) -> Find:
+    def _find_event(self, key: AddressKey) -> AddressFinder:
         """Return a function that finds the flags of agents that an event has reached, a new array in each step. A species that
         does not handle the event has none set."""
         name = str(key[1])
@@ -233,7 +242,7 @@ class AddressTables:
 
         return find
 
-    def _find_sorted_ids(self, key: Key) -> Find:
+    def _find_sorted_ids(self, key: AddressKey) -> AddressFinder:
         """Return a function that finds the sorted ids of another species, or their rows."""
         copy, species, which = self._rooms.copy(*key), str(key[1]), key[2] != "sorted ids"
 
@@ -243,48 +252,48 @@ class AddressTables:
 
         return find
 
-    def _find_clear(self, key: Key) -> Find:
+    def _find_clear(self, key: AddressKey) -> AddressFinder:
         copy, name = self._copy(key), str(key[1])
         return lambda world, population: copy.of(cached_clearance(world, population, name), np.float32)
 
-    def _find_clip(self, key: Key) -> Find:
+    def _find_clip(self, key: AddressKey) -> AddressFinder:
         copy, what = self._copy(key), str(key[1])
         return lambda world, population: copy.lasting_address(world.setting, lambda: clip_table(world, population, what))
 
-    def _find_reached(self, key: Key) -> Find:
+    def _find_reached(self, key: AddressKey) -> AddressFinder:
         """Return a function that finds the cells near which a field is at least a number."""
         _, name, count, bound = key
         numbers, place = self._views[np.dtype(np.float32)], 2 * self.code.layout.number("node", bound)
-        reached: StrongCells | None = None
+        reached: CellsAboveThreshold | None = None
 
         def find(world: World, population: Population) -> int:
             nonlocal reached
             field, least = world.fields[str(name)], numbers[place]
             if reached is None or not reached.of(field, least):
-                reached = StrongCells(field, least, int(str(count)))
+                reached = CellsAboveThreshold(field, least, int(str(count)))
             return address(reached.now(world.options.threads))
 
         return find
 
-    def _copy(self, key: Key) -> PaddedCopy:
+    def _copy(self, key: AddressKey) -> PaddedCopy:
         """What stands for a key of this species."""
         return self._rooms.copy(self.code.species.name, *key)
 
 
-def _make_getter(names: Names) -> Callable[[Any], Iterable[NDArray[Any]]]:
+def _make_getter(names: NamedIndices) -> Callable[[Any], Iterable[NDArray[Any]]]:
     """What gives the arrays of these names."""
     get_arrays = itemgetter(*(name for name, _ in names))
     return get_arrays if len(names) > 1 else lambda holder: (get_arrays(holder),)
 
 
-def _held_field(of: str, names: list[tuple[Key, int]]) -> HeldArrays:
+def _held_field(of: str, names: list[tuple[AddressKey, int]]) -> HeldArrays:
     """Return the entries of a field, of which the arrays change with its version. They are indexed by cell, so they need no
     padding."""
 
     def get(field: PheromoneField) -> tuple[Any, ...]:
         return field, field.version
 
-    def put(world: World, population: Population, field: PheromoneField, words: Words) -> None:
+    def put(world: World, population: Population, field: PheromoneField, words: TableWords) -> None:
         for (what, *arguments), place in names:
             if what == "places":
                 words[place] = address(field.seen_places)
@@ -299,9 +308,9 @@ def _power_of_2_below(count: int) -> int:
     return 1 << ((count - 1).bit_length() - 1) if count > 1 else 0
 
 
-_IN_ORDER = frozenset(("sorted ids", "rows of sorted ids"))
+_SORTED_ID_NAMES = frozenset(("sorted ids", "rows of sorted ids"))
 _OTHER_FIXED = {"frame of birth": "born", "unsorted ids": "ids"}  # of another species
-_FINDERS: dict[str, Callable[[AddressTables, Key], Find]] = {
+_FINDER_MAKERS: dict[str, Callable[[AddressTables, AddressKey], AddressFinder]] = {
     "mesh": AddressTables._find_mesh,
     "event": AddressTables._find_event,
     "other": AddressTables._find_sorted_ids,
@@ -309,7 +318,7 @@ _FINDERS: dict[str, Callable[[AddressTables, Key], Find]] = {
     "clip": AddressTables._find_clip,
     "reached": AddressTables._find_reached,
 }
-_NUMBERS: dict[str, Callable[[World, str], int | float]] = {
+_NUMBER_GETTERS: dict[str, Callable[[World, str], int | float]] = {
     "frame": lambda world, name: world.frame,
     "dt": lambda world, name: float(world.dt),
     "items": lambda world, name: len(world.items[name]),

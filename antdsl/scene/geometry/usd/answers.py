@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl import limits
-from antdsl.reader.protocol import Message, ProtocolError
+from antdsl.reader.protocol import ProtocolError, ReaderMessage
 from antdsl.scene.geometry.meshes import RawMesh, check_mesh
 from antdsl.scene.geometry.usd.errors import UsdError
 from antdsl.scene.geometry.usd.points import UsdPoints
@@ -20,7 +20,7 @@ from antdsl.scene.staging.moves import MeshMoves
 
 Floats = NDArray[np.float64]
 T = TypeVar("T")
-_TEXT = 256  # characters of a name in the file
+_MAX_NAME_CHARACTERS = 256  # characters of a name in the file
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -52,12 +52,12 @@ def read_usd_mesh(stage: UsdStage, primvars: Iterable[str] = ()) -> UsdMesh:
     try:
         vertices = answer.array("vertices", "f8", None, 3)
         faces = answer.array("faces", "i8", None, 3)
-        if len(faces) > limits.MESH_FACES or len(vertices) > 3 * limits.MESH_FACES:
-            words = f"the meshes below `{stage.prim}` have {len(faces):,} faces, more than {limits.MESH_FACES:,}"
+        if len(faces) > limits.MAX_MESH_FACES or len(vertices) > 3 * limits.MAX_MESH_FACES:
+            words = f"the meshes below `{stage.prim}` have {len(faces):,} faces, more than {limits.MAX_MESH_FACES:,}"
             raise UsdError("too-large", words, "name a part of it")
         moves = _read_moves(answer, len(vertices), len(stage.frames)) if "moves:group" in answer.arrays else None
         values = {name: _read_values(answer, f"value:{number}", len(vertices)) for number, name in enumerate(names)}
-        passed_over = tuple(text[:_TEXT] for text in answer.texts("passed_over", 1000))
+        passed_over = tuple(text[:_MAX_NAME_CHARACTERS] for text in answer.texts("passed_over", 1000))
     except ProtocolError as why:
         raise stage.make_answer_error(why) from None
     raw = check_mesh(vertices, faces)  # which looks at each index and each vertex that is used
@@ -65,7 +65,7 @@ def read_usd_mesh(stage: UsdStage, primvars: Iterable[str] = ()) -> UsdMesh:
     return UsdMesh(raw, None if moves is None else moves.select_vertices(raw.own_vertices), used_values, passed_over)
 
 
-def _read_moves(answer: Message, count: int, frames: int) -> MeshMoves:
+def _read_moves(answer: ReaderMessage, count: int, frames: int) -> MeshMoves:
     tracks = answer.array("moves:tracks", "f8", None, frames, 3, 4)
     deformed = answer.indices("moves:bent", "i8", count, None)
     offsets = answer.array("moves:offsets", "f8", frames if len(deformed) else 0, len(deformed), 3)
@@ -74,7 +74,7 @@ def _read_moves(answer: Message, count: int, frames: int) -> MeshMoves:
     return MeshMoves(answer.indices("moves:group", "i4", len(tracks), count), tracks, deformed, offsets)
 
 
-def _read_values(answer: Message, name: str, count: int) -> Floats:
+def _read_values(answer: ReaderMessage, name: str, count: int) -> Floats:
     array = answer.arrays.get(name)
     return answer.array(name, "f8", count) if array is not None and array.ndim == 1 else answer.array(name, "f8", count, 3)
 
@@ -99,8 +99,8 @@ def read_usd_points(stage: UsdStage, kind: str | None = None) -> UsdPoints:
     try:
         positions = answer.array("places", "f8", None, None, 3)
         frames, count = positions.shape[:2]
-        if count > limits.AGENTS:
-            raise UsdError("too-large", f"there are more than {limits.AGENTS:,} points below `{stage.prim}`")
+        if count > limits.MAX_AGENTS:
+            raise UsdError("too-large", f"there are more than {limits.MAX_AGENTS:,} points below `{stage.prim}`")
         if frames not in (1, len(stage.frames)) or not np.isfinite(positions).all():
             raise ProtocolError("`places` has other frames, or a point that is not finite")
         keys, words = answer.texts("values", 10_000), answer.texts("texts", 10_000)

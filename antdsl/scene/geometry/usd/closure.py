@@ -24,24 +24,24 @@ from typing import NoReturn
 
 from antdsl import limits
 from antdsl.reader import client
-from antdsl.reader.protocol import ProtocolError, Refusal, display_text
+from antdsl.reader.protocol import ProtocolError, ReadRefusal, display_text
 from antdsl.scene.geometry.usd.errors import UsdError
 from antdsl.scene.paths import PathRefused, Roots
 
-LAYERS = (".usd", ".usda", ".usdc")
-_ALIGNMENT = 64  # of the data of each member (USDZ specification)
-_PADDING = 0x1986  # the extra field by which USD pads
-_END = struct.Struct("<4s4H2LH")
-_NAME = re.compile(r"[^\x00-\x1f\x7f\\:\[\]<>|*?\"@`]{1,255}")
+LAYER_SUFFIXES = (".usd", ".usda", ".usdc")
+_MEMBER_ALIGNMENT_BYTES = 64  # of the data of each member (USDZ specification)
+_PADDING_FIELD_ID = 0x1986  # the extra field by which USD pads
+_END_RECORD_STRUCT = struct.Struct("<4s4H2LH")
+_MEMBER_NAME_PATTERN = re.compile(r"[^\x00-\x1f\x7f\\:\[\]<>|*?\"@`]{1,255}")
 
 
-PACKAGE = ".usdz"
-KINDS = (*LAYERS, PACKAGE)
-_ADDRESS = re.compile("[A-Za-z][A-Za-z0-9+.-]+:")
-_ABSOLUTE = re.compile(r"[/\\]|[A-Za-z]:")
+PACKAGE_SUFFIX = ".usdz"
+USD_SUFFIXES = (*LAYER_SUFFIXES, PACKAGE_SUFFIX)
+_URL_PATTERN = re.compile("[A-Za-z][A-Za-z0-9+.-]+:")
+_ABSOLUTE_PATH_PATTERN = re.compile(r"[/\\]|[A-Za-z]:")
 _DISPLAY_WIDTH = 80
 
-Place = tuple[str, str]  # the full path of a file, and the layer inside of it where it is a package, else ""
+LayerLocation = tuple[str, str]  # the full path of a file, and the layer inside of it where it is a package, else ""
 
 
 class Closure:
@@ -81,7 +81,7 @@ class Closure:
                 if layer_place not in known_places:
                     known_places.add(layer_place)
                     waiting.append(layer_place)
-                    if len(known_places) > limits.USD_LAYERS:
+                    if len(known_places) > limits.MAX_USD_LAYERS:
                         raise self._size_error(text)
         return self._copy_path(self._top)
 
@@ -94,29 +94,31 @@ class Closure:
             below = os.path.join(re.sub("[^A-Za-z0-9]", "_", drive), rest.lstrip("/\\"))
         return os.path.join(self.folder, below)
 
-    def _full_path(self, text: str, by: Place | None) -> str:
+    def _full_path(self, text: str, by: LayerLocation | None) -> str:
         """Return the full path of a file by its name in a scene, checked as text only."""
-        if not text.lower().endswith(KINDS):
-            raise UsdError("bad-usd", f"`{_shorten(text)}`{_naming_phrase(by)} is not one of {', '.join(KINDS)}", None, "usd")
+        if not text.lower().endswith(USD_SUFFIXES):
+            raise UsdError(
+                "bad-usd", f"`{_shorten(text)}`{_naming_phrase(by)} is not one of {', '.join(USD_SUFFIXES)}", None, "usd"
+            )
         try:
             return os.path.abspath(self._roots.path(text))
         except PathRefused as refused:
             raise _refusal_error(refused, by) from None
 
-    def _copy_file(self, text: str, by: Place | None) -> Place:
+    def _copy_file(self, text: str, by: LayerLocation | None) -> LayerLocation:
         """Copy a file by its name in a scene."""
         path = self._full_path(text, by)
         if path not in self._files:
             try:
-                data = self._roots.read(text, limits.MESH_BYTES)
+                data = self._roots.read(text, limits.MAX_MESH_BYTES)
             except PathRefused as refused:
                 raise _refusal_error(refused, by) from None
             self.size += len(data)
-            if len(self._files) >= limits.USD_LAYERS or self.size > 4 * limits.MESH_BYTES:
+            if len(self._files) >= limits.MAX_USD_LAYERS or self.size > 4 * limits.MAX_MESH_BYTES:
                 raise self._size_error(text)
             self._files[path] = text
             self.hashes[text] = blake2b(data, digest_size=16).hexdigest()
-            if text.lower().endswith(PACKAGE):
+            if text.lower().endswith(PACKAGE_SUFFIX):
                 data = self._unpack(path, text, data)
             self._write_copy(Path(self._copy_path(path)), data)
         return path, next(iter(self._packages.get(path, [""])))
@@ -137,7 +139,7 @@ class Closure:
             words = f"`{self.text}` cannot be copied to be read: {(problem.strerror or 'it cannot be written').lower()}"
             raise UsdError("bad-usd", words, "set TMPDIR to a folder with room", "usd") from None
 
-    def _find_named_files(self, place: Place) -> Iterator[Place]:
+    def _find_named_files(self, place: LayerLocation) -> Iterator[LayerLocation]:
         """Yield the files, or layers of the same package, that a layer names."""
         path, inside = place
         copy, name = self._copy_path(path), f"{self._files[path]}{f'[{inside}]' if inside else ''}"
@@ -149,7 +151,7 @@ class Closure:
     def _read_assets(self, document: dict[str, str], name: str, digest: str) -> list[str]:
         try:
             return client.ask("usd-layer", document, size=self.size, digest=digest).texts("assets")
-        except Refusal as why:
+        except ReadRefusal as why:
             if why.about == "exception":
                 raise UsdError("bad-usd", f"`{name}` cannot be read as USD: {why}", why.help, "usd") from None
             raise UsdError(why.code, str(why), why.help, "usd") from None
@@ -158,27 +160,27 @@ class Closure:
         except ProtocolError as why:
             raise UsdError("bad-usd", f"`{name}` cannot be read: {why}", "export it again", "usd") from None
 
-    def _find_package_layer(self, place: Place, asset: str) -> Place:
+    def _find_package_layer(self, place: LayerLocation, asset: str) -> LayerLocation:
         """Return a layer of a package that another layer of it names."""
         path, inside = place
         target = posixpath.normpath(posixpath.join(posixpath.dirname(inside), asset))
         parts = self._packages[path]
         if target not in parts and not asset.startswith("."):
             target = posixpath.normpath(asset)  # USD looks beside the layer, then from the package's top
-        if target not in parts or _ABSOLUTE.match(asset):
+        if target not in parts or _ABSOLUTE_PATH_PATTERN.match(asset):
             words = f"`{_shorten(asset)}`{_naming_phrase(place)} is not a layer of that package"
             raise UsdError("bad-path", words, "package all files together, for example with `usdzip`", "usd")
         return path, target
 
-    def _find_file(self, place: Place, asset: str) -> Place:
+    def _find_file(self, place: LayerLocation, asset: str) -> LayerLocation:
         """Copy a file that a layer names. Raises UsdError for an address, or for a text that is evaluated on opening."""
         named = f"`{_shorten(asset)}`{_naming_phrase(place)}"
         if "`" in asset or ":SDF_FORMAT_ARGS:" in asset:
             raise UsdError("bad-path", f"{named} is an expression, not a file", "write the path in full", "usd")
-        if _ADDRESS.match(asset):
+        if _URL_PATTERN.match(asset):
             raise UsdError("bad-path", f"{named} is an address, not a file", "copy the file beside the others", "usd")
         outer, mark, inner = asset.partition("[")
-        if _ABSOLUTE.match(asset):
+        if _ABSOLUTE_PATH_PATTERN.match(asset):
             self._refuse_outside(named)
         file_place = self._copy_file(self._find_name(place[0], outer, named), place)
         if not mark:
@@ -220,16 +222,16 @@ class Closure:
         return UsdError("too-large", f"`{text}` and the files it is made of are more than are read", None, "usd")
 
 
-def _refusal_error(why: PathRefused, by: Place | None) -> UsdError:
+def _refusal_error(why: PathRefused, by: LayerLocation | None) -> UsdError:
     return UsdError(why.code, f"{why} (named by {_layer_name(by)})" if by else str(why), why.help, "usd")
 
 
-def _naming_phrase(place: Place | None) -> str:
+def _naming_phrase(place: LayerLocation | None) -> str:
     """Return which layer names a file, as words between the file's name and the problem."""
     return f", named by {_layer_name(place)}," if place else ""
 
 
-def _layer_name(place: Place) -> str:
+def _layer_name(place: LayerLocation) -> str:
     name = posixpath.basename(place[1]) or os.path.basename(place[0])
     return f"`{display_text(name[:_DISPLAY_WIDTH])}`"
 
@@ -255,24 +257,24 @@ def read_layers(data: bytes) -> dict[str, bytes]:
 
 def _check_end(data: bytes) -> None:
     """Compare the number of members and the size of the directory with the limits before any member is read."""
-    place = data.rfind(b"PK\5\6", max(0, len(data) - _END.size - 0xFFFF))
-    if place < 0 or place + _END.size > len(data):
+    place = data.rfind(b"PK\5\6", max(0, len(data) - _END_RECORD_STRUCT.size - 0xFFFF))
+    if place < 0 or place + _END_RECORD_STRUCT.size > len(data):
         raise PackageError("is damaged, or no zip file")
-    _, _, _, _, count, size, _, _ = _END.unpack_from(data, place)
-    if count > limits.PACKAGE_PARTS or size > 512 * limits.PACKAGE_PARTS:
-        raise PackageError(f"has {count:,} members, and more than {limits.PACKAGE_PARTS:,} are not read")
+    _, _, _, _, count, size, _, _ = _END_RECORD_STRUCT.unpack_from(data, place)
+    if count > limits.MAX_PACKAGE_FILES or size > 512 * limits.MAX_PACKAGE_FILES:
+        raise PackageError(f"has {count:,} members, and more than {limits.MAX_PACKAGE_FILES:,} are not read")
 
 
 def _read_layers(archive: zipfile.ZipFile, size: int) -> dict[str, bytes]:
     entries = archive.infolist()
-    if len(entries) > limits.PACKAGE_PARTS:
-        raise PackageError(f"has {len(entries):,} members, and more than {limits.PACKAGE_PARTS:,} are not read")
+    if len(entries) > limits.MAX_PACKAGE_FILES:
+        raise PackageError(f"has {len(entries):,} members, and more than {limits.MAX_PACKAGE_FILES:,} are not read")
     if sum(entry.file_size for entry in entries) > size:
         raise PackageError("says that it holds more than its own size")
     known_names: set[str] = set()
     for entry in entries:
         _check_member(entry, known_names)
-    layers = [entry for entry in entries if entry.filename.lower().endswith(LAYERS)]
+    layers = [entry for entry in entries if entry.filename.lower().endswith(LAYER_SUFFIXES)]
     if not layers or layers[0] is not entries[0]:
         raise PackageError("does not begin with a layer")
     return {entry.filename: archive.read(entry) for entry in layers}  # reading compares the checksum
@@ -282,7 +284,7 @@ def _check_member(entry: zipfile.ZipInfo, known_names: set[str]) -> None:
     name = entry.orig_filename
     display_name = f"`{display_text(name[:60])}`"
     parts = name.removesuffix("/").split("/")
-    if not all(_NAME.fullmatch(part) and part not in (".", "..") for part in parts) or len(name) > 4096:
+    if not all(_MEMBER_NAME_PATTERN.fullmatch(part) and part not in (".", "..") for part in parts) or len(name) > 4096:
         raise PackageError(f"has a member {display_name} with a name that is absolute, leaves the package or is no plain name")
     if posixpath.normcase(name) in known_names:
         raise PackageError(f"has two members {display_name}")
@@ -303,7 +305,7 @@ def make_package(layers: dict[str, bytes]) -> bytes:
         for name, data in layers.items():
             entry = zipfile.ZipInfo(name)
             begin = file.tell() + 30 + len(name.encode()) + 4
-            padding = -begin % _ALIGNMENT
-            entry.extra = struct.pack("<HH", _PADDING, padding) + bytes(padding)
+            padding = -begin % _MEMBER_ALIGNMENT_BYTES
+            entry.extra = struct.pack("<HH", _PADDING_FIELD_ID, padding) + bytes(padding)
             archive.writestr(entry, data)
     return file.getvalue()

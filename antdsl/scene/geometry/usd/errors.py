@@ -9,14 +9,14 @@ from functools import cache
 from typing import Any
 
 from antdsl.diagnostics.model import printable
-from antdsl.reader.protocol import Refusal
+from antdsl.reader.protocol import ReadRefusal
 
-_NO_MEMORY = ("failed to map segment", "annot allocate memory")  # what loaders of libraries say without memory
-_SESSION = re.compile(r",@anon:0x[0-9a-fA-F]+:[^@]*-session\.\w+@")  # a layer that USD adds to each stage
-_ADDRESS = re.compile(r"(?:\banon:0x[0-9a-fA-F]+:?)|(?: ?<0x[0-9a-fA-F]+>)")
+_OUT_OF_MEMORY_PHRASES = ("failed to map segment", "annot allocate memory")  # what loaders of libraries say without memory
+_SESSION_LAYER_PATTERN = re.compile(r",@anon:0x[0-9a-fA-F]+:[^@]*-session\.\w+@")  # a layer that USD adds to each stage
+_MEMORY_ADDRESS_PATTERN = re.compile(r"(?:\banon:0x[0-9a-fA-F]+:?)|(?: ?<0x[0-9a-fA-F]+>)")
 
 
-class UsdError(Refusal):
+class UsdError(ReadRefusal):
     """A refusal that is about a key of the scene: `prim`, `usd` or `kind`."""
 
     def __init__(self, code: str, message: str, help: str | None = None, key: str = "prim") -> None:
@@ -33,8 +33,8 @@ def plain_text(text: str, folder: str) -> str:
     """Return USD's words as one line of a message, the same in each run: with the names of files instead of their copies in
     `folder`, and without memory addresses."""
     line = " ".join(text.replace(folder.rstrip(os.sep) + os.sep, "").split())
-    line = _SESSION.sub("", line)
-    line = _ADDRESS.sub("", line)
+    line = _SESSION_LAYER_PATTERN.sub("", line)
+    line = _MEMORY_ADDRESS_PATTERN.sub("", line)
     line = re.sub(r"\bpxrInternal\w*::(?:\w+::)*", "", line)  # names inside of USD's own code
     line = printable(line)
     return line if len(line) <= 200 else line[:197] + "…"
@@ -48,7 +48,7 @@ def pxr(module: str) -> Any:
     try:
         return import_module(f"pxr.{module}")
     except ImportError as problem:
-        if any(words in str(problem) for words in _NO_MEMORY):
+        if any(words in str(problem) for words in _OUT_OF_MEMORY_PHRASES):
             raise MemoryError(str(problem)) from None
         why = "" if getattr(problem, "name", "") in ("pxr", f"pxr.{module}") else f", which cannot be loaded ({problem})"
         raise missing_extra_error(why) from None

@@ -12,13 +12,13 @@ from typing import Any
 import numpy as np
 
 from antdsl.reader import client, confinement
-from antdsl.reader.protocol import Message, ProtocolError, Refusal
+from antdsl.reader.protocol import ProtocolError, ReaderMessage, ReadRefusal
 from antdsl.scene.geometry.mesh_text import MeshError
 from antdsl.scene.geometry.usd.closure import Closure
 from antdsl.scene.geometry.usd.errors import UsdError, missing_extra_error
 from antdsl.scene.paths import Roots
 
-_FRAMES_A_SECOND = 8  # that a request may take in addition
+_FRAMES_PER_EXTRA_SECOND = 8  # that a request may take in addition
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -37,7 +37,7 @@ class UsdStage:
         """Hashes of all files by name."""
         return self.closure.hashes
 
-    def ask(self, kind: str, document: Mapping[str, Any] | None = None) -> Message:
+    def ask(self, kind: str, document: Mapping[str, Any] | None = None) -> ReaderMessage:
         """Return the reader's answer about this stage, which is not trusted. Raises UsdError, MeshError for an invalid mesh, or a
         Refusal that is `key_fields` something known to the caller."""
         said = {
@@ -58,13 +58,13 @@ class UsdStage:
                 said,
                 {"frames": np.array(self.frames, np.int64)},
                 size=self.closure.size,
-                seconds=len(self.frames) // _FRAMES_A_SECOND,
+                seconds=len(self.frames) // _FRAMES_PER_EXTRA_SECOND,
                 digest=digest.hexdigest(),
                 files=self.closure.digest,
             )
         except client.ReaderFailure as why:
             raise self.make_error(str(why), why.help) from None
-        except Refusal as why:
+        except ReadRefusal as why:
             if why.about == "mesh":
                 raise MeshError(str(why), why.help) from None
             if why.about == "exception":

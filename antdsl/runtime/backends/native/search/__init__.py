@@ -16,28 +16,30 @@ import numpy as np
 
 from antdsl import limits
 from antdsl.machine_code.kernels.values import Number, text_type
-from antdsl.machine_code.kinds import BOOL, F32, I8, I32, I64, PTR, WIDTH
+from antdsl.machine_code.kinds import BOOL, F32, I8, I32, I64, LANE_COUNT, PTR
 from antdsl.machine_code.lanes import LaneBuilder, Lanes
 from antdsl.plan import ir
 from antdsl.plan.traverse import required_nodes
-from antdsl.runtime.backends.compile import Instruction
+from antdsl.runtime.backends.compile import BlockInstruction
 from antdsl.runtime.backends.native.block import BlockWriter, FunctionWriter, NeighbourSearch
 from antdsl.runtime.backends.native.fours import quadruple_address
-from antdsl.runtime.backends.native.layout import KINDS
+from antdsl.runtime.backends.native.layout import LANE_TYPE_BY_KIND
 from antdsl.runtime.backends.native.schedule import operands_of
-from antdsl.runtime.backends.native.search.cells import BEYOND, CellRows, append_numbers
+from antdsl.runtime.backends.native.search.cells import SEARCH_SLACK_FACTOR, CellRows, append_numbers
 from antdsl.runtime.backends.native.search.crowds import write_dense_search
-from antdsl.runtime.backends.native.search.near import PLACE, STRIDE, Search, measure_pairs
+from antdsl.runtime.backends.native.search.near import OPERAND_STRIDE_BYTES, POSITION_REGISTERS, SearchCode, measure_pairs
 from antdsl.runtime.backends.native.sets import PairValues, accumulate, own_values, reduction_sets
 from antdsl.runtime.backends.native.sums import RunningReduction
 from antdsl.runtime.pairs import count_nearest
 from antdsl.runtime.world import AXES
 
-MOST = limits.NEIGHBOURS  # candidates of one agent that are gone through here, so that the cap leaves out none
-_LINE = 64  # bytes of memory that come together
-_ROWS = 8  # of cells, which are looked up before those in them are gone through
-_LIST = MOST + 2 * WIDTH  # numbers from one agent's list to that of the next
-_TINY, _SLACK = np.float32(1e-30), np.float32(1e-5)
+MAX_LISTED_CANDIDATES = (
+    limits.MAX_QUERY_NEIGHBOURS
+)  # candidates of one agent that are gone through here, so that the cap leaves out none
+_CACHE_LINE_BYTES = 64  # bytes of memory that come together
+_ROWS_LOOKED_UP = 8  # of cells, which are looked up before those in them are gone through
+_LIST_STRIDE = MAX_LISTED_CANDIDATES + 2 * LANE_COUNT  # numbers from one agent's list to that of the next
+_MIN_SQUARED_DISTANCE, _COSINE_SLACK = np.float32(1e-30), np.float32(1e-5)
 
 
 @dataclass(slots=True, eq=False)
@@ -46,14 +48,14 @@ class ReductionGroup:
     that of the mask of agents that already have them."""
 
     number: int
-    instructions: list[Instruction]
+    instructions: list[BlockInstruction]
     own: Number
     out: Number
     answered_mask: Number
-    near: Search
+    near: SearchCode
 
 
-def emit_neighbour_reduction(b: BlockWriter, instruction: Instruction) -> None:
+def emit_neighbour_reduction(b: BlockWriter, instruction: BlockInstruction) -> None:
     """Emit a reduction over neighbours, with all others that the same search can compute."""
     e, group = b.e, _make_group(b, instruction)
     shared = any(each.scope is not instruction.scope for each in group.instructions)
@@ -68,7 +70,7 @@ def emit_neighbour_reduction(b: BlockWriter, instruction: Instruction) -> None:
             e.put(group.answered_mask, answered_mask | missing)
     for k, each in enumerate(group.instructions):
         if each.scope is instruction.scope and not any(each.out in names for names in e.known):
-            kind = KINDS[group.near.nodes[k].kind]
+            kind = LANE_TYPE_BY_KIND[group.near.nodes[k].kind]
             b.known(each.out, _area_value(e, group.out, k, kind))
     for chosen, k in group.near.stops.items():
         if any(each.scope is instruction.scope and each.what.args[0] is chosen for each in group.instructions):  # type: ignore[union-attr]
@@ -78,24 +80,24 @@ def emit_neighbour_reduction(b: BlockWriter, instruction: Instruction) -> None:
 
 def _area_value(e: LaneBuilder, area: Number, k: int, kind: str) -> Lanes:
     """An operand or a result of a search."""
-    return e.convert(e.load(e.field(area, STRIDE * k), I8 if kind == BOOL else kind, WIDTH), kind)
+    return e.convert(e.load(e.field(area, OPERAND_STRIDE_BYTES * k), I8 if kind == BOOL else kind, LANE_COUNT), kind)
 
 
-def _make_group(b: BlockWriter, first: Instruction) -> ReductionGroup:
+def _make_group(b: BlockWriter, first: BlockInstruction) -> ReductionGroup:
     if first in b.groups:
         known_group: ReductionGroup = b.groups[first]
         return known_group
     together = [first, *(each for each in b.joint_reductions(first) if each not in b.groups)]
     number = len(b.code.near)
     name = f"near.{b.species}.{b.compiler.name}.{number}"
-    nodes = [each.what for each in together if isinstance(each.what, ir.Node)]
-    near = Search(name, number, nodes[0].args[0].attrs[0], nodes)
+    nodes = [each.what for each in together if isinstance(each.what, ir.PlanNode)]
+    near = SearchCode(name, number, nodes[0].args[0].attrs[0], nodes)
     operands = 0
     for instruction in together:
         operands += len(operands_of(instruction)) + 4
     e = b.e
     results = 2 * len(nodes)
-    own, out = (e.allocate(count, text_type(I64, WIDTH)) for count in (operands, results))
+    own, out = (e.allocate(count, text_type(I64, LANE_COUNT)) for count in (operands, results))
     group = ReductionGroup(number, together, own, out, e.slot(I8), near)
     b.at_top.append(lambda: e.put(group.answered_mask, e.constant(0, I8, 1)))
     for each in together:
@@ -107,7 +109,7 @@ def _call_search(b: BlockWriter, group: ReductionGroup, asking: Lanes) -> None:
     """Store the operands and call the search for some of eight agents. Its functions are written at the first call."""
     e, near = b.e, group.near
     fresh = not near.kinds
-    by_scope: dict[int, list[Instruction]] = {}
+    by_scope: dict[int, list[BlockInstruction]] = {}
     for each in group.instructions:
         by_scope.setdefault(id(each.scope), []).append(each)
     values: list[Lanes] = []
@@ -116,9 +118,9 @@ def _call_search(b: BlockWriter, group: ReductionGroup, asking: Lanes) -> None:
         values.append(value)
         return len(values) - 1
 
-    reach: dict[ir.Node, int] = {}
-    view: dict[ir.Node, int] = {}
-    value_indices: dict[ir.Node, int] = {}
+    reach: dict[ir.PlanNode, int] = {}
+    view: dict[ir.PlanNode, int] = {}
+    value_indices: dict[ir.PlanNode, int] = {}
     for instructions in by_scope.values():
         for chosen, slots in reduction_sets(instructions).items():
             if chosen not in reach:
@@ -134,11 +136,13 @@ def _call_search(b: BlockWriter, group: ReductionGroup, asking: Lanes) -> None:
         stops = [chosen for chosen in near.reach if count_nearest(plan, chosen) is None]
         near.stops = {chosen: len(near.nodes) + k for k, chosen in enumerate(stops)}
         read = required_nodes(arg for node in near.nodes for arg in node.args[1:])
-        names = sorted({each.attrs[0] for each in read if each.op == "other" and each.kind is ir.Kind.F32} - {*PLACE})
+        names = sorted(
+            {each.attrs[0] for each in read if each.op == "other" and each.kind is ir.ValueKind.F32} - {*POSITION_REGISTERS}
+        )
         near.beside = [" ".join(names[k : k + 4]) for k in range(0, len(names), 4)]
         b.code.near.append(NeighbourSearch(near.other, list(near.reach), near.beside))
     for k, value in enumerate(values):
-        e.put(e.field(group.own, STRIDE * k), e.widened(e.as_stored(value)))
+        e.put(e.field(group.own, OPERAND_STRIDE_BYTES * k), e.widened(e.as_stored(value)))
     if fresh:
         _write_functions(b, near)
     e.do("call", b.table, b.row, asking, group.own, group.out, x=f"@{near.name}")
@@ -147,7 +151,7 @@ def _call_search(b: BlockWriter, group: ReductionGroup, asking: Lanes) -> None:
 # --- eight agents in SIMD lanes --------------------------------------------------------------------------------------
 
 
-def _write_functions(b: BlockWriter, near: Search) -> None:
+def _write_functions(b: BlockWriter, near: SearchCode) -> None:
     """The function of a search for eight agents, and that for one with very many neighbours."""
     w = FunctionWriter(b.module, b.layout)
     e = w.e
@@ -177,7 +181,7 @@ def _write_functions(b: BlockWriter, near: Search) -> None:
         is_listed = e.convert(k, I32) < number
         pair = measure_pairs(w, near, _read_lists(e, buffer, k), place, is_listed)
 
-        def inside(chosen: ir.Node) -> Lanes:
+        def inside(chosen: ir.PlanNode) -> Lanes:
             reached = pair.is_present & (pair.distance <= radius[chosen])
             if chosen in near.view:
                 hx, hy, hz = heading
@@ -192,11 +196,11 @@ def _write_functions(b: BlockWriter, near: Search) -> None:
     fits = asks & ~over
     for result, each in enumerate(sums):
         stored = e.as_stored(each.result())
-        start = e.field(out, STRIDE * result)
-        e.put(start, e.where(fits, stored, e.load(start, stored.kind, WIDTH)))
+        start = e.field(out, OPERAND_STRIDE_BYTES * result)
+        e.put(start, e.where(fits, stored, e.load(start, stored.kind, LANE_COUNT)))
     for stop in near.stops.values():
-        start = e.field(out, STRIDE * stop)
-        e.put(start, e.where(fits, e.constant(0, I8), e.load(start, I8, WIDTH)))
+        start = e.field(out, OPERAND_STRIDE_BYTES * stop)
+        e.put(start, e.where(fits, e.constant(0, I8), e.load(start, I8, LANE_COUNT)))
     with e.inside(e.any_lane(over)):
         e.do("call", w.table, row, e.mask_word(over), own, out, x=f"@{near.name}.many")
     write_dense_search(b, near)
@@ -206,7 +210,7 @@ def _write_functions(b: BlockWriter, near: Search) -> None:
 def _read_lists(e: LaneBuilder, buffer: Lanes, k: Lanes) -> Lanes:
     """Return the element at one index of each of the eight agents' lists."""
     first = e.address(buffer, k, I32)
-    return e.combine_lanes(e.load(e.field(first, 4 * _LIST * lane), I32) for lane in range(WIDTH))
+    return e.combine_lanes(e.load(e.field(first, 4 * _LIST_STRIDE * lane), I32) for lane in range(LANE_COUNT))
 
 
 class _SetTest:
@@ -216,15 +220,17 @@ class _SetTest:
     def __init__(
         self,
         e: LaneBuilder,
-        radius: Mapping[ir.Node, Lanes],
-        view: Mapping[ir.Node, Lanes],
+        radius: Mapping[ir.PlanNode, Lanes],
+        view: Mapping[ir.PlanNode, Lanes],
         search: CellRows,
         heading: list[Lanes],
     ) -> None:
         self.e, self._stack = e, search.stack
         self._heading = [self._store(each) for each in heading]
         widest = {chosen: search.widest for chosen in radius} if not view else radius
-        limits_of = {chosen: (each * each) * np.float32(BEYOND) + _TINY for chosen, each in widest.items()}
+        limits_of = {
+            chosen: (each * each) * np.float32(SEARCH_SLACK_FACTOR) + _MIN_SQUARED_DISTANCE for chosen, each in widest.items()
+        }
         if not view:
             limits_of = dict(list(limits_of.items())[:1])
         self._sets: list[tuple[Number, Number | None]] = []
@@ -232,11 +238,11 @@ class _SetTest:
             least = None
             if chosen in view:
                 cosine = view[chosen]
-                least = self._store(cosine * np.abs(cosine) - (cosine * cosine) * _SLACK)
+                least = self._store(cosine * np.abs(cosine) - (cosine * cosine) * _COSINE_SLACK)
             self._sets.append((self._store(limit), least))
 
     def _store(self, value: Lanes) -> Number:
-        place = self.e.slot(F32, WIDTH)
+        place = self.e.slot(F32, LANE_COUNT)
         self.e.put(place, value)
         return place
 
@@ -260,7 +266,7 @@ class _SetTest:
                 if least is not None:
                     hx, hy, hz = heading
                     ahead = (dx * hx + dy * hy) + dz * hz
-                    inside = inside & ~(ahead * np.abs(ahead) + _TINY < least * square)
+                    inside = inside & ~(ahead * np.abs(ahead) + _MIN_SQUARED_DISTANCE < least * square)
                 is_candidate = inside if is_candidate is None else is_candidate | inside
             assert is_candidate is not None
             return is_candidate
@@ -269,15 +275,15 @@ class _SetTest:
 
 
 def _list_candidates(
-    w: FunctionWriter, near: Search, search: CellRows, asks: Lanes, set_test: _SetTest, itself: Lanes | None
+    w: FunctionWriter, near: SearchCode, search: CellRows, asks: Lanes, set_test: _SetTest, itself: Lanes | None
 ) -> tuple[Lanes, Lanes, Lanes]:
     """List the possible members of a set for each of eight agents. Returns the list positions, the list lengths, and the agents
     with too many candidates, which have their lists skipped."""
     e = w.e
     buffer = w.base("candidates")
-    candidate_count, match_count, number, own_place = (e.slot(I32, WIDTH) for _ in range(4))
-    begins, ends = (e.allocate(_ROWS, text_type(I32, WIDTH)) for _ in range(2))
-    total, numbers = e.slot(I64), e.slot(I32, WIDTH)
+    candidate_count, match_count, number, own_place = (e.slot(I32, LANE_COUNT) for _ in range(4))
+    begins, ends = (e.allocate(_ROWS_LOOKED_UP, text_type(I32, LANE_COUNT)) for _ in range(2))
+    total, numbers = e.slot(I64), e.slot(I32, LANE_COUNT)
     for slot in (candidate_count, match_count):
         e.put(slot, e.constant(0, I32))
     if itself is not None:
@@ -289,7 +295,7 @@ def _list_candidates(
         """Those of one agent, in some rows of cells."""
         test = set_test.of(lane)
         mine = None if itself is None else e.widened(e.read_one(own_place, lane, I32))
-        own = e.address(buffer, lane * _LIST, I32)
+        own = e.address(buffer, lane * _LIST_STRIDE, I32)
         so_far = e.address(match_count, lane, I32)
         e.put(total, e.convert(e.load(so_far, I32), I64))
         with e.loop(rows) as row:
@@ -298,13 +304,13 @@ def _list_candidates(
             start, many = e.convert(begin, I64), e.convert(end - begin, I64)
             last = e.widened(end)
             e.put(numbers, begin + e.convert(e.iota(), I32))
-            with e.loop(many, WIDTH) as k:
+            with e.loop(many, LANE_COUNT) as k:
                 at = start + k
                 for each in fours:  # for when the list is gone through: eight of them lie in three lines of memory at most
-                    for offset in (0, _LINE, WIDTH * 16 - 4):
+                    for offset in (0, _CACHE_LINE_BYTES, LANE_COUNT * 16 - 4):
                         e.prefetch(e.field(quadruple_address(e, each, at), offset))
-                now = e.load(numbers, I32, WIDTH)
-                e.put(numbers, now + WIDTH)
+                now = e.load(numbers, I32, LANE_COUNT)
+                e.put(numbers, now + LANE_COUNT)
                 inside = test([e.read(column, at, F32) for column in columns]) & (now < last)
                 if mine is not None:
                     inside = inside & (now != mine)
@@ -312,31 +318,31 @@ def _list_candidates(
         e.put(so_far, e.convert(e.load(total, I64), I32))
 
     every = search.row_count()
-    with e.loop(every, _ROWS) as first:
-        rows = e.op("smin", I64, every - first, e.constant(_ROWS, I64, 1))
+    with e.loop(every, _ROWS_LOOKED_UP) as first:
+        rows = e.op("smin", I64, every - first, e.constant(_ROWS_LOOKED_UP, I64, 1))
         e.put(number, e.constant(0, I32))
         with e.loop(rows) as row:
             begin, count = search.next_row()
-            sums = e.load(candidate_count, I32, WIDTH) + count
+            sums = e.load(candidate_count, I32, LANE_COUNT) + count
             e.put(candidate_count, sums)
-            count = e.where(sums <= MOST, count, e.constant(0, I32))
-            e.put(number, e.load(number, I32, WIDTH) | count)
+            count = e.where(sums <= MAX_LISTED_CANDIDATES, count, e.constant(0, I32))
+            e.put(number, e.load(number, I32, LANE_COUNT) | count)
             at = row << 3
             e.write(begins, at, begin)
             e.write(ends, at, begin + count)
-        with e.loop(WIDTH) as lane, e.inside(e.read_one(number, lane, I32) > 0):
+        with e.loop(LANE_COUNT) as lane, e.inside(e.read_one(number, lane, I32) > 0):
             write_lane(lane, rows)
-    counted = e.load(match_count, I32, WIDTH)
-    over = asks & (e.load(candidate_count, I32, WIDTH) > MOST)
+    counted = e.load(match_count, I32, LANE_COUNT)
+    over = asks & (e.load(candidate_count, I32, LANE_COUNT) > MAX_LISTED_CANDIDATES)
     counted = e.where(asks & ~over, counted, e.constant(0, I32))
     e.put(number, counted)
     most, zero = e.lane_maximum(counted), e.constant(0, I32)
-    with e.loop(WIDTH) as lane:  # all lists go on to the end of the longest one
+    with e.loop(LANE_COUNT) as lane:  # all lists go on to the end of the longest one
         many = e.read_one(number, lane, I32)
-        own = e.address(buffer, lane * _LIST, I32)
+        own = e.address(buffer, lane * _LIST_STRIDE, I32)
         end = e.address(own, e.convert(many, I64), I32)
         short = e.convert(most - many, I64)
         e.write(end, 0, zero)
-        with e.inside(short > WIDTH), e.loop(short, WIDTH) as k:
+        with e.inside(short > LANE_COUNT), e.loop(short, LANE_COUNT) as k:
             e.write(end, k, zero)
     return buffer, counted, over

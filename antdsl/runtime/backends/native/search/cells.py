@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 
-from antdsl.machine_code.kernels.ir import ORDERS
+from antdsl.machine_code.kernels.ir import LANE_ORDERS_CONSTANT
 from antdsl.machine_code.kernels.values import Number, text_type
-from antdsl.machine_code.kinds import BOOL, F32, F64, I8, I32, I64, PTR, WIDTH
+from antdsl.machine_code.kinds import BOOL, F32, F64, I8, I32, I64, LANE_COUNT, PTR
 from antdsl.machine_code.lanes import LaneBuilder, Lanes
 from antdsl.runtime.backends.native.block import FunctionWriter
 
-SLACK, BEYOND = 1.0 + 1e-6, 1.0 + 1e-5  # as in `senses.neighbours`
+RADIUS_SLACK_FACTOR, SEARCH_SLACK_FACTOR = 1.0 + 1e-6, 1.0 + 1e-5  # as in `senses.neighbours`
 
 
 class SearchCells:
@@ -46,7 +46,7 @@ class SearchCells:
         are 0 if a condition does not hold."""
         w, e = self.w, self.w.e
         starts, keys = w.base("grid", self.number, "starts"), w.base("grid", self.number, "keys")
-        begin, end = e.slot(I32, WIDTH), e.slot(I32, WIDTH)
+        begin, end = e.slot(I32, LANE_COUNT), e.slot(I32, LANE_COUNT)
         none = e.constant(0, I32)
         many = e.op("is_null", BOOL, starts)
         with e.inside(~many):  # so few cells that 32 bits hold their numbers
@@ -60,8 +60,8 @@ class SearchCells:
             name = self._bisection()
             for slot, key in ((begin, line + wide[2]), (end, line + wide[3] + 1)):
                 e.put(slot, e.convert(e.call(name, I64, keys, self.count, key), I32))
-        start = e.load(begin, I32, WIDTH)
-        return start, e.where(within, e.load(end, I32, WIDTH) - start, none)
+        start = e.load(begin, I32, LANE_COUNT)
+        return start, e.where(within, e.load(end, I32, LANE_COUNT) - start, none)
 
     def _bisection(self) -> str:
         """A function that finds how many of the sorted keys are below each of eight, i64."""
@@ -69,18 +69,22 @@ class SearchCells:
         if name in self.w.module.functions:
             return name
         f = LaneBuilder(self.w.module)
-        sorted_keys, count, key = f.named_number(PTR, "%keys"), f.named_number(I64, "%count"), f.named_number(I64, "%key", WIDTH)
-        low, high = f.slot(I64, WIDTH), f.slot(I64, WIDTH)
+        sorted_keys, count, key = (
+            f.named_number(PTR, "%keys"),
+            f.named_number(I64, "%count"),
+            f.named_number(I64, "%key", LANE_COUNT),
+        )
+        low, high = f.slot(I64, LANE_COUNT), f.slot(I64, LANE_COUNT)
         f.put(low, f.constant(0, I64))
         f.put(high, f.widened(count))
         with f.loop(32):
-            a, b = f.load(low, I64, WIDTH), f.load(high, I64, WIDTH)
+            a, b = f.load(low, I64, LANE_COUNT), f.load(high, I64, LANE_COUNT)
             middle, is_open = (a + b) >> 1, a < b
             probe = f.gather(sorted_keys, f.where(is_open, middle, f.constant(0, I64)), I64)
             is_below = is_open & (probe < key)
             f.put(low, f.where(is_below, middle + 1, a))
             f.put(high, f.where(is_open & ~is_below, middle, b))
-        f.end(name, (sorted_keys, count, key), f.load(low, I64, WIDTH), attribute="noinline")
+        f.end(name, (sorted_keys, count, key), f.load(low, I64, LANE_COUNT), attribute="noinline")
         return name
 
 
@@ -97,15 +101,15 @@ class CellRows:
         for each in place:
             usable = usable & np.isfinite(each)
         self.widest, self.usable = widest, usable
-        self.stack = stack = e.allocate(3, text_type(F32, WIDTH))
+        self.stack = stack = e.allocate(3, text_type(F32, LANE_COUNT))
         for k, each in enumerate(place):
             e.put(e.field(stack, 32 * k), each)
         along = []
         for k, axis in enumerate(cells.axes):
-            value = e.load(e.address(stack, axis, text_type(F32, WIDTH)), F32, WIDTH)
+            value = e.load(e.address(stack, axis, text_type(F32, LANE_COUNT)), F32, LANE_COUNT)
             along.append(e.where(usable, e.convert(value, F64), cells.low[k]))
         largest = np.maximum(np.maximum(np.abs(along[0]), np.abs(along[1])), np.abs(along[2]))
-        r = e.where(usable, e.convert(widest, F64), e.constant(0.0, F64)) * SLACK + (largest * 1e-14 + 1e-18)
+        r = e.where(usable, e.convert(widest, F64), e.constant(0.0, F64)) * RADIUS_SLACK_FACTOR + (largest * 1e-14 + 1e-18)
         self.a0, self.a1 = cells.span(0, along[0], r)
         self.b0, self.b1 = cells.span(1, along[1], r)
         c0, c1 = cells.span(2, along[2], r)
@@ -150,12 +154,12 @@ def append_numbers(e: LaneBuilder, buffer: Lanes, total: Number, numbers: Lanes,
     count = e.load(total, I64)
     if e.module.target.avx2:
         place = e.address(buffer, count, I32)
-        order = e.read(e.named_number(PTR, ORDERS.name), bits << 3, I8)
+        order = e.read(e.named_number(PTR, LANE_ORDERS_CONSTANT.name), bits << 3, I8)
         packed = e.op("permd", I32, numbers, e.op("zext", I32, order))
         e.do("store", packed, place, x=", align 4")
         e.put(total, count + e.op("ctpop", I64, bits))
         return
-    for k in range(WIDTH):
+    for k in range(LANE_COUNT):
         e.put(e.address(buffer, count, I32), e.one(numbers, k))
         count = count + ((bits >> k if k else bits) & 1)
     e.put(total, count)

@@ -13,20 +13,20 @@ import numpy as np
 
 from antdsl import limits
 from antdsl.machine_code.kernels.values import Number
-from antdsl.machine_code.kinds import BOOL, F32, I8, I32, I64, PTR, WIDTH
+from antdsl.machine_code.kinds import BOOL, F32, I8, I32, I64, LANE_COUNT, PTR
 from antdsl.machine_code.lanes import Lanes
 from antdsl.plan import ir
 from antdsl.runtime.backends.native.block import BlockWriter, FunctionWriter
-from antdsl.runtime.backends.native.search.cells import BEYOND, CellRows, append_numbers
-from antdsl.runtime.backends.native.search.near import STRIDE, NearPairs, Search, measure_pairs
+from antdsl.runtime.backends.native.search.cells import SEARCH_SLACK_FACTOR, CellRows, append_numbers
+from antdsl.runtime.backends.native.search.near import OPERAND_STRIDE_BYTES, NeighbourLanes, SearchCode, measure_pairs
 from antdsl.runtime.backends.native.sets import PairValues, accumulate
 from antdsl.runtime.backends.native.sums import NO_LABEL, RunningReduction
 from antdsl.runtime.world import AXES
 
-_NONE = (1 << 31) - 1  # the number of a distance that does not count: above those of all others
+_REJECTED_DISTANCE_NUMBER = (1 << 31) - 1  # the number of a distance that does not count: above those of all others
 
 
-def write_dense_search(b: BlockWriter, near: Search) -> None:
+def write_dense_search(b: BlockWriter, near: SearchCode) -> None:
     """Write the function that processes some of eight requesting agents, one by one."""
     w = FunctionWriter(b.module, b.layout)
     e = w.e
@@ -36,14 +36,14 @@ def write_dense_search(b: BlockWriter, near: Search) -> None:
         e.named_number(PTR, "%own"),
         e.named_number(PTR, "%out"),
     )
-    with e.loop(WIDTH) as lane, e.inside(e.has_bit(mask, lane)):
+    with e.loop(LANE_COUNT) as lane, e.inside(e.has_bit(mask, lane)):
         row = rows + lane
 
         def mine(k: int) -> Lanes:
-            return e.read_one(e.field(own_area, STRIDE * k), lane, near.kinds[k])
+            return e.read_one(e.field(own_area, OPERAND_STRIDE_BYTES * k), lane, near.kinds[k])
 
         def put(k: int, value: Lanes) -> None:
-            e.put(e.address(e.field(out, STRIDE * k), lane, value.kind), value)
+            e.put(e.address(e.field(out, OPERAND_STRIDE_BYTES * k), lane, value.kind), value)
 
         own = {node: e.widened(mine(k)) for node, k in near.operand_slots.items()}
         place = [e.widened(e.read_one(w.base("start", f"position.{axis}"), row, F32)) for axis in AXES]
@@ -57,10 +57,10 @@ def write_dense_search(b: BlockWriter, near: Search) -> None:
         sums = [RunningReduction(e, node, many=False) for node in near.nodes]
         for each in sums:
             each.start()
-        with e.loop(e.load(crowd.total, I64), WIDTH) as at:
+        with e.loop(e.load(crowd.total, I64), LANE_COUNT) as at:
             others = crowd.at(at)
 
-            def inside(chosen: ir.Node) -> Lanes:
+            def inside(chosen: ir.PlanNode) -> Lanes:
                 reached = others.is_present & (others.distance <= radius[chosen])
                 if chosen in near.view:
                     hx, hy, hz = heading
@@ -84,7 +84,7 @@ class _DenseNeighbours:
     integers, `_NONE` outside the widest radius. Both are padded to a multiple of eight. `total`: the address of their number."""
 
     w: FunctionWriter
-    near: Search
+    near: SearchCode
     place: list[Lanes]
     itself: Lanes | None
     buffer: Lanes = field(init=False)
@@ -97,13 +97,13 @@ class _DenseNeighbours:
         self.buffer, self.total = w.base("candidates"), e.slot(I64)
         e.put(self.total, e.constant(0, I64, 1))
         search = CellRows(w, self.near.number, self.place, radii, e.constant(True, BOOL))
-        limit = (search.widest * search.widest) * np.float32(BEYOND) + np.float32(1e-30)
+        limit = (search.widest * search.widest) * np.float32(SEARCH_SLACK_FACTOR) + np.float32(1e-30)
         columns = [w.base("grid", self.near.number, axis) for axis in AXES]
 
         with e.loop(search.row_count()):
             row = search.next_row()
             begin, count = (e.convert(e.one(each, 0), I64) for each in row)
-            with e.loop(count, WIDTH) as k:
+            with e.loop(count, LANE_COUNT) as k:
                 at = begin + k
                 is_present = k + e.iota() < count
                 dx, dy, dz = (e.read(column, at, F32) - own for column, own in zip(columns, self.place, strict=True))
@@ -112,18 +112,18 @@ class _DenseNeighbours:
                 append_numbers(e, self.buffer, self.total, numbers, is_present & (square <= limit))
         count = e.load(self.total, I64)
         self._close_list(count)
-        self.keys = e.address(self.buffer, count + WIDTH, I32)
-        with e.loop(count, WIDTH) as index:
+        self.keys = e.address(self.buffer, count + LANE_COUNT, I32)
+        with e.loop(count, LANE_COUNT) as index:
             others = self.at(index)
             within = others.is_present & (others.distance <= search.widest)
             if self.itself is not None:
                 within = within & (others.rows != self.itself)
-            e.write(self.keys, index, e.where(within, e.bits(others.distance, I32), e.constant(_NONE, I32)))
+            e.write(self.keys, index, e.where(within, e.bits(others.distance, I32), e.constant(_REJECTED_DISTANCE_NUMBER, I32)))
 
     def _close_list(self, count: Lanes) -> None:
         self.w.e.write(self.buffer, count, self.w.e.constant(0, I32))
 
-    def at(self, index: Lanes) -> NearPairs:
+    def at(self, index: Lanes) -> NeighbourLanes:
         """Return eight of the listed others, from an index on."""
         e = self.w.e
         is_present = index + e.iota() < e.load(self.total, I64)
@@ -133,12 +133,12 @@ class _DenseNeighbours:
     def _count_passing(self, test: Callable[[Lanes, Lanes], Lanes]) -> Lanes:
         """Return how many of the others pass a test. Its input is an index and the eight keys from there on."""
         e = self.w.e
-        counted = e.slot(I32, WIDTH)
+        counted = e.slot(I32, LANE_COUNT)
         e.put(counted, e.constant(0, I32))
-        with e.loop(e.load(self.total, I64), WIDTH) as index:
+        with e.loop(e.load(self.total, I64), LANE_COUNT) as index:
             good = test(index, e.read(self.keys, index, I32))
-            e.put(counted, e.load(counted, I32, WIDTH) + e.convert(good, I32))
-        return e.op("reduce.add", I32, e.load(counted, I32, WIDTH), lanes=1)
+            e.put(counted, e.load(counted, I32, LANE_COUNT) + e.convert(good, I32))
+        return e.op("reduce.add", I32, e.load(counted, I32, LANE_COUNT), lanes=1)
 
     def _find_least(self, place: Number, kind: str, most: int, enough: Callable[[Lanes], Lanes]) -> None:
         """Find the least integer from 0 to `most` for which `enough` holds. All bits of `most` are 1."""
@@ -159,18 +159,18 @@ class _DenseNeighbours:
         e = self.w.e
         many = e.slot(I8)
         e.put(many, e.constant(0, I8, 1))
-        with e.inside(e.load(self.total, I64) > limits.WITHIN_RADIUS):
+        with e.inside(e.load(self.total, I64) > limits.MAX_CANDIDATES_IN_RADIUS):
             inside = radius >= np.float32(0)
             bound = e.bits(radius, I32)
             number = self._count_passing(lambda index, keys: inside & (keys <= bound))
-            e.put(many, e.convert(number > limits.WITHIN_RADIUS, I8))
+            e.put(many, e.convert(number > limits.MAX_CANDIDATES_IN_RADIUS, I8))
         return e.load(many, I8)
 
     def keep_nearest(self) -> None:
         """Reduce the list to the others that count: above the cap, the nearest by (distance, id)."""
-        e, cap = self.w.e, limits.NEIGHBOURS
+        e, cap = self.w.e, limits.MAX_QUERY_NEIGHBOURS
         far, last = e.slot(I32), e.slot(I64)
-        e.put(far, e.constant(_NONE - 1, I32, 1))
+        e.put(far, e.constant(_REJECTED_DISTANCE_NUMBER - 1, I32, 1))
         e.put(last, e.constant(NO_LABEL, I64, 1))
         with e.inside(e.load(self.total, I64) > cap):
 
@@ -179,7 +179,7 @@ class _DenseNeighbours:
                 return self._count_passing(lambda index, keys: keys <= bound) >= least
 
             with e.inside(enough(e.load(far, I32), cap + 1)):
-                self._find_least(far, I32, _NONE, enough)
+                self._find_least(far, I32, _REJECTED_DISTANCE_NUMBER, enough)
                 reach = e.widened(e.load(far, I32))
                 nearer = self._count_passing(lambda index, keys: keys < reach)
                 equal = self._count_passing(lambda index, keys: keys == reach)
@@ -195,7 +195,7 @@ class _DenseNeighbours:
         ties = label != NO_LABEL
         out, good = e.slot(I64), e.slot(I8)
         e.put(out, e.constant(0, I64, 1))
-        with e.loop(e.load(self.total, I64), WIDTH) as index:
+        with e.loop(e.load(self.total, I64), LANE_COUNT) as index:
             keys = e.read(self.keys, index, I32)
             e.put(good, e.mask_bits(keys <= reach))
             with e.inside(ties):

@@ -10,36 +10,36 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl.machine_code.kinds import WIDTH
+from antdsl.machine_code.kinds import LANE_COUNT
 from antdsl.numerics import parallel
 from antdsl.runtime.world import AXES, Population, World
 from antdsl.senses.cell_order import CellOrder, Positions, Shape, box_around, store_registers
 
-_AGAIN = 64  # steps after which a crowd gets new cells and the sheet test is repeated
-_SPARE = 1 / 32  # of its extent, that a box goes on for beyond a crowd
-_FILLED = 0.8  # of its extent: a crowd that is less wide gets other cells
-_FEW = 128  # agents; among fewer the cells of an agent are no fewer to go through than all others
-_UNUSED = 16  # steps after which the arrays of an unused cell size are released
-_COARSER = 2  # quarters of an octave: finding others in cells that much wider costs less than sorting them again
-_CELLS = 4  # for each agent, above which wider ones cost less
+_RETEST_STEPS = 64  # steps after which a crowd gets new cells and the sheet test is repeated
+_BOX_MARGIN_SHARE = 1 / 32  # of its extent, that a box goes on for beyond a crowd
+_MIN_FILLED_SHARE = 0.8  # of its extent: a crowd that is less wide gets other cells
+_MAX_AGENTS_IN_ONE_CELL = 128  # agents; among fewer the cells of an agent are no fewer to go through than all others
+_UNUSED_STEPS_BEFORE_RELEASE = 16  # steps after which the arrays of an unused cell size are released
+_MAX_COARSER_QUARTERS = 2  # quarters of an octave: finding others in cells that much wider costs less than sorting them again
+_MAX_CELLS_PER_AGENT = 4  # for each agent, above which wider ones cost less
 _UNBOUNDED_WIDTH = 1e300  # mm: the width of a cell that has all places in it
 
 Arrays = Mapping[str, NDArray[Any] | None]
-Registers = Sequence[tuple[str, list[NDArray[np.float32]]]]  # up to four each, by their names
-Corners = tuple[list[float], list[float]]
+RegisterGroups = Sequence[tuple[str, list[NDArray[np.float32]]]]  # up to four each, by their names
+BoxCorners = tuple[list[float], list[float]]
 
 
 class _CrowdBox:
     """A box slightly larger than the crowd's. Its cells are used while the crowd stays inside and fills it, and only for a
     limited time, because the crowd may spread in height."""
 
-    def __init__(self, corners: Corners, until: int) -> None:
+    def __init__(self, corners: BoxCorners, until: int) -> None:
         extent = [high - low for low, high in zip(*corners, strict=True)]
-        self.low = [low - _SPARE * each for low, each in zip(corners[0], extent, strict=True)]
-        self.high = [high + _SPARE * each for high, each in zip(corners[1], extent, strict=True)]
-        self._least, self._until = [_FILLED * each for each in extent], until
+        self.low = [low - _BOX_MARGIN_SHARE * each for low, each in zip(corners[0], extent, strict=True)]
+        self.high = [high + _BOX_MARGIN_SHARE * each for high, each in zip(corners[1], extent, strict=True)]
+        self._least, self._until = [_MIN_FILLED_SHARE * each for each in extent], until
 
-    def is_suitable(self, corners: Corners, step: int) -> bool:
+    def is_suitable(self, corners: BoxCorners, step: int) -> bool:
         """Return whether its cells suit a step, given the corners of the crowd."""
         (ax, ay, az), (bx, by, bz) = corners
         (lx, ly, lz), (hx, hy, hz), (x, y, z) = self.low, self.high, self._least
@@ -56,18 +56,18 @@ class _CrowdGrid(CellOrder):
         self.box: _CrowdBox | None = None  # that the cells are of
         self._laid: dict[str, int] = {}  # the step that registers are of
 
-    def sort_registers(self, registers: Registers, step: int) -> None:
+    def sort_registers(self, registers: RegisterGroups, step: int) -> None:
         """Put registers in order, unless that was done in this step."""
         for names, columns in registers:
             if self._laid.get(names) == step:
                 continue
             if names not in self._laid:
-                self.tables = {**self.tables, names: np.zeros((self.count + WIDTH, 4), np.float32)}
+                self.tables = {**self.tables, names: np.zeros((self.count + LANE_COUNT, 4), np.float32)}
             self._laid[names], laid = step, self.tables[names]
             assert laid is not None
             four = parallel.contiguous(*columns, *(columns[:1] * (4 - len(columns))))
             work = partial(store_registers, self.at, four, laid.reshape(-1))
-            parallel.in_parts(work, self.count, self.threads, parallel.LIGHT)
+            parallel.in_parts(work, self.count, self.threads, parallel.MIN_LIGHT_ITEMS_PER_THREAD)
 
 
 class SearchGrids:
@@ -75,7 +75,7 @@ class SearchGrids:
 
     def __init__(self) -> None:
         self._found: dict[tuple[str, float], _CrowdGrid] = {}  # of this step
-        self._corners: dict[str, Corners] = {}  # of this step
+        self._corners: dict[str, BoxCorners] = {}  # of this step
         self._stored: dict[tuple[str, float], _CrowdGrid] = {}
         self._step = 0
         self._sheets: dict[str, tuple[int, int, bool]] = {}  # agents, until which step it is known, whether
@@ -85,13 +85,13 @@ class SearchGrids:
         self._found.clear()
         self._corners.clear()
         self._step += 1
-        for key in [key for key, each in self._stored.items() if self._step - each.used > _UNUSED]:
+        for key in [key for key, each in self._stored.items() if self._step - each.used > _UNUSED_STEPS_BEFORE_RELEASE]:
             del self._stored[key]
 
-    def of(self, world: World, other: Population, cell: float, beside: Registers = ()) -> Arrays:
+    def of(self, world: World, other: Population, cell: float, beside: RegisterGroups = ()) -> Arrays:
         """Return the arrays for a search, with cells that suit a radius; `beside`: registers in the order of the cells."""
-        size = float(ceil(4 * log2(cell))) if len(other) > _FEW and cell < inf else inf
-        for wider in range(_COARSER + 1):
+        size = float(ceil(4 * log2(cell))) if len(other) > _MAX_AGENTS_IN_ONE_CELL and cell < inf else inf
+        for wider in range(_MAX_COARSER_QUARTERS + 1):
             grid = self._found.get((other.name, size + wider))
             if grid is not None:
                 break
@@ -112,7 +112,7 @@ class SearchGrids:
             corners = self._corners[other.name] = box_around((x, y, z))
         shape = crowd.shape
         if shape is None or crowd.box is None or not crowd.box.is_suitable(corners, self._step):
-            crowd.box = _CrowdBox(corners, self._step + _AGAIN)
+            crowd.box = _CrowdBox(corners, self._step + _RETEST_STEPS)
             shape = self._shape(other, (x, y, z), crowd.box, size)
         crowd.sort(shape, (x, y, z))
         return crowd
@@ -124,13 +124,13 @@ class SearchGrids:
         shape = Shape.of(box.low, box.high, 2.0 ** (size / 4))
         if self._is_sheet(other, positions, shape):
             shape = shape.as_sheet()
-        return _coarsen(shape, _CELLS * len(other))
+        return _coarsen(shape, _MAX_CELLS_PER_AGENT * len(other))
 
     def _is_sheet(self, other: Population, positions: Positions, shape: Shape) -> bool:
         """Return whether a crowd lies in one sheet. Only speed depends on the result, so it is not computed in every step."""
         count, until, known = self._sheets.get(other.name, (-1, 0, False))
         if count != len(other) or self._step >= until:
-            known, until = shape.is_sheet(positions), self._step + _AGAIN
+            known, until = shape.is_sheet(positions), self._step + _RETEST_STEPS
         self._sheets[other.name] = (len(other), until, known)
         return known and shape.extent[2] > 0
 

@@ -6,42 +6,42 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from antdsl.machine_code.kinds import I32, I64, WIDTH
+from antdsl.machine_code.kinds import I32, I64, LANE_COUNT
 from antdsl.machine_code.lanes import Lanes
 from antdsl.plan import ir
 from antdsl.runtime.backends.native.block import FunctionWriter
 from antdsl.runtime.backends.native.fours import load_quadruples, quadruple_address
-from antdsl.runtime.backends.native.layout import KINDS
+from antdsl.runtime.backends.native.layout import LANE_TYPE_BY_KIND
 from antdsl.runtime.world import AXES
 
-PLACE = tuple(f"position.{axis}" for axis in AXES)
-STRIDE = 64  # bytes from one operand or result of a search to the next
+POSITION_REGISTERS = tuple(f"position.{axis}" for axis in AXES)
+OPERAND_STRIDE_BYTES = 64  # bytes from one operand or result of a search to the next
 
 
 @dataclass(slots=True, eq=False)
-class Search:
+class SearchCode:
     """The input for the functions of a search: places of operands and results in their areas."""
 
     name: str
     number: int
     other: str
-    nodes: list[ir.Node]
+    nodes: list[ir.PlanNode]
     kinds: list[str] = field(default_factory=list)  # of the operands
-    reach: dict[ir.Node, int] = field(default_factory=dict)
-    view: dict[ir.Node, int] = field(default_factory=dict)
-    operand_slots: dict[ir.Node, int] = field(default_factory=dict)
+    reach: dict[ir.PlanNode, int] = field(default_factory=dict)
+    view: dict[ir.PlanNode, int] = field(default_factory=dict)
+    operand_slots: dict[ir.PlanNode, int] = field(default_factory=dict)
     # sets for which too many neighbours are reported, and their index among the results
-    stops: dict[ir.Node, int] = field(default_factory=dict)
+    stops: dict[ir.PlanNode, int] = field(default_factory=dict)
     beside: list[str] = field(default_factory=list)  # others' registers that lie in the grid's order, up to four in a text
 
 
 @dataclass(slots=True, eq=False)
-class NearPairs:
+class NeighbourLanes:
     """Eight pairs: a mask of those that exist, the others' rows, the vector other minus own, and its length. `at` are their
     indices in the grid, `place` their positions."""
 
     w: FunctionWriter
-    near: Search
+    near: SearchCode
     is_present: Lanes
     at: Lanes
     rows: Lanes
@@ -58,18 +58,20 @@ class NearPairs:
         found: Lanes = self.w.e.get_or_make(("ids", self.rows.name), make)
         return found
 
-    def leaf(self, node: ir.Node) -> Lanes:
+    def leaf(self, node: ir.PlanNode) -> Lanes:
         named = {"pair.x": self.dx, "pair.y": self.dy, "pair.z": self.dz, "pair.distance": self.distance}
         if node.op in named:
             return named[node.op]
         if node.op == "other.id":
             return self.ids()
-        if node.attrs[0] in PLACE:
-            return self.place[PLACE.index(node.attrs[0])]
+        if node.attrs[0] in POSITION_REGISTERS:
+            return self.place[POSITION_REGISTERS.index(node.attrs[0])]
         for names in self.near.beside:
             if node.attrs[0] in names.split():
                 return self._extra_values(names)[names.split().index(node.attrs[0])]
-        return self.w.e.gather(self.w.base("other", self.near.other, node.attrs[0]), self._extract_rows(), KINDS[node.kind])
+        return self.w.e.gather(
+            self.w.base("other", self.near.other, node.attrs[0]), self._extract_rows(), LANE_TYPE_BY_KIND[node.kind]
+        )
 
     def _extra_values(self, names: str) -> list[Lanes]:
         e, base = self.w.e, self.w.base("grid", self.near.number, names)
@@ -82,16 +84,16 @@ class NearPairs:
         e, positions = self.w.e, self.w.base("grid", self.near.number, "places")
 
         def make() -> Lanes:
-            fours = (quadruple_address(e, positions, e.one(self.at, lane)) for lane in range(WIDTH))
+            fours = (quadruple_address(e, positions, e.one(self.at, lane)) for lane in range(LANE_COUNT))
             return e.combine_lanes(e.load(e.field(four, 12), I32) for four in fours)
 
         row_lanes: Lanes = e.get_or_make(("rows", self.rows.name), make)
         return row_lanes
 
 
-def measure_pairs(w: FunctionWriter, near: Search, at: Lanes, place: list[Lanes], is_present: Lanes) -> NearPairs:
+def measure_pairs(w: FunctionWriter, near: SearchCode, at: Lanes, place: list[Lanes], is_present: Lanes) -> NeighbourLanes:
     """Return pairs of the requesting agents' positions with others at indices of the grid."""
     e = w.e
     *others, rows = load_quadruples(e, w.base("grid", near.number, "places"), at)
     dx, dy, dz = (other - own for other, own in zip(others, place, strict=True))
-    return NearPairs(w, near, is_present, at, e.bits(rows, I32), others, dx, dy, dz, np.sqrt((dx * dx + dy * dy) + dz * dz))
+    return NeighbourLanes(w, near, is_present, at, e.bits(rows, I32), others, dx, dy, dz, np.sqrt((dx * dx + dy * dy) + dz * dz))

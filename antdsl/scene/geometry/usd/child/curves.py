@@ -11,13 +11,13 @@ from numpy.typing import NDArray
 
 from antdsl import limits
 from antdsl.scene.geometry.matrices import apply_transforms
-from antdsl.scene.geometry.usd.child.shapes import BAKE, check_bytes
+from antdsl.scene.geometry.usd.child.shapes import BAKE_HELP, check_bytes
 from antdsl.scene.geometry.usd.child.stage import Floats, OpenStage
 from antdsl.scene.geometry.usd.errors import UsdError, pxr
 
-_PIECES = 16  # straight pieces that one cubic piece becomes
+_SEGMENTS_PER_CUBIC = 16  # straight pieces that one cubic piece becomes
 # Weights of four points for 1, t, t², t³ (Foley, van Dam, Computer Graphics: Principles and Practice, 1990, 11.2).
-_BASES = {
+_CUBIC_BASES = {
     "bezier": (((1, 0, 0, 0), (-3, 3, 0, 0), (3, -6, 3, 0), (-1, 3, -3, 1)), 1, 3),
     "bspline": (((1, 4, 1, 0), (-3, 0, 3, 0), (3, -6, 3, 0), (-1, 3, -3, 1)), 6, 1),
     "catmullRom": (((0, 2, 0, 0), (-1, 0, 1, 0), (2, -5, 4, -1), (-1, 3, -3, 1)), 2, 1),
@@ -48,15 +48,15 @@ def curve_positions(stage: OpenStage) -> Floats:
     travels = stage.is_moving(prim)
     transforms = stage.scene_transforms(prim, travels)
     first = _read_polyline(curve, stage.first, prim)
-    if len(first) > limits.AGENTS:
-        raise UsdError("too-large", f"`{prim.GetPath()}` has more than {limits.AGENTS:,} points")
+    if len(first) > limits.MAX_AGENTS:
+        raise UsdError("too-large", f"`{prim.GetPath()}` has more than {limits.MAX_AGENTS:,} points")
     times = stage.times if bends or travels else stage.times[:1]
     check_bytes(len(first) * len(times) * 24, f"`{prim.GetPath()}`")
     positions = np.empty((len(times), len(first), 3))
     for k, time in enumerate(times):
         line = _read_polyline(curve, pxr("Usd").TimeCode(time), prim) if k and bends else first
         if len(line) != len(first):
-            raise UsdError("moving-topology", f"the curve `{prim.GetPath()}` has other points at other frames", BAKE)
+            raise UsdError("moving-topology", f"the curve `{prim.GetPath()}` has other points at other frames", BAKE_HELP)
         positions[k] = apply_transforms(transforms[min(k, len(transforms) - 1)], line)
     if not np.isfinite(positions).all():
         raise UsdError("bad-usd", f"`{prim.GetPath()}` has a point that is not finite")
@@ -73,7 +73,7 @@ def _read_polyline(curve: Any, time: Any, prim: Any) -> Floats:
     if curve.GetTypeAttr().Get(time) == "linear":
         return np.concatenate([points, points[:1]]) if wrap == "periodic" else points
     basis = curve.GetBasisAttr().Get(time)
-    if basis not in _BASES:
+    if basis not in _CUBIC_BASES:
         words = f"the curve `{prim.GetPath()}` has the unsupported basis `{basis}`"
         raise UsdError("bad-usd", words, "use bezier, bspline or catmullRom")
     return _cut_cubic(points, basis, wrap, prim)
@@ -81,7 +81,7 @@ def _read_polyline(curve: Any, time: Any, prim: Any) -> Floats:
 
 def _cut_cubic(points: Floats, basis: str, wrap: str, prim: Any) -> Floats:
     """Return points along a cubic curve, each segment divided evenly in its parameter."""
-    weights, divisor, step = _BASES[basis]
+    weights, divisor, step = _CUBIC_BASES[basis]
     if wrap == "periodic":
         points = np.concatenate([points, points[: 4 - step]])
     elif wrap == "pinned" and basis != "bezier":
@@ -89,7 +89,7 @@ def _cut_cubic(points: Floats, basis: str, wrap: str, prim: Any) -> Floats:
     pieces = (len(points) - 4) // step + 1
     if len(points) < 4 or (len(points) - 4) % step:
         raise UsdError("bad-usd", f"`{prim.GetPath()}` has a number of points that no {basis} curve can have")
-    t = np.arange(_PIECES) / _PIECES
+    t = np.arange(_SEGMENTS_PER_CUBIC) / _SEGMENTS_PER_CUBIC
     powers = np.stack([np.ones_like(t), t, t * t, t * t * t], axis=1)
     factors = np.array(weights, np.float64) / divisor
     share = _sum_arrays(powers[:, k, None] * factors[k] for k in range(4))

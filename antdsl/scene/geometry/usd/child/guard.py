@@ -8,29 +8,29 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from antdsl.reader.protocol import Refusal
+from antdsl.reader.protocol import ReadRefusal
 from antdsl.scene.geometry.mesh_text import MeshError
 from antdsl.scene.geometry.usd.errors import error_text, pxr
 
 if TYPE_CHECKING:
-    from antdsl.reader.protocol import Message
+    from antdsl.reader.protocol import ReaderMessage
 
-Answer = tuple[dict[str, Any], Mapping[str, Any]]
+ReaderAnswer = tuple[dict[str, Any], Mapping[str, Any]]
 
 
-def with_refusals(read: Callable[[Message], Answer]) -> Callable[[Message], Answer]:
+def with_refusals(read: Callable[[ReaderMessage], ReaderAnswer]) -> Callable[[ReaderMessage], ReaderAnswer]:
     """Return the function with every problem of the file raised as a Refusal; its `about` is the message's subject."""
 
     @wraps(read)
-    def answer(request: Message) -> Answer:
+    def answer(request: ReaderMessage) -> ReaderAnswer:
         try:
             with np.errstate(all="ignore"):  # a value that is not finite is reported where it is used
                 return read(request)
         except MeshError as why:
-            raise Refusal("bad-mesh", str(why), why.help, "prim", "mesh") from why
+            raise ReadRefusal("bad-mesh", str(why), why.help, "prim", "mesh") from why
         except pxr("Tf").ErrorException as why:
-            raise Refusal("bad-usd", error_text(why, str(request.document["folder"])), None, "prim", "exception") from why
+            raise ReadRefusal("bad-usd", error_text(why, str(request.document["folder"])), None, "prim", "exception") from why
         except UnicodeDecodeError as why:  # a name or a text of the file that USD passes on as it is
-            raise Refusal("bad-usd", "it has bytes that are no UTF-8 text", "export it again", "prim", "exception") from why
+            raise ReadRefusal("bad-usd", "it has bytes that are no UTF-8 text", "export it again", "prim", "exception") from why
 
     return answer

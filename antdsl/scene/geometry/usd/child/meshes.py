@@ -14,7 +14,7 @@ from antdsl.reader.sandbox import allow_memory
 from antdsl.scene.geometry.matrices import apply_transforms, compose, determinants, have_inverses, inverses, still
 from antdsl.scene.geometry.mesh_text import MeshError
 from antdsl.scene.geometry.polygons import TooManyCorners, triangulate
-from antdsl.scene.geometry.usd.child.shapes import BAKE, PlacedMesh, check_bytes, placed_meshes, unread_shape_types
+from antdsl.scene.geometry.usd.child.shapes import BAKE_HELP, PlacedMesh, check_bytes, placed_meshes, unread_shape_types
 from antdsl.scene.geometry.usd.child.stage import Floats, OpenStage
 from antdsl.scene.geometry.usd.errors import UsdError, pxr
 
@@ -36,7 +36,7 @@ class JoinedMesh:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Shape:
+class _MeshShape:
     placed: PlacedMesh
     points: Floats
     faces: Faces
@@ -56,9 +56,9 @@ def join_meshes(stage: OpenStage, primvars: Iterable[str] = ()) -> JoinedMesh:
         shape = _read_shape(stage, placed)
         faces += len(shape.faces) * shape.count
         points += len(shape.points) * shape.count
-        if faces > limits.MESH_FACES or points > 3 * limits.MESH_FACES:
+        if faces > limits.MAX_MESH_FACES or points > 3 * limits.MAX_MESH_FACES:
             words = f"the meshes below `{path}` have {faces:,} faces and {points:,} points"
-            most = f"more than {limits.MESH_FACES:,} faces or {3 * limits.MESH_FACES:,} points are not supported"
+            most = f"more than {limits.MAX_MESH_FACES:,} faces or {3 * limits.MAX_MESH_FACES:,} points are not supported"
             raise UsdError("too-large", f"{words}; {most}", "name a part of it")
         if len(shape.faces):
             shapes.append(shape)
@@ -71,7 +71,7 @@ def join_meshes(stage: OpenStage, primvars: Iterable[str] = ()) -> JoinedMesh:
     return JoinedMesh(*_join_shapes(shapes), _make_moves(stage, shapes), values, passed_over)
 
 
-def _read_shape(stage: OpenStage, placed: PlacedMesh) -> _Shape:
+def _read_shape(stage: OpenStage, placed: PlacedMesh) -> _MeshShape:
     """Return the points and triangles of a mesh prim. Holes and left-handed orientation are respected, subdivision is not."""
     prim, mesh = placed.prim, pxr("UsdGeom").Mesh(placed.prim)
     path = prim.GetPath()
@@ -90,7 +90,7 @@ def _read_shape(stage: OpenStage, placed: PlacedMesh) -> _Shape:
     is_filled[holes[(holes >= 0) & (holes < len(counts))]] = False
     faces = _make_triangles(points, counts, corners, is_filled, mesh.GetOrientationAttr().Get(stage.first) == "leftHanded", path)
     is_deformed = len(stage.times) > 1 and mesh.GetPointsAttr().ValueMightBeTimeVarying()
-    return _Shape(placed, points, faces, is_deformed)
+    return _MeshShape(placed, points, faces, is_deformed)
 
 
 def _read_points(mesh: Any, time: float) -> Floats:
@@ -102,7 +102,7 @@ def _check_same_faces(stage: OpenStage, attribute: Any, path: Any) -> None:
     first = attribute.Get(stage.first)
     for time in stage.times[1:]:
         if attribute.Get(pxr("Usd").TimeCode(time)) != first:
-            raise UsdError("moving-topology", f"the mesh `{path}` has other faces at other frames", BAKE)
+            raise UsdError("moving-topology", f"the mesh `{path}` has other faces at other frames", BAKE_HELP)
 
 
 def _make_triangles(
@@ -128,7 +128,7 @@ def _make_triangles(
         raise MeshError(f"has at `{path}` a part that {why}", "cut it into smaller faces in the program that made it") from None
 
 
-def _join_shapes(shapes: list[_Shape]) -> tuple[Floats, Faces]:
+def _join_shapes(shapes: list[_MeshShape]) -> tuple[Floats, Faces]:
     """Return every shape at every place, at the first frame. The outside of a mirrored one stays outside."""
     vertices, faces, vertex_count = [], [], 0
     for shape in shapes:
@@ -141,7 +141,7 @@ def _join_shapes(shapes: list[_Shape]) -> tuple[Floats, Faces]:
     return np.concatenate(vertices), np.concatenate(faces)
 
 
-def _make_moves(stage: OpenStage, shapes: list[_Shape]) -> dict[str, NDArray[Any]] | None:
+def _make_moves(stage: OpenStage, shapes: list[_MeshShape]) -> dict[str, NDArray[Any]] | None:
     """Return one track for each place that moves. Where points deform, or a place begins without a size, each vertex moves
     separately."""
     frames = len(stage.times)
@@ -176,7 +176,7 @@ def _make_moves(stage: OpenStage, shapes: list[_Shape]) -> dict[str, NDArray[Any
     return {"group": np.concatenate(group), "tracks": np.concatenate(tracks), "bent": numbers, "offsets": offsets}
 
 
-def _find_free_places(shape: _Shape) -> NDArray[np.bool_]:
+def _find_free_places(shape: _MeshShape) -> NDArray[np.bool_]:
     """Return for each place of a shape whether its vertices move separately."""
     transforms = shape.placed.transforms
     if shape.is_deformed:
@@ -184,12 +184,12 @@ def _find_free_places(shape: _Shape) -> NDArray[np.bool_]:
     return ~have_inverses(transforms[:, 0]) if transforms.shape[1] > 1 else np.zeros(len(transforms), np.bool_)
 
 
-def _free_offsets(stage: OpenStage, shape: _Shape, free: NDArray[np.bool_], k: int) -> Floats:
+def _free_offsets(stage: OpenStage, shape: _MeshShape, free: NDArray[np.bool_], k: int) -> Floats:
     """Return the offsets of the vertices of free places at a frame from their rest positions."""
     points = _read_points(pxr("UsdGeom").Mesh(shape.placed.prim), stage.times[k]) if shape.is_deformed else shape.points
     if len(points) != len(shape.points):
         path = shape.placed.prim.GetPath()
-        raise UsdError("moving-topology", f"the mesh `{path}` has other points at other frames", BAKE)
+        raise UsdError("moving-topology", f"the mesh `{path}` has other points at other frames", BAKE_HELP)
     transforms = shape.placed.transforms[free]
     shift = apply_transforms(transforms[:, min(k, transforms.shape[1] - 1), None], points) - apply_transforms(
         transforms[:, 0, None], shape.points
@@ -197,7 +197,7 @@ def _free_offsets(stage: OpenStage, shape: _Shape, free: NDArray[np.bool_], k: i
     return shift.reshape(-1, 3)
 
 
-def _read_values(stage: OpenStage, shape: _Shape, name: str) -> Floats:
+def _read_values(stage: OpenStage, shape: _MeshShape, name: str) -> Floats:
     """Return a primvar on the points of a shape, at each of its places. Vectors turn with the mesh but do not change their
     length."""
     prim = shape.placed.prim

@@ -9,13 +9,13 @@ import numpy as np
 from antdsl import limits
 from antdsl.diagnostics.suggestion import nearest_name
 from antdsl.scene.geometry.matrices import apply_transforms, uniform_scale
-from antdsl.scene.geometry.usd.child.shapes import BAKE, check_bytes
+from antdsl.scene.geometry.usd.child.shapes import BAKE_HELP, check_bytes
 from antdsl.scene.geometry.usd.child.stage import Floats, OpenStage
 from antdsl.scene.geometry.usd.errors import UsdError, pxr
 from antdsl.scene.geometry.usd.points import UsdPoints
 
-_USER = "userProperties"  # the namespace into which Blender, Maya and others export what users gave an object
-_MOST_KINDS = 12
+_USER_NAMESPACE = "userProperties"  # the namespace into which Blender, Maya and others export what users gave an object
+_MAX_LISTED_KINDS = 12
 
 
 def point_arrays(stage: OpenStage, kind: str | None = None) -> UsdPoints:
@@ -24,16 +24,16 @@ def point_arrays(stage: OpenStage, kind: str | None = None) -> UsdPoints:
     geom = pxr("UsdGeom")
     clouds = [prim for prim in stage.visible_prims(stage.prim) if prim.IsA(geom.Points)] if kind is None else []
     empties = [] if clouds else _placed_children(stage) if kind is None else _prims_of_kind(stage, kind)
-    if len(empties) > limits.AGENTS:
-        raise UsdError("too-large", f"there are more than {limits.AGENTS:,} places below `{stage.prim.GetPath()}`")
+    if len(empties) > limits.MAX_AGENTS:
+        raise UsdError("too-large", f"there are more than {limits.MAX_AGENTS:,} places below `{stage.prim.GetPath()}`")
     check_bytes(len(empties) * len(stage.times) * 24, f"the places below `{stage.prim.GetPath()}`")
     parts = [_read_cloud(stage, prim) for prim in clouds] or [_read_empty(stage, prim) for prim in empties]
     if not parts:
         message = f"there are neither points nor empties below `{stage.prim.GetPath()}`"
         raise UsdError("no-such-prim", message, "name a Points prim")
     counts = [part.positions.shape[1] for part in parts]
-    if sum(counts) > limits.AGENTS:
-        raise UsdError("too-large", f"there are more than {limits.AGENTS:,} points below `{stage.prim.GetPath()}`")
+    if sum(counts) > limits.MAX_AGENTS:
+        raise UsdError("too-large", f"there are more than {limits.MAX_AGENTS:,} points below `{stage.prim.GetPath()}`")
     frames = max(len(part.positions) for part in parts)
     check_bytes(sum(counts) * frames * 24, f"the points below `{stage.prim.GetPath()}`")
     positions = np.concatenate([np.broadcast_to(p.positions, (frames, n, 3)) for p, n in zip(parts, counts, strict=True)], axis=1)
@@ -72,7 +72,7 @@ def _read_cloud(stage: OpenStage, prim: Any) -> UsdPoints:
     for k, time in enumerate(times):
         frame_points = np.array(attribute.Get(pxr("Usd").TimeCode(time)) or [], np.float64).reshape(-1, 3)
         if len(frame_points) != count:
-            raise UsdError("moving-topology", f"`{path}` has other points at other frames", BAKE)
+            raise UsdError("moving-topology", f"`{path}` has other points at other frames", BAKE_HELP)
         positions[k] = apply_transforms(transforms[min(k, len(transforms) - 1)], frame_points)
     widths = np.array(points.GetWidthsAttr().Get(stage.first) or [], np.float64)
     one = uniform_scale(transforms[0])
@@ -87,7 +87,7 @@ def _read_names(prim: Any, count: int) -> list[str]:
     primvar = pxr("UsdGeom").PrimvarsAPI(prim).GetPrimvar("name")
     words = list(primvar.ComputeFlattened() or []) if primvar and primvar.HasValue() else []
     if len(words) == count and len(set(words)) == count:
-        return [str(word)[: limits.NAME_CHARACTERS] for word in words]
+        return [str(word)[: limits.MAX_NAME_CHARACTERS] for word in words]
     return [prim.GetName()] if count == 1 else [f"{prim.GetName()}_{number}" for number in range(count)]
 
 
@@ -114,12 +114,12 @@ def _prims_of_kind(stage: OpenStage, kind: str) -> list[Any]:
     prims: list[Any] = []
     others: set[str] = set()
     for prim in stage.visible_prims(stage.prim):
-        attribute = prim.GetAttribute(f"{_USER}:kind")
+        attribute = prim.GetAttribute(f"{_USER_NAMESPACE}:kind")
         word = attribute.Get(stage.first) if attribute and attribute.HasValue() else None
         if word is not None and str(word) == kind and prim.IsA(pxr("UsdGeom").Xformable):
             prims.append(prim)
-        elif word is not None and len(others) < _MOST_KINDS:
-            others.add(str(word)[: limits.NAME_CHARACTERS])
+        elif word is not None and len(others) < _MAX_LISTED_KINDS:
+            others.add(str(word)[: limits.MAX_NAME_CHARACTERS])
     if prims:
         return prims
     where, near = stage.prim.GetPath(), nearest_name(kind, others)
@@ -129,7 +129,7 @@ def _prims_of_kind(stage: OpenStage, kind: str) -> list[Any]:
         help = "there are the kinds " + ", ".join(f"`{word}`" for word in sorted(others))
     else:
         help = f'give empties the property `kind` with the text "{kind}", or name the prim above them: `prim: /set/{kind}`'
-    raise UsdError("no-such-prim", f'nothing below `{where}` has `{_USER}:kind = "{kind}"`', help, "kind")
+    raise UsdError("no-such-prim", f'nothing below `{where}` has `{_USER_NAMESPACE}:kind = "{kind}"`', help, "kind")
 
 
 def _read_empty(stage: OpenStage, prim: Any) -> UsdPoints:
@@ -137,15 +137,15 @@ def _read_empty(stage: OpenStage, prim: Any) -> UsdPoints:
     transforms = stage.scene_transforms(prim, stage.is_moving(prim))
     values = _read_numbers(stage, prim, 1)
     texts: dict[str, tuple[str, ...]] = {}
-    for attribute in prim.GetAuthoredPropertiesInNamespace(_USER):
-        name = str(attribute.GetName()).removeprefix(f"{_USER}:")
+    for attribute in prim.GetAuthoredPropertiesInNamespace(_USER_NAMESPACE):
+        name = str(attribute.GetName()).removeprefix(f"{_USER_NAMESPACE}:")
         value = attribute.Get(stage.first) if ":" not in name and hasattr(attribute, "HasValue") else None
         if isinstance(value, float) and not np.isfinite(value):
             words = f"`{name}` of `{prim.GetPath()}` is {value:g}, which is not finite"
             raise UsdError("bad-usd", words, "give it a finite one", "usd")
         if isinstance(value, bool | int | float):
             values[name] = np.full(1, float(value))
-        elif isinstance(value, str) and len(value) <= limits.NAME_CHARACTERS:
+        elif isinstance(value, str) and len(value) <= limits.MAX_NAME_CHARACTERS:
             texts[name] = (value,)
     return UsdPoints(
         (prim.GetName(),),

@@ -11,28 +11,28 @@ from antdsl.reader.protocol import pack_texts
 from antdsl.scene.geometry.matrices import uniform_scale
 from antdsl.scene.geometry.usd.child import stage as stages
 from antdsl.scene.geometry.usd.child.curves import curve_positions
-from antdsl.scene.geometry.usd.child.guard import Answer, with_refusals
+from antdsl.scene.geometry.usd.child.guard import ReaderAnswer, with_refusals
 from antdsl.scene.geometry.usd.child.meshes import join_meshes
 from antdsl.scene.geometry.usd.child.points import point_arrays
 from antdsl.scene.geometry.usd.child.stage import Floats, OpenStage
 from antdsl.scene.geometry.usd.errors import UsdError, pxr
 
 if TYPE_CHECKING:
-    from antdsl.reader.protocol import Message
+    from antdsl.reader.protocol import ReaderMessage
 
-_SENSOR = 36.0  # mm, the width that focal lengths are for
-_AHEAD = 1000.0  # mm: how far off it looks where it has no focus
+_SENSOR_WIDTH_MM = 36.0  # mm, the width that focal lengths are for
+_DEFAULT_FOCUS_MM = 1000.0  # mm: how far off it looks where it has no focus
 
 
 @with_refusals
-def open_stage(request: Message) -> Answer:
+def open_stage(request: ReaderMessage) -> ReaderAnswer:
     """Nothing but whether the stage can be opened."""
     stages.open_stage(request)
     return {}, {}
 
 
 @with_refusals
-def read_mesh(request: Message) -> Answer:
+def read_mesh(request: ReaderMessage) -> ReaderAnswer:
     """Answer with `vertices`, `faces`, `moves:…` if the mesh moves, `value:N` for the Nth of `primvars`, and `passed_over`."""
     names = [str(name) for name in request.document["primvars"]]
     mesh = join_meshes(stages.open_stage(request), names)
@@ -42,7 +42,7 @@ def read_mesh(request: Message) -> Answer:
 
 
 @with_refusals
-def read_points(request: Message) -> Answer:
+def read_points(request: ReaderMessage) -> ReaderAnswer:
     """Answer with `names`, `places`, `radius`, `ahead`; `value:N` and `text:N` for the Nth of `values` and `texts`; `unit`."""
     points = point_arrays(stages.open_stage(request), request.document["of_kind"])
     arrays = {"places": points.positions, "radius": points.radius, "ahead": points.ahead}
@@ -54,13 +54,13 @@ def read_points(request: Message) -> Answer:
 
 
 @with_refusals
-def read_curve(request: Message) -> Answer:
+def read_curve(request: ReaderMessage) -> ReaderAnswer:
     """`places`."""
     return {}, {"places": curve_positions(stages.open_stage(request))}
 
 
 @with_refusals
-def read_camera(request: Message) -> Answer:
+def read_camera(request: ReaderMessage) -> ReaderAnswer:
     """`at`, `look_at`, `up` and `focal`."""
     return {}, camera_arrays(stages.open_stage(request))
 
@@ -83,7 +83,7 @@ def camera_arrays(stage: OpenStage) -> dict[str, Floats]:
     lens = np.array([[float(a.Get(pxr("Usd").TimeCode(time))) for a in attributes] for time in times])
     unit = uniform_scale(stage.to_scene)
     at, ahead, up = transforms[:, :, 3], -vector_rows.unit(transforms[:, :, 2]), vector_rows.unit(transforms[:, :, 1])
-    far = np.where(lens[:, 2] > 0, lens[:, 2] * unit, _AHEAD)[:, None]
+    far = np.where(lens[:, 2] > 0, lens[:, 2] * unit, _DEFAULT_FOCUS_MM)[:, None]
     # both are in tenths of the stage's unit, so that their ratio is free of it
-    focal = lens[:, 0] / np.where(lens[:, 1] > 0, lens[:, 1], 20.955) * _SENSOR
+    focal = lens[:, 0] / np.where(lens[:, 1] > 0, lens[:, 1], 20.955) * _SENSOR_WIDTH_MM
     return {"at": at, "look_at": at + ahead * far, "up": up, "focal": focal}

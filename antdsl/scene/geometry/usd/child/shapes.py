@@ -15,7 +15,7 @@ from antdsl.scene.geometry.matrices import compose
 from antdsl.scene.geometry.usd.child.stage import Floats, OpenStage, column_matrix
 from antdsl.scene.geometry.usd.errors import UsdError, pxr
 
-_NESTED = 8  # point instancers inside each other
+_MAX_NESTED_INSTANCERS = 8  # point instancers inside each other
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -46,8 +46,8 @@ class PlaceCount:
         self._check(self.meshes, "instances of meshes")
 
     def _check(self, total: int, what: str) -> None:
-        if total > limits.USD_INSTANCES:
-            words = f"the point instancers below `{self.path}` come to {total:,} {what}, more than {limits.USD_INSTANCES:,}"
+        if total > limits.MAX_USD_INSTANCES:
+            words = f"the point instancers below `{self.path}` come to {total:,} {what}, more than {limits.MAX_USD_INSTANCES:,}"
             raise UsdError("too-large", words, "name a part of it, or scatter fewer instances")
 
 
@@ -73,8 +73,10 @@ def unread_shape_types(stage: OpenStage) -> list[str]:
 
 def _placed_instances(stage: OpenStage, prim: Any, transforms: Floats, count: PlaceCount, depth: int) -> Iterator[PlacedMesh]:
     """Yield the meshes that a point instancer places. `transforms` transform from the instancer's space to the scene."""
-    if depth > _NESTED:
-        raise UsdError("too-large", f"`{prim.GetPath()}` has point instancers nested more than {_NESTED} levels deep")
+    if depth > _MAX_NESTED_INSTANCERS:
+        raise UsdError(
+            "too-large", f"`{prim.GetPath()}` has point instancers nested more than {_MAX_NESTED_INSTANCERS} levels deep"
+        )
     instancer = pxr("UsdGeom").PointInstancer(prim)
     index = np.array(instancer.GetProtoIndicesAttr().Get(stage.first) or [], np.int64)
     if not len(index):
@@ -126,7 +128,7 @@ def _instance_transforms(stage: OpenStage, instancer: Any, count: int) -> Floats
         code = usd.TimeCode(time)
         if k and list(instancer.GetProtoIndicesAttr().Get(code) or []) != first:
             words = "moving-topology"
-            raise UsdError(words, f"the instances of `{path}` appear, disappear or change their shape over time", BAKE)
+            raise UsdError(words, f"the instances of `{path}` appear, disappear or change their shape over time", BAKE_HELP)
         matrices = instancer.ComputeInstanceTransformsAtTime(
             code, code, pxr("UsdGeom").PointInstancer.IncludeProtoXform, pxr("UsdGeom").PointInstancer.IgnoreMask
         )
@@ -137,7 +139,7 @@ def _instance_transforms(stage: OpenStage, instancer: Any, count: int) -> Floats
     return transforms
 
 
-BAKE = "export it with one set of faces for all frames, or name a part that keeps its faces"
+BAKE_HELP = "export it with one set of faces for all frames, or name a part that keeps its faces"
 
 
 def _prototype_meshes(stage: OpenStage, root: Any) -> Iterator[tuple[Any, Floats]]:
@@ -174,7 +176,9 @@ def _relative_transforms(stage: OpenStage, prim: Any, root: Any) -> Floats:
 
 def check_bytes(size: int, what: str) -> None:
     """Raise UsdError if moving things would take more memory than the limit; else allow the process that much."""
-    if size > limits.MOVES_BYTES:
-        words = f"the frames of {what} would take {size / limits.GIB:.1f} GiB, more than {limits.MOVES_BYTES / limits.GIB:.0f}"
+    if size > limits.MAX_MOTION_BYTES:
+        words = (
+            f"the frames of {what} would take {size / limits.GIB:.1f} GiB, more than {limits.MAX_MOTION_BYTES / limits.GIB:.0f}"
+        )
         raise UsdError("too-large", words, "simulate fewer frames at a time, or name a lighter part")
     allow_memory(4 * size)

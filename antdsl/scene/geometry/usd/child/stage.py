@@ -14,14 +14,14 @@ from numpy.typing import NDArray
 
 from antdsl import limits
 from antdsl.scene.geometry.matrices import compose
-from antdsl.scene.geometry.usd.child.guard import Answer, with_refusals
+from antdsl.scene.geometry.usd.child.guard import ReaderAnswer, with_refusals
 from antdsl.scene.geometry.usd.errors import UsdError, error_text, plain_text, pxr
 
 if TYPE_CHECKING:
-    from antdsl.reader.protocol import Message
+    from antdsl.reader.protocol import ReaderMessage
 
-_folder = ""
-_layers: dict[str, Any] = {}  # of the folder, so that USD reads each once
+_current_folder = ""
+_open_layers: dict[str, Any] = {}  # of the folder, so that USD reads each once
 Floats = NDArray[np.float64]
 
 
@@ -91,24 +91,24 @@ def column_matrix(matrix: Any) -> Floats:
     return np.ascontiguousarray(rows[:, :3].T)
 
 
-_last: tuple[tuple[object, ...], OpenStage] | None = None  # requests about one prim follow each other
+_last_stage: tuple[tuple[object, ...], OpenStage] | None = None  # requests about one prim follow each other
 
 
-def open_stage(request: Message) -> OpenStage:
+def open_stage(request: ReaderMessage) -> OpenStage:
     """Open the stage of the top file `path`, below the folder `folder`, for what is at and below `prim`. `text`: the file's name
     in messages.
 
     Frame f is USD's time code f · timeCodesPerSecond / fps: equal if the rates are equal. Raises UsdError if the stage uses a
     file outside the folder, exceeds the limits, or has no such prim."""
-    global _last
+    global _last_stage
     said, frames = request.document, request.array("frames", "<i8", None)
     path, folder, text, prim, up, purpose = (str(said[key]) for key in ("path", "folder", "text", "prim", "up", "purpose"))
     fps = Fraction(int(said["fps"][0]), int(said["fps"][1]))
     key = (path, folder, prim, up, purpose, fps, frames.tobytes())
-    if _last is None or _last[0] != key:
-        _last = None
-        _last = (key, _open_layer(path, folder, text, prim, up, purpose, fps, frames.tolist()))
-    return _last[1]
+    if _last_stage is None or _last_stage[0] != key:
+        _last_stage = None
+        _last_stage = (key, _open_layer(path, folder, text, prim, up, purpose, fps, frames.tolist()))
+    return _last_stage[1]
 
 
 def _open_layer(
@@ -144,11 +144,11 @@ def _open_layer(
 def _check_prim_count(stage: Any, text: str, prim: str) -> None:
     usd = pxr("Usd")
     for number, descendant in enumerate(usd.PrimRange(stage.GetPseudoRoot(), usd.TraverseInstanceProxies())):
-        if number >= limits.USD_PRIMS:
-            words = f"`{text}` has more than {limits.USD_PRIMS:,} prims for `{prim}`"
+        if number >= limits.MAX_USD_PRIMS:
+            words = f"`{text}` has more than {limits.MAX_USD_PRIMS:,} prims for `{prim}`"
             raise UsdError("too-large", words, "name a smaller part of it")
-        if descendant.GetPath().pathElementCount > limits.USD_LEVELS:
-            words = f"`{text}` has prims more than {limits.USD_LEVELS} levels deep for `{prim}`"
+        if descendant.GetPath().pathElementCount > limits.MAX_USD_PRIM_DEPTH:
+            words = f"`{text}` has prims more than {limits.MAX_USD_PRIM_DEPTH} levels deep for `{prim}`"
             raise UsdError("bad-usd", words, "name a smaller part of it")
 
 
@@ -190,7 +190,7 @@ def _missing_prim_error(layer: Any, text: str, path: Any, inactive: bool) -> Usd
 
 
 @with_refusals
-def read_layer(request: Message) -> Answer:
+def read_layer(request: ReaderMessage) -> ReaderAnswer:
     """Return the asset paths `assets` that the layer `path` is composed with, as they are in the file. These include sublayers,
     references, payloads and paths in variants. `folder`: the folder of all files of the stage; `text`: the layer's name in
     messages."""
@@ -199,8 +199,8 @@ def read_layer(request: Message) -> Answer:
     layer = open_layer(path, folder, text)
     spec_paths: list[Any] = []
     layer.Traverse(pxr("Sdf").Path.absoluteRootPath, spec_paths.append)
-    if any(place.pathElementCount > limits.USD_LEVELS for place in spec_paths):
-        words = f"`{text}` cannot be read as USD: it has prims more than {limits.USD_LEVELS} levels deep"
+    if any(place.pathElementCount > limits.MAX_USD_PRIM_DEPTH for place in spec_paths):
+        words = f"`{text}` cannot be read as USD: it has prims more than {limits.MAX_USD_PRIM_DEPTH} levels deep"
         raise UsdError("bad-usd", words, "flatten its hierarchy", "usd")
     for place in spec_paths:
         if place.IsPrimPath() or place.IsPrimVariantSelectionPath():
@@ -214,13 +214,13 @@ def read_layer(request: Message) -> Answer:
 
 def open_layer(path: str, folder: str, text: str) -> Any:
     """Return a layer below a folder, and close those of other folders. Raises UsdError if USD cannot read it."""
-    global _folder
-    if folder != _folder:
-        _layers.clear()
-        _folder = folder
-    if path not in _layers:
-        _layers[path] = _checked_layer(path, folder, text)
-    return _layers[path]
+    global _current_folder
+    if folder != _current_folder:
+        _open_layers.clear()
+        _current_folder = folder
+    if path not in _open_layers:
+        _open_layers[path] = _checked_layer(path, folder, text)
+    return _open_layers[path]
 
 
 def _checked_layer(path: str, folder: str, text: str) -> Any:
