@@ -32,7 +32,7 @@ _MAX_CUBES = 400_000
 _MAX_LISTED_FACES = 4_000_000  # faces in cubes, one in several counted as often
 _CROWDED_CUBE_FACES = 48.0  # faces in the cube of a face, on average: from there on a tree asks about fewer
 _RAYS_PER_THREAD = 128  # rays or places for which a thread pays
-_CUBE_MARGIN = 1e-6  # cubes: further than rounding and `CLOSED` move a place off a face
+_CUBE_MARGIN = 1e-6  # cubes: further than rounding and `EDGE_WEIGHT_TOLERANCE` move a place off a face
 _THIN_CORNER_SINE = 1e-8  # sine of the corner of a face, below which its plane is noise and rays go through it
 
 

@@ -55,8 +55,8 @@ class VisibleFile:
 
 
 def pack(paths: Iterable[Path]) -> FileBundle:
-    """Return an input bundle of regular files. Raises TaskRefused if they are more than `BUNDLE_BYTES` together, OSError if one
-    cannot be read."""
+    """Return an input bundle of regular files. Raises TaskRefused if they are more than `MAX_BUNDLE_BYTES` together, OSError
+    if one cannot be read."""
     files: dict[str, bytes] = {}
     left = MAX_BUNDLE_BYTES
     for path in sorted({Path(os.path.abspath(path)) for path in paths}):

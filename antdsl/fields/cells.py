@@ -31,8 +31,8 @@ _POINTS_PER_CHUNK = 1 << 15
 
 
 class FieldTooFine(ValueError):
-    """A field would need more cells than `limits.FIELD_CELLS`, or (`in_a_row`) more along an axis than can be numbered. Nothing
-    was allocated."""
+    """A field would need more cells than `limits.MAX_FIELD_CELLS`, or (`in_a_row`) more along an axis than can be numbered.
+    Nothing was allocated."""
 
     def __init__(self, needed: int, cap: int, in_a_row: bool = False) -> None:
         super().__init__(f"about {needed:,} cells are needed, but only {cap:,} are allowed; increase `cell`")

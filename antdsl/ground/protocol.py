@@ -1,8 +1,8 @@
 """The ground that agents stand and walk on, as the run time uses it. `Ground` is the common interface of a scene without surfaces
-(`Plane`), of meshes (`MeshGround`, `MovingGround`) and of meshes and solids (`Terrain`).
+(`Plane`), of meshes (`MeshGround`, `MovingGround`) and of meshes and solids (`CombinedGround`).
 
 A ground returns a `Footing` for positions, and every other method takes one: only the ground interprets its columns. A step takes
-a displacement and returns a `Move`. Lengths are mm; vectors of n agents are float64[n,3]."""
+a displacement and returns a `GroundMove`. Lengths are mm; vectors of n agents are float64[n,3]."""
 
 from __future__ import annotations
 
@@ -204,7 +204,7 @@ class GroundMove:
 
 class Ground(Protocol):
     """The interface of what agents stand and walk on. Implemented by `plane.Plane`, `mesh.surface.MeshGround` (with meshes that
-    move: `moving.MovingGround`) and `combined.Terrain`."""
+    move: `moving.MovingGround`) and `combined.CombinedGround`."""
 
     @property
     def names(self) -> tuple[str, ...]:

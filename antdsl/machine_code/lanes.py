@@ -1,8 +1,8 @@
 """Values of eight agents at once, and the builder of a plan's functions.
 
-`Lanes` supports the operators and the NumPy functions of the project's formulas (`_OF_NUMPY`). A function of `numerics` that is
-called with lanes instead of arrays adds its operations, in NumPy's order and with its roundings. So each operation has one
-meaning for both."""
+`Lanes` supports the operators and the NumPy functions of the project's formulas (`_EMITTER_BY_UFUNC`). A function of
+`numerics` that is called with lanes instead of arrays adds its operations, in NumPy's order and with its roundings. So each
+operation has one meaning for both."""
 
 from __future__ import annotations
 
@@ -198,7 +198,7 @@ class LaneBuilder(Vectors[Lanes]):
         return self.convert(left, kind), self.convert(right, kind)
 
     def binary(self, word: str, a: Any, b: Any) -> Lanes:
-        """An operation or a comparison of two values, by its name in `OPS` without the letter for the kind."""
+        """An operation or a comparison of two values, by its name in `OPERATION_BY_NAME` without the letter for the kind."""
         left, right = self.match_kinds(a, b)
         row = f"f{word}" if left.kind in FLOAT_KINDS else _INTEGER_COMPARISONS.get(word, word)
         return self.op(row, BOOL if word in _INTEGER_COMPARISONS else left.kind, left, right)

@@ -356,7 +356,7 @@ def ask(
 
 
 def begin_scene() -> None:
-    """Start a new scene: later requests belong to it, with the full `limits.READER_SECONDS_A_SCENE`."""
+    """Start a new scene: later requests belong to it, with the full `limits.READER_CPU_SECONDS_PER_SCENE`."""
     _file_reader.begin_scene()
 
 

@@ -1,4 +1,5 @@
-"""Requests of the blocks of one step to the rest of the world. A backend fills an `Effects`; the phases apply it afterwards.
+"""Requests of the blocks of one step to the rest of the world. A backend fills an `EffectRequests`; the phases apply it
+afterwards.
 
 Every entry holds the rows of one statement in one chunk. Applying them in another order gives the same bits."""
 

@@ -1,9 +1,9 @@
 """Interpreter for the instructions of kernels and of plans: the reference for machine code.
 
-It runs one iteration of a kernel after another, also where machine code runs several in lanes. Numbers are NumPy scalars with the
-meanings of `OPS`, vectors are tuples of them, and memory is that of the arrays. Undefined behaviour of machine code is an error
-here: an index outside its axis, division by 0, and reading a variable or an element of `scratch` before anything was stored to
-it. `interpreter_steps` translates each instruction to the function that runs here."""
+It runs one iteration of a kernel after another, also where machine code runs several in lanes. Numbers are NumPy scalars with
+the meanings of `OPERATION_BY_NAME`, vectors are tuples of them, and memory is that of the arrays. Undefined behaviour of
+machine code is an error here: an index outside its axis, division by 0, and reading a variable or an element of `scratch`
+before anything was stored to it. `interpreter_steps` translates each instruction to the function that runs here."""
 
 from __future__ import annotations
 

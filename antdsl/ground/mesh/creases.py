@@ -259,7 +259,7 @@ def find_candidates(
     begin: I64,
     end: I64,
 ) -> tuple[I64, I64, I64]:
-    """Return `begin`, the number of agents to before `end` on a face within `reach` of a rise, and the rungs of `Creases` to
+    """Return `begin`, the number of agents to before `end` on a face within `reach` of a rise, and the rungs of `CreaseMap` to
     query. The rungs are bits, from that of `width` on. Write the rows of these agents from `begin` on. Write also the rung of
     those on a face larger than their reach (-1 for others)."""
     count, rung_bits = begin, 0

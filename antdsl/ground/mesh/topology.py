@@ -90,7 +90,7 @@ def build_topology(vertices: Floats, faces: Ints, mesh: Ints, extent: float) -> 
 
 
 def _build_tables(vertices: Floats, faces: Ints, mesh: Ints, extent: float) -> stored_tables.Tables:
-    """Return the arrays of `build`, by the field names of `Topology`; of its cuts `first_cut` and `cut_by`."""
+    """Return the arrays of `build`, by the field names of `MeshTopology`; of its cuts `first_cut` and `cut_by`."""
     a, b, c = (vertices[faces[:, k]] for k in range(3))
     weld = corner_numbers(vertices, faces, mesh, extent)
     live = live_faces(weld, a, b, c)

@@ -21,7 +21,7 @@ CHECK_MESSAGES = {  # operations that are checks, with their messages
 Value = TypeVar("Value", bound=Number)
 MAX_CONSECUTIVE_ELEMENTS = 64  # consecutive elements at most
 ZEROS_CONSTANT = Number("ptr", "@zeros")  # read by inactive lanes
-LANE_ORDERS_CONSTANT = Number("ptr", "@orders")  # the bytes of `LANES_OF`
+LANE_ORDERS_CONSTANT = Number("ptr", "@orders")  # the bytes of `LANES_BY_MASK`
 _LANE_SETS = [[lane for lane in range(LANE_COUNT) if bits >> lane & 1] for bits in range(1 << LANE_COUNT)]
 LANES_BY_MASK = [
     [*lanes, *[0] * (LANE_COUNT - len(lanes))] for lanes in _LANE_SETS
@@ -40,8 +40,8 @@ class InvalidCode(Exception):
 
 
 class Instruction(NamedTuple):
-    """An operation of `OPS` with its operands. `extra` is the operation's immediate `x`; `line` is a line of the kernel's
-    file."""
+    """An operation of `OPERATION_BY_NAME` with its operands. `extra` is the operation's immediate `x`; `line` is a line of the
+    kernel's file."""
 
     op: str
     result: Number | None

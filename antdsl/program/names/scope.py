@@ -1,4 +1,4 @@
-"""What names mean at a place of the text: `Declared` holds what all files declare, `Scope` what one place can see."""
+"""What names mean at a place of the text: `Declarations` holds what all files declare, `Scope` what one place can see."""
 
 from __future__ import annotations
 
@@ -211,7 +211,7 @@ def rate_of(parts: Iterable[Expr | None]) -> ChangeRate:
 
 
 def type_from_words(words: str, of: str | None = None) -> ValueType | None:
-    """The type behind a word of `TYPE_WORDS`, or behind `angle / time` as the vocabulary writes it; None if there is none."""
+    """The type behind a word of `TYPE_BY_WORD`, or behind `angle / time` as the vocabulary writes it; None if there is none."""
     if "/" in words:
         top, below = (TYPE_BY_WORD.get(part.strip()) for part in words.split("/"))
         if not isinstance(top, Dimension) or not isinstance(below, Dimension):

@@ -1,9 +1,9 @@
 """The requests that an agent may make of the world, one row each. A row defines the checks of its line, the plan's statement with
 its checks and text, and the record of a step. It also defines the trace, the costs and the editor's words.
 
-The syntax of its line is the row of the same word in `antdsl.syntax.verbs`. The function that settles it is in `SETTLES` of
-`antdsl.runtime.phases`. Requests that are settled among several agents (`take`, `give`) and statements that change only the agent
-itself have no row."""
+The syntax of its line is the row of the same word in `antdsl.syntax.verbs`. The function that settles it is in
+`SETTLER_BY_EFFECT` of `antdsl.runtime.phases`. Requests that are settled among several agents (`take`, `give`) and statements
+that change only the agent itself have no row."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from antdsl.program.tables.rows import ArgumentRow, UseCost
 @dataclass(frozen=True, slots=True)
 class Effect:
     """`target`: the kind of what it names, "" for none. `args`: what follows the name; one of type `added A` is written without
-    brackets, one of type `agent` after the word `to`. `computed`: the operands of the plan, by name, if `OPERANDS` of
+    brackets, one of type `agent` after the word `to`. `computed`: the operands of the plan, by name, if `OPERAND_LOWERERS` of
     `antdsl.plan.lowering.actions` has a function that computes them. `phase`: the phase of a step that resolves it. `help`: for
     the editor; `meaning`: for readers of plans. `too_often`: what is wrong with its line in a state's body; "" if it may be
     there. `last`: the agent is removed after it. `draws`: random numbers depend on its place in the text. `feeds`: it supplies

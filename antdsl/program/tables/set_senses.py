@@ -1,4 +1,5 @@
-"""The words that give a set, one row each. `SETS` of `antdsl.program.types.sets` and the lowering of sets evaluate them."""
+"""The words that give a set, one row each. `SET_CHECKERS` of `antdsl.program.types.sets` and the lowering of sets evaluate
+them."""
 
 from __future__ import annotations
 

@@ -8,7 +8,7 @@
 `native` compiles the same lists to machine code, and uses NumPy until the code is ready.
 
 Elementwise operations come from one table (`numerics.elementwise`), sums over sets are exact, and draws are functions of the id.
-So no result depends on rows, chunks or threads. A backend fills an `Effects`; the phases of the step apply it."""
+So no result depends on rows, chunks or threads. A backend fills an `EffectRequests`; the phases of the step apply it."""
 
 from collections.abc import Callable, Mapping
 

@@ -174,7 +174,7 @@ def fill_walls(
     half: Array1[F64],
     state: Array1[I32],
 ) -> I64:
-    """Write the `Walls` of agents with a wall before them, and return their number.
+    """Write the `WallsAhead` of agents with a wall before them, and return their number.
 
     `hit`: the looks that hit something, ascending; the `first` looks are straight ahead. Of two walls, the one that needs more
     tilt counts. Writes the number of the wall to `state`."""

@@ -47,7 +47,7 @@ class ReadyCode:
     together: Mapping[tuple[str, str, int], list[list[BlockInstruction]]]
 
     def function(self, name: str) -> Any:
-        """Return a function of the program, as in `machine.Code`."""
+        """Return a function of the program, as in `machine.LoadedCode`."""
         return self.codes[name].function(name)
 
 

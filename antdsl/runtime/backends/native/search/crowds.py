@@ -155,7 +155,7 @@ class _DenseNeighbours:
         e.put(place, e.load(high, kind))
 
     def is_over_limit(self, radius: Lanes) -> Lanes:
-        """Return whether more than `limits.WITHIN_RADIUS` others are in a radius."""
+        """Return whether more than `limits.MAX_CANDIDATES_IN_RADIUS` others are in a radius."""
         e = self.w.e
         many = e.slot(I8)
         e.put(many, e.constant(0, I8, 1))
