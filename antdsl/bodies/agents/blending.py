@@ -5,15 +5,16 @@ weight and a parent layer. Inputs of a layer are its clips in list order, then i
 parent -1, gives the pose; its weight is unused.
 
 - `INTERPOLATE_MODE`: at each joint the weighted mean of the inputs. A weight is that of the input times its transform group's
-weight for the joint. Where all weights are 0 the layer leaves the joint out: the joint gets the rest pose at the end, and the
-layer is no input to its parent there. The weight of a nested layer is multiplied by the mean of the group weights below it, so
-a layer with one input equals that input. Translations, scales, shears and channels are linear means. Rotations are a sum of
-quaternions, each with its sign aligned to those before it, normalised. - `ADDITIVE_MODE`: the first input in full, whatever
-its weight, plus the difference of each other input times its weight and its group's weight, not normalised. Differences are
-translation minus that of the rest pose, rotation relative to the rest pose, and channels minus their defaults. Scales and
-shears are the first input's. - `OVER`: each input replaces those before it at each joint, by its weight times its group's
-weight, at most 1; the rest pose lies below the first. This mode is not in the documented form. It combines the state machines
-of an agent, such as a wave of the arms over a walk. A layer that fades out shows what is below.
+  weight for the joint. Where all weights are 0 the layer leaves the joint out: the joint gets the rest pose at the end, and the
+  layer is no input to its parent there. The weight of a nested layer is multiplied by the mean of the group weights below it,
+  so a layer with one input equals that input. Translations, scales, shears and channels are linear means. Rotations are a sum
+  of quaternions, each with its sign aligned to those before it, normalised.
+- `ADDITIVE_MODE`: the first input in full, whatever its weight, plus the difference of each other input times its weight and
+  its group's weight, not normalised. Differences are translation minus that of the rest pose, rotation relative to the rest
+  pose, and channels minus their defaults. Scales and shears are the first input's.
+- `OVER_MODE`: each input replaces those before it at each joint, by its weight times its group's weight, at most 1; the rest
+  pose lies below the first. This mode is not in the documented form. It combines the state machines of an agent, such as a wave
+  of the arms over a walk. A layer that fades out shows what is below.
 
 Additive inputs are measured from the rest pose, because a joint that a clip lacks is at rest there and so adds nothing. So any
 clip can be added without a prepared difference clip. The added rotation is on the parent's side: the joint is posed by the first
