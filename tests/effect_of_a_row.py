@@ -31,7 +31,7 @@ def first(name: str) -> Any:
 
 # Two rows, how it is written and what it means; below who settles it.
 VERBS = first("antdsl.syntax.verbs")
-VERBS.VERBS["scratch"] = VERBS.Verb("scratch", "arguments", "scratch ground(depth: 1 mm)", "the name of a surface")
+VERBS.VERB_BY_WORD["scratch"] = VERBS.Verb("scratch", "arguments", "scratch ground(depth: 1 mm)", "the name of a surface")
 
 from antdsl.program.tables.effects import EFFECT_BY_OPERATION, Effect  # noqa: E402
 from antdsl.program.tables.rows import ArgumentRow, UseCost  # noqa: E402

@@ -144,8 +144,8 @@ def _push_lines(e: Explanation) -> Iterator[str]:
         if layer.condition is not None:
             yield from _condition_lines(layer.condition, " " * (_BAR_CHARACTERS + 7))
     for steer in e.steers:
-        yield f"  {'':<{_BAR_CHARACTERS + 2}} {steer.part}: {steer.text} = {_format_vector(steer.push)}, length "
-        f"{steer.length:.4g}"
+        push = f"{_format_vector(steer.push)}, length {steer.length:.4g}"
+        yield f"  {'':<{_BAR_CHARACTERS + 2}} {steer.part}: {steer.text} = {push}"
     yield f"  together  {_format_vector(e.push)}, length {_length(e.push):.4g}"
     old_velocity, new_velocity = e.velocity
     if new_velocity is not None and e.acceleration is not None:

@@ -13,24 +13,12 @@ from typing import Any
 
 import numpy as np
 
+from antdsl.machine_code import kinds
 from antdsl.machine_code.kernels.ir import Instruction, IrFunction, verify
 from antdsl.machine_code.kernels.rendering import function_text
 from antdsl.machine_code.kernels.values import Number, text_type
 from antdsl.machine_code.kernels.vectors import Vectors
-from antdsl.machine_code.kinds import (
-    BITS_BY_KIND,
-    BOOL,
-    F32,
-    F64,
-    FLOAT_KINDS,
-    I8,
-    I32,
-    I64,
-    KIND_BY_DTYPE,
-    LANE_COUNT,
-    PTR,
-    literal,
-)
+from antdsl.machine_code.kinds import BOOL, F32, F64, I8, I32, I64, LANE_COUNT, PTR, literal
 from antdsl.machine_code.module import LlvmModule
 
 _INTEGER_COMPARISONS = {"lt": "slt", "le": "sle", "gt": "sgt", "ge": "sge", "eq": "eq", "ne": "ne"}  # rows of whole numbers
@@ -64,7 +52,7 @@ class Lanes(Number):
         return NotImplemented if options else self.e.apply_function(function, *inputs)
 
     def astype(self, dtype: Any) -> Lanes:
-        return self.e.convert(self, KIND_BY_DTYPE[np.dtype(dtype)])
+        return self.e.convert(self, kinds.KIND_BY_DTYPE[np.dtype(dtype)])
 
     def __neg__(self) -> Lanes:
         return self.e.op("fneg", self.kind, self)
@@ -176,8 +164,8 @@ class LaneBuilder(Vectors[Lanes]):
             return value
         kind = like.kind
         if isinstance(value, np.generic):
-            kind = KIND_BY_DTYPE[value.dtype]
-        elif isinstance(value, float) and kind not in FLOAT_KINDS:
+            kind = kinds.KIND_BY_DTYPE[value.dtype]
+        elif isinstance(value, float) and kind not in kinds.FLOAT_KINDS:
             kind = F64
         return self.constant(value, kind, like.lanes)
 
@@ -200,7 +188,7 @@ class LaneBuilder(Vectors[Lanes]):
     def binary(self, word: str, a: Any, b: Any) -> Lanes:
         """An operation or a comparison of two values, by its name in `OPERATION_BY_NAME` without the letter for the kind."""
         left, right = self.match_kinds(a, b)
-        row = f"f{word}" if left.kind in FLOAT_KINDS else _INTEGER_COMPARISONS.get(word, word)
+        row = f"f{word}" if left.kind in kinds.FLOAT_KINDS else _INTEGER_COMPARISONS.get(word, word)
         return self.op(row, BOOL if word in _INTEGER_COMPARISONS else left.kind, left, right)
 
     def clamp(self, value: Lanes, low: Lanes, high: Lanes) -> Lanes:
@@ -228,11 +216,11 @@ class LaneBuilder(Vectors[Lanes]):
             return value
         if kind == BOOL:
             return value != 0
-        if value.kind in FLOAT_KINDS:
-            row = "fptosi" if kind not in FLOAT_KINDS else "fpext" if kind == F64 else "fptrunc"
-        elif kind in FLOAT_KINDS:
+        if value.kind in kinds.FLOAT_KINDS:
+            row = "fptosi" if kind not in kinds.FLOAT_KINDS else "fpext" if kind == F64 else "fptrunc"
+        elif kind in kinds.FLOAT_KINDS:
             row = "uitofp" if value.kind == BOOL else "sitofp"
-        elif BITS_BY_KIND[kind] < BITS_BY_KIND[value.kind]:
+        elif kinds.BITS_BY_KIND[kind] < kinds.BITS_BY_KIND[value.kind]:
             row = "trunc"
         else:
             row = "zext" if value.kind == BOOL else "sext"

@@ -68,140 +68,103 @@ class Operation:
     meaning: str
 
 
-F, BOOL_KIND, INDEX_KIND, ID_KIND, T, SET_KIND = (
-    ValueKind.F32,
-    ValueKind.BOOL,
-    ValueKind.I32,
-    ValueKind.I64,
-    ValueKind.TUPLE,
-    ValueKind.SET,
-)
-_CONST_RATE, _RUN_RATE, _STEP_RATE, _AGENT_RATE, _PAIR_RATE = (
-    UpdateRate.CONST,
-    UpdateRate.RUN,
-    UpdateRate.STEP,
-    UpdateRate.AGENT,
-    UpdateRate.PAIR,
-)
+F, BOOL, INDEX = ValueKind.F32, ValueKind.BOOL, ValueKind.I32
+ID, T, SET = ValueKind.I64, ValueKind.TUPLE, ValueKind.SET
+_CONST, _RUN, _STEP = UpdateRate.CONST, UpdateRate.RUN, UpdateRate.STEP
+_AGENT, _PAIR = UpdateRate.AGENT, UpdateRate.PAIR
 
-KIND_BY_LETTER = {"f": F, "b": BOOL_KIND, "i": INDEX_KIND, "l": ID_KIND, "t": T, "s": SET_KIND}
+KIND_BY_LETTER = {"f": F, "b": BOOL, "i": INDEX, "l": ID, "t": T, "s": SET}
 
 
 def _sense(row: SenseRow) -> Operation:
     attrs = (row.of, *row.attrs) if row.of else row.attrs
-    return Operation(row.operands, attrs, KIND_BY_LETTER[row.kinds] if len(row.kinds) == 1 else T, _AGENT_RATE, row.results_text)
+    return Operation(row.operands, attrs, KIND_BY_LETTER[row.kinds] if len(row.kinds) == 1 else T, _AGENT, row.results_text)
 
 
 OPERATION_BY_NAME: dict[str, Operation] = {
     # constants and what the run gives
-    "const": Operation("", ("value",), F, _CONST_RATE, "a float32"),
-    "const.bool": Operation("", ("value",), BOOL_KIND, _CONST_RATE, "true or false"),
-    "const.i32": Operation("", ("value",), INDEX_KIND, _CONST_RATE, "a state's index or an item's row"),
-    "const.i64": Operation("", ("value",), ID_KIND, _CONST_RATE, "an agent's id; -1 is none"),
-    "param": Operation("", ("name",), F, _RUN_RATE, "a param's value in base units"),
-    "run": Operation("", ("name",), F, _RUN_RATE, "dt (s), u (mm per scene unit), up_x, up_y, up_z (the scene's up)"),
-    "step": Operation("", ("name",), F, _STEP_RATE, "time (s), frame"),
-    "told": Operation("", ("name",), F, _STEP_RATE, "a number about the whole run that a spec computed for this frame"),
+    "const": Operation("", ("value",), F, _CONST, "a float32"),
+    "const.bool": Operation("", ("value",), BOOL, _CONST, "true or false"),
+    "const.i32": Operation("", ("value",), INDEX, _CONST, "a state's index or an item's row"),
+    "const.i64": Operation("", ("value",), ID, _CONST, "an agent's id; -1 is none"),
+    "param": Operation("", ("name",), F, _RUN, "a param's value in base units"),
+    "run": Operation("", ("name",), F, _RUN, "dt (s), u (mm per scene unit), up_x, up_y, up_z (the scene's up)"),
+    "step": Operation("", ("name",), F, _STEP, "time (s), frame"),
+    "told": Operation("", ("name",), F, _STEP, "a number about the whole run that a spec computed for this frame"),
     # elementwise; float32, IEEE, in exactly this order of operations
-    "add": Operation("ff", (), F, _CONST_RATE, "a + b"),
-    "sub": Operation("ff", (), F, _CONST_RATE, "a - b"),
-    "mul": Operation("ff", (), F, _CONST_RATE, "a * b"),
-    "div": Operation("ff", (), F, _CONST_RATE, "a / b"),
-    "neg": Operation("f", (), F, _CONST_RATE, "-a"),
-    "abs": Operation("f", (), F, _CONST_RATE, "|a|"),
-    "min": Operation("ff", (), F, _CONST_RATE, "the lesser; the other one where one is NaN"),
-    "max": Operation("ff", (), F, _CONST_RATE, "the greater; the other one where one is NaN"),
-    "floor": Operation("f", (), F, _CONST_RATE, "greatest whole number not above a"),
-    "sqrt": Operation("f", (), F, _CONST_RATE, "square root; NaN below 0"),
-    "sin": Operation("f", (), F, _CONST_RATE, "own kernel"),
-    "cos": Operation("f", (), F, _CONST_RATE, "own kernel"),
-    "exp": Operation("f", (), F, _CONST_RATE, "own kernel"),
-    "log": Operation("f", (), F, _CONST_RATE, "own kernel, natural"),
-    "pow": Operation("ff", (), F, _CONST_RATE, "own kernel: exp(b log a), whole-number powers of negative a exact in sign"),
-    "atan2": Operation("ff", (), F, _CONST_RATE, "own kernel"),
-    "lt": Operation("xx", (), BOOL_KIND, _CONST_RATE, "a < b, both of one kind"),
-    "le": Operation("xx", (), BOOL_KIND, _CONST_RATE, "a <= b, both of one kind"),
-    "gt": Operation("ff", (), BOOL_KIND, _CONST_RATE, "a > b"),
-    "ge": Operation("ff", (), BOOL_KIND, _CONST_RATE, "a >= b"),
-    "eq": Operation("xx", (), BOOL_KIND, _CONST_RATE, "a == b, both of one kind"),
-    "ne": Operation("xx", (), BOOL_KIND, _CONST_RATE, "a != b, both of one kind"),
-    "and": Operation("bb", (), BOOL_KIND, _CONST_RATE, "both"),
-    "or": Operation("bb", (), BOOL_KIND, _CONST_RATE, "either"),
-    "not": Operation("b", (), BOOL_KIND, _CONST_RATE, "not"),
-    "where": Operation("bxx", (), F, _CONST_RATE, "b where a holds, else c; kind of b and c"),
-    "number": Operation("x", (), F, _CONST_RATE, "bool, state or row as float32"),
-    "finite": Operation("f", (), F, _CONST_RATE, "a, or 0 where it is not finite"),
-    "get": Operation("t", ("index",), F, _CONST_RATE, "one result of a tuple; its kind is that result's"),
+    "add": Operation("ff", (), F, _CONST, "a + b"),
+    "sub": Operation("ff", (), F, _CONST, "a - b"),
+    "mul": Operation("ff", (), F, _CONST, "a * b"),
+    "div": Operation("ff", (), F, _CONST, "a / b"),
+    "neg": Operation("f", (), F, _CONST, "-a"),
+    "abs": Operation("f", (), F, _CONST, "|a|"),
+    "min": Operation("ff", (), F, _CONST, "the lesser; the other one where one is NaN"),
+    "max": Operation("ff", (), F, _CONST, "the greater; the other one where one is NaN"),
+    "floor": Operation("f", (), F, _CONST, "greatest whole number not above a"),
+    "sqrt": Operation("f", (), F, _CONST, "square root; NaN below 0"),
+    "sin": Operation("f", (), F, _CONST, "own kernel"),
+    "cos": Operation("f", (), F, _CONST, "own kernel"),
+    "exp": Operation("f", (), F, _CONST, "own kernel"),
+    "log": Operation("f", (), F, _CONST, "own kernel, natural"),
+    "pow": Operation("ff", (), F, _CONST, "own kernel: exp(b log a), whole-number powers of negative a exact in sign"),
+    "atan2": Operation("ff", (), F, _CONST, "own kernel"),
+    "lt": Operation("xx", (), BOOL, _CONST, "a < b, both of one kind"),
+    "le": Operation("xx", (), BOOL, _CONST, "a <= b, both of one kind"),
+    "gt": Operation("ff", (), BOOL, _CONST, "a > b"),
+    "ge": Operation("ff", (), BOOL, _CONST, "a >= b"),
+    "eq": Operation("xx", (), BOOL, _CONST, "a == b, both of one kind"),
+    "ne": Operation("xx", (), BOOL, _CONST, "a != b, both of one kind"),
+    "and": Operation("bb", (), BOOL, _CONST, "both"),
+    "or": Operation("bb", (), BOOL, _CONST, "either"),
+    "not": Operation("b", (), BOOL, _CONST, "not"),
+    "where": Operation("bxx", (), F, _CONST, "b where a holds, else c; kind of b and c"),
+    "number": Operation("x", (), F, _CONST, "bool, state or row as float32"),
+    "finite": Operation("f", (), F, _CONST, "a, or 0 where it is not finite"),
+    "get": Operation("t", ("index",), F, _CONST, "one result of a tuple; its kind is that result's"),
     # the agent
-    "snap": Operation("", ("register",), F, _AGENT_RATE, "a register as it was at the start of the step; kind of the register"),
-    "load": Operation("", ("register", "version"), F, _AGENT_RATE, "a register now; `version` counts the stores seen before"),
-    "id": Operation("", (), ID_KIND, _AGENT_RATE, "the agent's own id"),
-    "age": Operation("", (), F, _AGENT_RATE, "seconds since birth"),
-    "draw": Operation(
-        "", ("site", "index"), F, _AGENT_RATE, "uniform in [0, 1): a function of seed, frame, species, id, site, index"
-    ),
-    "draw.agent": Operation(
-        "", ("site", "species"), ID_KIND, _AGENT_RATE, "the id of one living agent of the species, evenly; -1 for none"
-    ),
-    "event": Operation("", ("name",), BOOL_KIND, _AGENT_RATE, "the event reached this agent in the step before"),
-    "surface.touching": Operation("", ("name",), BOOL_KIND, _AGENT_RATE, "the agent stands on that surface"),
+    "snap": Operation("", ("register",), F, _AGENT, "a register as it was at the start of the step; kind of the register"),
+    "load": Operation("", ("register", "version"), F, _AGENT, "a register now; `version` counts the stores seen before"),
+    "id": Operation("", (), ID, _AGENT, "the agent's own id"),
+    "age": Operation("", (), F, _AGENT, "seconds since birth"),
+    "draw": Operation("", ("site", "index"), F, _AGENT, "uniform in [0, 1): a function of seed, frame, species, id, site, index"),
+    "draw.agent": Operation("", ("site", "species"), ID, _AGENT, "id of one living agent of the species, evenly; -1 for none"),
+    "event": Operation("", ("name",), BOOL, _AGENT, "the event reached this agent in the step before"),
+    "surface.touching": Operation("", ("name",), BOOL, _AGENT, "the agent stands on that surface"),
     # references to other agents and to items
     "agent.get": Operation(
-        "l", ("species", "register"), F, _AGENT_RATE, "another agent's register as it was; 0 for none; kind of the register"
+        "l", ("species", "register"), F, _AGENT, "another agent's register as it was, of its kind; 0 for none"
     ),
-    "agent.age": Operation("l", ("species",), F, _AGENT_RATE, "another agent's seconds since birth; 0 for none"),
-    "agent.alive": Operation("l", ("species",), BOOL_KIND, _AGENT_RATE, "there is such an agent"),
-    "item.get": Operation(
-        "i", ("items", "attribute"), F, _AGENT_RATE, "x y z radius or a declared attribute of an item; 0 for none"
-    ),
-    "item.alive": Operation("i", ("items",), BOOL_KIND, _AGENT_RATE, "there is such an item"),
+    "agent.age": Operation("l", ("species",), F, _AGENT, "another agent's seconds since birth; 0 for none"),
+    "agent.alive": Operation("l", ("species",), BOOL, _AGENT, "there is such an agent"),
+    "item.get": Operation("i", ("items", "attribute"), F, _AGENT, "x y z radius or a declared attribute of an item; 0 for none"),
+    "item.alive": Operation("i", ("items",), BOOL, _AGENT, "there is such an item"),
     # senses of the place; the agent's own position at the start of the step
     **{row.op: _sense(row) for row in senses.SENSE_BY_OPERATION.values()},
     # sets
     "set.agents": Operation(
-        "ff",
-        ("species", "all_round"),
-        SET_KIND,
-        _AGENT_RATE,
-        "others of a species within radius (first), with a cosine of their direction to the heading >= the second (ignored if all_round); never oneself",
+        "ff", ("species", "all_round"), SET, _AGENT, "others within a radius, and within a cosine of the heading"
     ),
-    "set.every": Operation("", ("species",), SET_KIND, _AGENT_RATE, "all others of a species"),
-    "set.items": Operation("f", ("items",), SET_KIND, _AGENT_RATE, "items with their centre within a distance (inf: all)"),
-    "other": Operation(
-        "",
-        ("register",),
-        F,
-        _PAIR_RATE,
-        "the other agent's register as it was, or the item's attribute (x y z radius …); kind of the register",
-    ),
-    "other.id": Operation("", (), ID_KIND, _PAIR_RATE, "the other agent's id"),
-    "other.row": Operation("", (), INDEX_KIND, _PAIR_RATE, "the item's row"),
-    "pair.x": Operation("", (), F, _PAIR_RATE, "other's x - own x"),
-    "pair.y": Operation("", (), F, _PAIR_RATE, "other's y - own y"),
-    "pair.z": Operation("", (), F, _PAIR_RATE, "other's z - own z"),
-    "pair.distance": Operation("", (), F, _PAIR_RATE, "sqrt((x*x + y*y) + z*z)"),
+    "set.every": Operation("", ("species",), SET, _AGENT, "all others of a species"),
+    "set.items": Operation("f", ("items",), SET, _AGENT, "items with their centre within a distance (inf: all)"),
+    "other": Operation("", ("register",), F, _PAIR, "the other agent's register as it was, or the item's attribute, of its kind"),
+    "other.id": Operation("", (), ID, _PAIR, "the other agent's id"),
+    "other.row": Operation("", (), INDEX, _PAIR, "the item's row"),
+    "pair.x": Operation("", (), F, _PAIR, "other's x - own x"),
+    "pair.y": Operation("", (), F, _PAIR, "other's y - own y"),
+    "pair.z": Operation("", (), F, _PAIR, "other's z - own z"),
+    "pair.distance": Operation("", (), F, _PAIR, "sqrt((x*x + y*y) + z*z)"),
     # reductions: set, condition (BOOL), body where there is one. Sums are exact: decision 23 of the language reference
-    "reduce.sum": Operation(
-        "sbf", ("quantum",), F, _AGENT_RATE, "terms rounded to multiples of 2**quantum, added exactly; 0 for none"
-    ),
-    "reduce.min": Operation("sbf", (), F, _AGENT_RATE, "inf for none"),
-    "reduce.max": Operation("sbf", (), F, _AGENT_RATE, "-inf for none"),
-    "reduce.count": Operation("sb", (), F, _AGENT_RATE, "how many"),
-    "reduce.any": Operation("sb", (), BOOL_KIND, _AGENT_RATE, "at least one"),
-    "reduce.agent": Operation(
-        "sbf", (), ID_KIND, _AGENT_RATE, "id of the agent with the least body, the lesser id at a tie; -1 for none"
-    ),
+    "reduce.sum": Operation("sbf", ("quantum",), F, _AGENT, "exact sum of terms rounded to multiples of 2**quantum; 0 for none"),
+    "reduce.min": Operation("sbf", (), F, _AGENT, "inf for none"),
+    "reduce.max": Operation("sbf", (), F, _AGENT, "-inf for none"),
+    "reduce.count": Operation("sb", (), F, _AGENT, "how many"),
+    "reduce.any": Operation("sb", (), BOOL, _AGENT, "at least one"),
+    "reduce.agent": Operation("sbf", (), ID, _AGENT, "id of the agent with the least body, the lesser id at a tie; -1 for none"),
     "reduce.nth_agent": Operation(
-        "sbff",
-        (),
-        ID_KIND,
-        _AGENT_RATE,
-        "id of the agent with the n-th least body; n is the last operand, without its fraction; -1 for none",
+        "sbff", (), ID, _AGENT, "id of the agent with the n-th least body, n rounded down; -1 for none"
     ),
-    "reduce.nth_item": Operation("sbff", (), INDEX_KIND, _AGENT_RATE, "row of the item with the n-th least body, likewise"),
-    "reduce.item": Operation(
-        "sbf", (), INDEX_KIND, _AGENT_RATE, "row of the item with the least body, the lesser row at a tie; -1 for none"
-    ),
+    "reduce.nth_item": Operation("sbff", (), INDEX, _AGENT, "row of the item with the n-th least body, likewise"),
+    "reduce.item": Operation("sbf", (), INDEX, _AGENT, "row of the item with the least body, the lesser at a tie; -1 for none"),
 }
 
 TUPLE_KINDS_BY_OPERATION: dict[str, tuple[ValueKind, ...]] = {
@@ -211,9 +174,8 @@ TUPLE_KINDS_BY_OPERATION: dict[str, tuple[ValueKind, ...]] = {
 }
 
 # Worth storing for a step, and computed only for agents that need it.
-SENSE_OPERATIONS = frozenset(
-    (*senses.SENSE_BY_OPERATION, *(name for name in OPERATION_BY_NAME if name.startswith("reduce.")), "draw.agent")
-)
+_REDUCE_OPERATIONS = tuple(name for name in OPERATION_BY_NAME if name.startswith("reduce."))
+SENSE_OPERATIONS = frozenset((*senses.SENSE_BY_OPERATION, *_REDUCE_OPERATIONS, "draw.agent"))
 
 
 # --- statements ------------------------------------------------------------------------------------------------------

@@ -27,6 +27,8 @@ from antdsl.senses.overlaps import worst_overlaps
 if TYPE_CHECKING:
     from antdsl.runtime.world import Population, World
 
+Counts = NDArray[np.int64]
+Floats = NDArray[np.float64]
 _HISTOGRAM_BINS = 1800  # of turns, 0.1 degree each; of overlaps, 1/1800 each
 _WINDOW_SECONDS = 2.0  # s over which a way is called straight or circling
 _MAX_CIRCLING_SHARE = 0.15  # net way of a whole window at most this share of the way walked
@@ -35,9 +37,7 @@ _MIN_PUSH = 0.2  # a push that is meant
 _STANDING_SPEED_SHARE = 0.03  # of max_speed: standing
 _TOUCH_OVERLAP_SHARE = 0.01  # of the room that two take: closer than this they stand in each other
 _VISIBLE_OVERLAP_SHARE = 0.05  # of its width: farther in another than this an agent is seen to be
-_MAX_AGENTS_MEASURED_EACH_STEP = (
-    2_000  # agents up to which trunks are measured in every step; with k times as many, about every k steps
-)
+_MAX_AGENTS_MEASURED_EACH_STEP = 2_000  # of k times as many, trunks are measured about every k steps
 _POSE_REGISTERS = tuple(f"{name}.{axis}" for name in ("position", "heading", "up") for axis in AXES)
 _MOTION_REGISTERS = tuple(f"{name}.{axis}" for name in ("velocity", "push") for axis in AXES)
 _MEASURED_REGISTERS = (*_POSE_REGISTERS, *_MOTION_REGISTERS, "max_speed", "size")
@@ -51,11 +51,11 @@ _BIN_LOOKUP_CELLS = 4096  # of half chords, each of which knows where the bins b
 class PathWindow:
     """Paths of one species since the window began, by id."""
 
-    ids: NDArray[np.int64]
-    start: NDArray[np.float64]
-    path: NDArray[np.float64]
-    age: NDArray[np.int64]
-    straight: NDArray[np.float64] = field(init=False)  # room for what a step finds
+    ids: Counts
+    start: Floats
+    path: Floats
+    age: Counts
+    straight: Floats = field(init=False)  # room for what a step finds
 
     def __post_init__(self) -> None:
         self.straight = np.empty(len(self.ids))
@@ -65,9 +65,9 @@ class PathWindow:
 class MotionMeasures:
     """Counts so far."""
 
-    turns: NDArray[np.int64] = field(default_factory=lambda: np.zeros(_HISTOGRAM_BINS + 1, np.int64))
-    tilts: NDArray[np.int64] = field(default_factory=lambda: np.zeros(_HISTOGRAM_BINS + 1, np.int64))
-    overlaps: NDArray[np.int64] = field(default_factory=lambda: np.zeros(_HISTOGRAM_BINS + 1, np.int64))
+    turns: Counts = field(default_factory=lambda: np.zeros(_HISTOGRAM_BINS + 1, np.int64))
+    tilts: Counts = field(default_factory=lambda: np.zeros(_HISTOGRAM_BINS + 1, np.int64))
+    overlaps: Counts = field(default_factory=lambda: np.zeros(_HISTOGRAM_BINS + 1, np.int64))
     standing: int = 0
     wishing: int = 0
     ways: int = 0
@@ -82,9 +82,7 @@ class MotionMeasures:
     overlapping: int = 0
     deep_max: float = 0.0
     half_max: float = 0.0  # the half chord of a tilt that `tilt_max` was computed for
-    counted: NDArray[np.int64] = field(
-        default_factory=lambda: np.zeros((2, 1, _HISTOGRAM_BINS + 1), np.int64)
-    )  # see `_sum_parts`
+    counted: Counts = field(default_factory=lambda: np.zeros((2, 1, _HISTOGRAM_BINS + 1), np.int64))  # see `_sum_parts`
     windows: dict[str, PathWindow] = field(default_factory=dict)
 
     def reset(self) -> None:
@@ -131,8 +129,7 @@ class MotionMeasures:
         crowds = [population for population in world.populations.values() if len(population)]
         for population in crowds:
             self._add_step(world, population)
-        with_depths = self.steps % every == 0 and len(world) > 1
-        bodies = self.steps % second == 0
+        with_depths, bodies = self.steps % every == 0 and len(world) > 1, self.steps % second == 0
         if with_depths or bodies:
             self._measure_bodies(world, with_depths, crowds if bodies else [])
         self.steps += 1
@@ -146,9 +143,7 @@ class MotionMeasures:
             self.circling += int(np.count_nonzero(straight < _MAX_CIRCLING_SHARE))
             self.straightness += fsum(straight)  # the same in any order of rows
 
-    def _run_step(
-        self, population: Population, window: PathWindow, dt: np.float32, steps: int, threads: int
-    ) -> NDArray[np.float64]:
+    def _run_step(self, population: Population, window: PathWindow, dt: np.float32, steps: int, threads: int) -> Floats:
         """Add a step to the counts and the paths; return the straightness of the paths that have ended, 0 to 1."""
         now, start = _CURRENT_REGISTERS(population.now), _STEP_START_REGISTERS(population.start)
         poses = (now[0:3], now[3:6], now[6:9], start[0:3], start[3:6], start[6:9])
@@ -249,16 +244,15 @@ _WINDOW_COLUMNS = tuple(each.name for each in fields(PathWindow) if each.init)
 
 def _degrees(half: NDArray[np.float32]) -> NDArray[np.float32]:
     """Degrees over a half chord of the unit circle."""
-    angle: NDArray[np.float32] = np.degrees(2 * np.arcsin(half))
-    return angle
+    return np.asarray(np.degrees(2 * np.arcsin(half)))
 
 
-def _bin_of(angle: NDArray[np.float32]) -> NDArray[np.int64]:
+def _bin_of(angle: NDArray[np.float32]) -> Counts:
     return (angle * np.float32(_HISTOGRAM_BINS / 180)).astype(np.int64)
 
 
 @cache
-def _bin_table() -> tuple[NDArray[np.float32], NDArray[np.int64]]:
+def _bin_table() -> tuple[NDArray[np.float32], Counts]:
     """Return the bin tables of turns.
 
     First the least half chord of each bin, float32[bins + 2]; the last is beyond all. Then the bin of the least half chord of
@@ -370,14 +364,9 @@ def _count_step(
     dt, wish, still, far, steps = meant
     ended, standing, part = 0, 0, buffer_index(begin, count, several)
     tilted, longest = np.float32(0.0), np.float32(0.0)
-    turn, tilt, share, speed = (
-        scratch(_AGENTS_PER_PART, F32),
-        scratch(_AGENTS_PER_PART, F32),
-        scratch(_AGENTS_PER_PART, F32),
-        scratch(_AGENTS_PER_PART, F32),
-    )
-    push_lengths = scratch(_AGENTS_PER_PART, F32)
-    for low in range(begin, end, 512):
+    turn, tilt, share = scratch(_AGENTS_PER_PART, F32), scratch(_AGENTS_PER_PART, F32), scratch(_AGENTS_PER_PART, F32)
+    speed, push_lengths = scratch(_AGENTS_PER_PART, F32), scratch(_AGENTS_PER_PART, F32)
+    for low in range(begin, end, _AGENTS_PER_PART):
         high = min(low + _AGENTS_PER_PART, end)
         for i in independent(low, high):
             turn[i - low] = _half_chord(heading, heading_before, i) * np.float32(0.5)
@@ -407,6 +396,5 @@ def _count_step(
                     ended += 1
                 for k in range(3):
                     began[i, k] = place[i, k]
-                path[i] = 0.0
-                age[i] = 0
+                path[i], age[i] = 0.0, 0
     return StepCounts(begin, ended, standing, np.float64(tilted), np.float64(longest))

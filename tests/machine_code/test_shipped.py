@@ -90,7 +90,7 @@ from antdsl.machine_code.build_objects import build
 from antdsl.machine_code.kernels.direct import argument_text
 from antdsl.numerics import row_copies
 from antdsl.numerics.elementary_loops import cosines
-print(build(Path(sys.argv[1]), [row_copies.text, cosines], reversed(list(shipped.TARGETS))))
+print(build(Path(sys.argv[1]), [row_copies.text, cosines], reversed(list(shipped.TARGET_BY_NAME))))
 """
 
 
@@ -295,7 +295,7 @@ def test_objects_are_those_of_the_installation(tmp_path: Path) -> None:
     objects.mkdir(parents=True)
     for name in shipped.TARGET_BY_NAME:
         (objects / f"{name}.objects").write_bytes(b"trap")
-    place = "from antdsl.machine_code import shipped; print(shipped.FOLDER)"
+    place = "from antdsl.machine_code import shipped; print(shipped.OBJECTS_FOLDER)"
     expected = Path(antdsl.__file__).resolve().parent / "machine_code" / "objects"
     for settings in ({}, dict.fromkeys((object_cache.CACHE_VARIABLE, "HOME", "XDG_CACHE_HOME"), str(tmp_path))):
         ran = subprocess.run(
@@ -312,7 +312,7 @@ from antdsl.machine_code import library
 for each in pkgutil.walk_packages(antdsl.__path__, "antdsl."):
     if not each.name.endswith("__main__"):
         import_module(each.name)
-own = {(each.__module__, each.__name__) for each in library._entries}
+own = {(each.__module__, each.__name__) for each in library._library_entries}
 found = library.load()
 assert own == {(each.__module__, each.__name__) for each in found}, own
 assert {each.__module__ for each in found} == set(library.modules())

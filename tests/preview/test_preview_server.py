@@ -504,7 +504,7 @@ def test_a_page_that_takes_nothing_is_let_go_and_may_come_back(monkeypatch: pyte
     with_server(test)
 
 
-@pytest.mark.parametrize("seconds", ["_STUCK", "_CLOSE"])
+@pytest.mark.parametrize("seconds", ["_SEND_TIMEOUT_SECONDS", "_CLOSE_TIMEOUT_SECONDS"])
 def test_a_page_that_sleeps_is_given_up_and_keeps_no_server_from_ending(monkeypatch: pytest.MonkeyPatch, seconds: str) -> None:
     monkeypatch.setattr(serving, seconds, 0.3)
 
@@ -515,7 +515,7 @@ def test_a_page_that_sleeps_is_given_up_and_keeps_no_server_from_ending(monkeypa
             await asyncio.sleep(0.01)
         server.live.clients[0].show("mesh", bytes(20 << 20))
         await asyncio.sleep(0.05)
-        while seconds == "_STUCK" and server.live.clients:
+        while seconds == "_SEND_TIMEOUT_SECONDS" and server.live.clients:
             await asyncio.sleep(0.01)
 
     with_server(test)

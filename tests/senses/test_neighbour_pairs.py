@@ -93,7 +93,7 @@ def cells_of(shape: Shape, positions) -> np.ndarray:
 @pytest.mark.parametrize("extent", (*EXTENTS, (0, 0, 0)), ids=str)
 def test_agents_are_put_in_the_order_of_cells(monkeypatch: pytest.MonkeyPatch, extent, threads: int) -> None:
     monkeypatch.setattr(cell_order, "_CHUNKED", 20)
-    for name in ("LIGHT", "PART"):
+    for name in ("MIN_LIGHT_ITEMS_PER_THREAD", "MIN_AGENTS_PER_THREAD"):
         monkeypatch.setattr(parallel, name, 16)
     for module in (cell_order, parallel):
         monkeypatch.setattr(module, "cores", lambda: threads)

@@ -18,18 +18,7 @@ from antdsl.program.expectations import (
     OtherRun,
 )
 from antdsl.program.kinds import BOOL_TYPE, NUMBER_TYPE
-from antdsl.program.model import (
-    Binding,
-    BindingRef,
-    ChangeRate,
-    Dimension,
-    Expr,
-    ParamRef,
-    ReduceExpr,
-    ThingRef,
-    TypeKind,
-    ValueType,
-)
+from antdsl.program.model import Binding, BindingRef, ChangeRate, Dimension, Expr, TypeKind, ValueType
 from antdsl.program.names.scope import (
     Declarations,
     NameScope,
@@ -43,6 +32,7 @@ from antdsl.program.tables.set_senses import SET_RESULT_OPERATIONS
 from antdsl.program.tables.things import KIND_BY_WORD
 from antdsl.program.tables.vocabulary import BUILTIN_ATTRIBUTE_BY_NAME, SENSE_TYPE_BY_NAME
 from antdsl.program.traverse import written_nodes
+from antdsl.program.typed import ParamRef, ReduceExpr, ThingRef
 from antdsl.program.types import calls, expressions, operators
 from antdsl.program.types.arguments import type_arguments
 from antdsl.program.types.descriptions import quote_source, type_words
@@ -87,11 +77,8 @@ class SpecRules:
             advice = f"write `total(food.load) == {name}`, or `{name}(total(food.load))`"
             return scope.reject("at-start-alone", message, node.span, advice)
         species = scope.species
-        if (
-            name in GEOMETRY_MEASURES
-            and species is not None
-            and name not in {*species.attributes, *species.params, *species.bindings}
-        ):
+        own_names: set[str] = set() if species is None else {*species.attributes, *species.params, *species.bindings}
+        if species is not None and name in GEOMETRY_MEASURES and name not in own_names:
             return BodyMeasure(type_from_words(GEOMETRY_MEASURES[name]) or NUMBER_TYPE, ChangeRate.AGENT, node.span, name)
         return expressions.name_of(scope, node, want)
 
@@ -207,13 +194,9 @@ class SpecRules:
             if not isinstance(first, nodes.Argument) or first.name is not None:
                 return self._report_argument_count(scope, node, name)
             return self.compared[name](scope, value(scope, first.value), node.span)
-        if (
-            name in AGGREGATE_WORDS
-            and isinstance(first, nodes.Argument)
-            and first.name is None
-            and not _is_set(scope, first.value)
-        ):
-            return self._aggregate(scope, node, name, first.value)
+        only = first.value if isinstance(first, nodes.Argument) and first.name is None else None
+        if name in AGGREGATE_WORDS and only is not None and not _is_set(scope, only):
+            return self._aggregate(scope, node, name, only)
         if name in ("total", "share"):
             return self._report_argument_count(scope, node, name)
         expr = calls.call(scope, node, want)
@@ -301,20 +284,14 @@ class SpecRules:
         if self._reports_nesting(scope, reduction.span):
             return bad_expression(reduction.span)
         is_complete_set = over.source == "all" and all(arg is None for arg in over.args)
-        if (
-            not is_complete_set
-            or reduction.how in ("best", "nearest")
-            or reduction.type.kind not in (TypeKind.NUMBER, TypeKind.BOOL)
-        ):
+        is_number = reduction.type.kind in (TypeKind.NUMBER, TypeKind.BOOL)
+        if not is_complete_set or reduction.how in ("best", "nearest") or not is_number:
             message = f"{quote_source(reduction.span)} needs an agent, but none is named"
             advice = "ask it in `each SPECIES { … }`, or ask for a `total`, `share`, `mean`, `min`, `max` or `count` of all"
             return scope.reject("wrong-rate", message, reduction.span, advice)
         kind = TypeKind.ITEMS if over.element.type.kind is TypeKind.ITEM else TypeKind.SPECIES
-        body = (
-            reduction.body
-            if reduction.how != "count" or reduction.body is None or reduction.body.rate > ChangeRate.CONST
-            else None
-        )
+        counts_all = reduction.how == "count" and reduction.body is not None and reduction.body.rate <= ChangeRate.CONST
+        body = None if counts_all else reduction.body
         how = "total" if reduction.how == "sum" else reduction.how
         elements = (reduction.element, over.element)
         return AggregateExpr(
@@ -397,15 +374,8 @@ def _has_values(declared: Declarations, species: str, operand: nodes.Expr) -> bo
     """Return whether a species has every value that is named bare, judged by names alone."""
     names = declared.species[species]
     states = {state for machine in names.machines.values() for state in machine.states}
-    mine = {
-        *names.attributes,
-        *names.params,
-        *names.bindings,
-        *names.pending,
-        *names.machines,
-        *states,
-        *BUILTIN_ATTRIBUTE_BY_NAME,
-    }
+    mine = {*names.attributes, *names.params, *names.bindings, *names.pending, *names.machines, *states}
+    mine |= {*BUILTIN_ATTRIBUTE_BY_NAME}
     everywhere = {*declared.things, *declared.fields, *declared.species, *declared.events, "state", "previous", "next"}
     everywhere |= {*GEOMETRY_MEASURES, "time_in_state", "time", "frame", "dt", "true", "false", *SENSE_TYPE_BY_NAME, "self"}
     called = {id(part.function) for part, _ in written_nodes(operand) if isinstance(part, nodes.Call)}

@@ -20,6 +20,8 @@ from antdsl.numerics.vectors import VectorArrays, VectorComponents
 from antdsl.runtime.moving.obstacle_clearance import cached_clearance
 from antdsl.runtime.world import Population, World
 
+Floats = NDArray[np.float32]
+Rows = NDArray[np.intp]
 _F = np.float32
 _FLOAT32_ZERO, _FLOAT32_HALF, _FLOAT32_ONE, _FLOAT32_INFINITY = _F(0), _F(0.5), _F(1), _F(np.inf)
 _MIN_STEP_MM = _F(1e-9)  # mm: a shorter step is none
@@ -30,9 +32,7 @@ _RADIUS_SLACK_FACTOR = _F(1) + _CLEARANCE_SLACK
 _RAY_SLACK_FACTOR, _STEP_SLACK_FACTOR = 1 + 1e-6, _F(1) + _F(1e-6)  # more than rounding makes of a distance, or a path shorter
 
 
-def slide(
-    world: World, population: Population, step: VectorArrays, up: VectorComponents, radius: NDArray[np.float32]
-) -> VectorArrays:
+def slide(world: World, population: Population, step: VectorArrays, up: VectorComponents, radius: Floats) -> VectorArrays:
     """Return the step (mm) of every agent, bent along the obstacles in its way. `up` is the normal of the ground."""
     names = _obstacle_names(world)
     if names:
@@ -44,9 +44,7 @@ def slide(
     return step
 
 
-def slide_some(
-    world: World, population: Population, rows: NDArray[np.intp], step: VectorArrays, up: VectorComponents
-) -> VectorArrays:
+def slide_some(world: World, population: Population, rows: Rows, step: VectorArrays, up: VectorComponents) -> VectorArrays:
     """As `slide`, for some agents, from their current positions within a step that began elsewhere."""
     names = _obstacle_names(world)
     if names:
@@ -57,9 +55,7 @@ def slide_some(
     return step
 
 
-def _measure_drift(
-    population: Population, rows: NDArray[np.intp]
-) -> tuple[VectorArrays, NDArray[np.float32], NDArray[np.float32]]:
+def _measure_drift(population: Population, rows: Rows) -> tuple[VectorArrays, Floats, Floats]:
     """Return positions of some agents, their radii, and an upper bound of their distance (mm) from the start of the step."""
     positions, start = (vec.vector_registers(registers, "position") for registers in (population.now, population.start))
     place, radius, drift = np.empty((3, len(rows)), np.float32), *np.empty((2, len(rows)), np.float32)
@@ -82,20 +78,17 @@ def obstacle_mesh(world: World, name: str) -> RayScene:
 def _is_at_start(population: Population, threads: int) -> bool:
     """Return whether all agents are still where the step began; this is false after a first substep."""
     now, start = vec.vector_registers(population.now, "position"), vec.vector_registers(population.start, "position")
-    return all(
-        parallel.in_parts(partial(is_unchanged, now, start), len(population), threads, parallel.MIN_LIGHT_ITEMS_PER_THREAD)
-    )
+    work, least = partial(is_unchanged, now, start), parallel.MIN_LIGHT_ITEMS_PER_THREAD
+    return all(parallel.in_parts(work, len(population), threads, least))
 
 
 def _slide_along(
-    scene: RayScene, place: VectorArrays, step: VectorArrays, up: VectorComponents, radius: NDArray[np.float32],
-    clear: NDArray[np.float32],
-    threads: int,
+    scene: RayScene, place: VectorArrays, step: VectorArrays, up: VectorComponents, radius: Floats,
+    clear: Floats, threads: int,
 ) -> VectorArrays:  # fmt: skip
     """Return the steps (mm) of agents at `place`, bent along one obstacle. `clear` (mm): a lower bound of their distance from
     it."""
-    n = len(radius)
-    tables = scene.tables()
+    n, tables = len(radius), scene.tables()
     if tables is not None:
         (rows, hit_rows), columns, faces = np.empty((2, n), np.int64), np.empty((10, n), np.float32), np.empty((4, n), np.float32)
         normals = np.stack(up) if isinstance(up, tuple) else up
@@ -127,8 +120,8 @@ def _slide_along(
 
 
 def _turn_at_hits(
-    scene: RayScene, step: VectorArrays, rows: NDArray[np.int64], columns: NDArray[np.float32], hit_rows: NDArray[np.int64],
-    hits: NDArray[np.float32], parts: list[tuple[int, int, int, int]], threads: int,
+    scene: RayScene, step: VectorArrays, rows: NDArray[np.int64], columns: Floats, hit_rows: NDArray[np.int64],
+    hits: Floats, parts: list[tuple[int, int, int, int]], threads: int,
 ) -> VectorArrays:  # fmt: skip
     """Return the steps, with those deflected by the kernel `along` replaced. Steps that also hit a face are turned aside from
     it."""
@@ -146,7 +139,7 @@ def _turn_at_hits(
     return _replace_rows(step, rows, columns[3:6])
 
 
-def _replace_rows(step: VectorArrays, rows: NDArray[np.int64], own: NDArray[np.float32]) -> VectorArrays:
+def _replace_rows(step: VectorArrays, rows: NDArray[np.int64], own: Floats) -> VectorArrays:
     """Steps, of some rows their own (3, k)."""
     to = np.empty((3, len(step[0])), np.float32)
     replace_rows(step, rows, own, to)
@@ -154,9 +147,9 @@ def _replace_rows(step: VectorArrays, rows: NDArray[np.int64], own: NDArray[np.f
 
 
 def _turn_aside(
-    scene: RayScene, place: VectorComponents, step: VectorComponents, up: VectorComponents, margin: NDArray[np.float32],
-    hit_rows: NDArray[np.intp],
-    free: NDArray[np.float32], normal: VectorArrays, threads: int,
+    scene: RayScene, place: VectorComponents, step: VectorComponents, up: VectorComponents, margin: Floats,
+    hit_rows: Rows,
+    free: Floats, normal: VectorArrays, threads: int,
 ) -> None:  # fmt: skip
     """Bend, in place, the steps of agents that `hit_rows` a face with this normal after `free` mm."""
     u, intended_steps = vec.take(up, hit_rows), vec.take(step, hit_rows)
@@ -178,8 +171,8 @@ def _turn_aside(
 
 
 def _find_hits(
-    scene: RayScene, place: VectorArrays, step: VectorArrays, margin: NDArray[np.float32], threads: int
-) -> tuple[NDArray[np.intp], NDArray[np.float32], VectorArrays]:
+    scene: RayScene, place: VectorArrays, step: VectorArrays, margin: Floats, threads: int
+) -> tuple[Rows, Floats, VectorArrays]:
     """Which agents meet a face on their step, how much of the step (mm) is free, and the face's normal."""
     size = vec.length(step)
     going = np.flatnonzero(size > _MIN_STEP_MM)
@@ -283,9 +276,8 @@ def bend_steps(
             i = rows[n]
             size, margin, _ = _measure_step(step, radius, clear, i)
             at, above = (place[0][i], place[1][i], place[2][i]), (up[0, i], up[1, i], up[2, i])
-            gap, out = signed_distance(
-                grid, at, np.float64((size + margin) * _RADIUS_SLACK_FACTOR + _CLEARANCE_SLACK) * _RAY_SLACK_FACTOR
-            )
+            reach = np.float64((size + margin) * _RADIUS_SLACK_FACTOR + _CLEARANCE_SLACK) * _RAY_SLACK_FACTOR
+            gap, out = signed_distance(grid, at, reach)
             if gap == _FLOAT32_INFINITY:
                 continue
             left += 1 if gap != gap else 0

@@ -78,26 +78,8 @@ _ASSIGNMENT_SIGNS = {"=", "+=", "-=", "[", "."}
 _QUERY_START_PATTERN = re.compile(r"\b(?:share|count|any|every)\(\s*[a-z_][a-z_0-9.]*\s*\Z|[(,]\s*(?:state|previous|next)\s*\Z")
 _WRITING_SIGNS = ("=", "+=", "-=")
 # After these a value begins.
-_VALUE_STARTING_WORDS = frozenset(
-    (
-        "when",
-        "and",
-        "or",
-        "not",
-        "no",
-        "steer",
-        "face",
-        "then",
-        "else",
-        "if",
-        "until",
-        *"=<>+-*/",
-        *_WRITING_SIGNS,
-        "<=",
-        ">=",
-        "==",
-    )
-)
+_WORDS_BEFORE_VALUES = ("when", "and", "or", "not", "no", "steer", "face", "then", "else", "if", "until")
+_VALUE_STARTING_WORDS = frozenset((*_WORDS_BEFORE_VALUES, *"=<>+-*/", *_WRITING_SIGNS, "<=", ">=", "=="))
 _COMPARISON_SIGNS = {"==", "!=", "<", ">", "<=", ">=", "is"}
 
 
@@ -289,11 +271,8 @@ def _explain_unit(unexpected: UnexpectedToken) -> Diagnostic | None:
 
 
 def _keywords() -> frozenset[str]:
-    return (
-        frozenset(word for words in LINE_WORDS_BY_RULE.values() for word in words)
-        | set(CONTINUATION_TEXTS)
-        | {"relax", "strongest"}
-    )
+    line_words = frozenset(word for words in LINE_WORDS_BY_RULE.values() for word in words)
+    return line_words | {*CONTINUATION_TEXTS, "relax", "strongest"}
 
 
 def _explain_equals(unexpected: UnexpectedToken) -> Diagnostic | None:

@@ -13,19 +13,10 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from enum import IntEnum
 
-from antdsl.program.model import (
-    AttributeRef,
-    Binding,
-    BindingRef,
-    Constant,
-    Expr,
-    InlinedBehaviour,
-    OperationExpr,
-    ReduceExpr,
-    ThingRef,
-)
+from antdsl.program.model import Constant, Expr, InlinedBehaviour, OperationExpr, ReduceExpr
 from antdsl.program.tables.vocabulary import DRAWING_OPERATIONS
 from antdsl.program.traverse import parts
+from antdsl.program.typed import AttributeRef, Binding, BindingRef, ThingRef
 
 OwnValue = str | Binding  # the attribute that is set, or the stored memory
 
@@ -108,11 +99,8 @@ def reads(expr: Expr, own: OwnValue) -> bool:
 
 def _grows_with_time(power: float, value: Expr) -> bool:
     """Return whether a value grows with time. With a draw in each step, its deviation grows as the root of time."""
-    if power == math.inf or math.isclose(power, 1):
-        return True
-    return math.isclose(power, 0.5) and any(
-        isinstance(part, OperationExpr) and part.name in DRAWING_OPERATIONS for part in parts(value)
-    )
+    has_draw = any(isinstance(part, OperationExpr) and part.name in DRAWING_OPERATIONS for part in parts(value))
+    return power == math.inf or math.isclose(power, 1) or (has_draw and math.isclose(power, 0.5))
 
 
 def _uses_step_unit(value: Expr) -> bool:
@@ -120,12 +108,9 @@ def _uses_step_unit(value: Expr) -> bool:
 
 
 def _is_dt(part: object) -> bool:
-    return (
-        isinstance(part, OperationExpr)
-        and part.name == "run"
-        and isinstance(part.args[0], ThingRef)
-        and part.args[0].name == "dt"
-    )
+    if not isinstance(part, OperationExpr) or part.name != "run":
+        return False
+    return isinstance(part.args[0], ThingRef) and part.args[0].name == "dt"
 
 
 # --- through an expression -------------------------------------------------------------------------------------------
@@ -216,7 +201,7 @@ def _is_near(value: float | None, number: float) -> bool:
 
 def _sum(op: OperationExpr, below: OperandValues) -> ShortStepValue:
     a, b = below
-    if op.name == "sub" and _has_floor(op.args[1]):
+    if op.name == "sub" and any(isinstance(each, OperationExpr) and each.name == "floor" for each in parts(op.args[1])):
         return a  # `x - floor(x)`: put back into its range
     own, other = (a, b) if a.influence >= b.influence else (b, a)
     if own.influence is StepInfluence.UNSURE:
@@ -235,10 +220,6 @@ def _sum(op: OperationExpr, below: OperandValues) -> ShortStepValue:
     return ShortStepValue(power=min(a.power, b.power, 0.0), to=to, off=off)
 
 
-def _has_floor(expr: Expr | None) -> bool:
-    return any(isinstance(part, OperationExpr) and part.name == "floor" for part in parts(expr))
-
-
 def _product(op: OperationExpr, below: OperandValues) -> ShortStepValue:
     a, b = below
     if StepInfluence.UNSURE in (a.influence, b.influence):
@@ -246,9 +227,8 @@ def _product(op: OperationExpr, below: OperandValues) -> ShortStepValue:
     power = a.power + b.power
     own, other = (a, b) if a.influence >= b.influence else (b, a)
     if power > 0:
-        return _vanishing(
-            power, min(own.influence, StepInfluence.VANISHING), op if own.influence >= StepInfluence.SAME else own.by
-        )
+        cause = op if own.influence >= StepInfluence.SAME else own.by
+        return _vanishing(power, min(own.influence, StepInfluence.VANISHING), cause)
     if own.influence is StepInfluence.NONE:
         to = a.to * b.to if a.to is not None and b.to is not None and power == 0 else None
         return ShortStepValue(power=power, to=to, off=min(a.off, b.off))
