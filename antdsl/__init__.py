@@ -1,7 +1,8 @@
-"""antdsl: text that says how animals behave, compiled to array passes over all agents at once.
+"""antdsl: text that describes how animals behave, compiled to array passes over all agents at once.
 
-Public names are loaded when they are first used, so that `import antdsl` costs nothing. Nothing is imported here at all: with
-`python -m antdsl` the working directory is still the first folder of the search path when these lines run."""
+Public names are loaded on first use, so that `import antdsl` costs nothing. This file imports nothing at all. The reason: with
+`python -m antdsl` the working directory is still the first folder of the search path when these lines run.
+"""
 
 TYPE_CHECKING = False  # a name that type checkers know; `typing` would be searched for in the working directory
 if TYPE_CHECKING:

@@ -44,7 +44,7 @@ VENV_PACKAGE = "python3-venv"
 
 
 def missing_packages(libraries: Mapping[str, str]) -> list[str]:
-    """Return the Debian packages of shared libraries that cannot be loaded here (Linux only)."""
+    """Return the Debian packages of the shared libraries that this machine cannot load (Linux only)."""
     if not sys.platform.startswith("linux"):
         return []
     missing = []
@@ -57,7 +57,8 @@ def missing_packages(libraries: Mapping[str, str]) -> list[str]:
 
 
 def install_system_packages() -> None:
-    """Install the system packages that Open3D needs, if this user may; else print the command for it, and stop."""
+    """Install the system packages that Open3D needs, if this user has the right to. Otherwise print the command for it and
+    stop."""
     packages = missing_packages(SYSTEM_LIBRARIES)
     if not packages:
         return
@@ -71,7 +72,8 @@ def install_system_packages() -> None:
 
 
 def install_browser() -> None:
-    """Install Chromium for the tests of the preview's page, on Debian, if this user may. Elsewhere those tests are skipped."""
+    """Install Chromium for the tests of the preview's page, on Debian, if this user has the right to. Elsewhere these tests are
+    skipped."""
     packages = missing_packages(DRIVER_LIBRARIES)
     if not any(shutil.which(name) for name in BROWSERS):
         packages.insert(0, BROWSERS[0])
@@ -89,8 +91,8 @@ def install_browser() -> None:
 
 
 def install_test_programs() -> None:
-    """Install the programs that tests start, if this user may. Elsewhere those tests fail and are not skipped, because users rely
-    on what they check."""
+    """Install the programs that tests start, if this user has the right to. Without these programs, the tests fail. They are not
+    skipped, because users rely on what they check."""
     packages = [package for name, package in TEST_PROGRAMS.items() if not shutil.which(name)]
     if not packages or not sys.platform.startswith("linux"):
         return
@@ -102,7 +104,8 @@ def install_test_programs() -> None:
 
 
 def is_debian() -> bool:
-    """Return whether this is Debian itself: elsewhere, packages of the same name only point to another way to install."""
+    """Return whether this system is Debian itself. On derived systems, packages of the same name only point to another
+    installer."""
     try:
         return "ID=debian" in Path("/etc/os-release").read_text(encoding="utf-8").split()
     except OSError:
@@ -110,12 +113,12 @@ def is_debian() -> bool:
 
 
 def can_install() -> bool:
-    """Whether this user may install Debian packages."""
+    """Return whether this user can install Debian packages."""
     return bool(shutil.which("apt-get")) and (os.geteuid() == 0 or bool(shutil.which("sudo")))
 
 
 def install(packages: list[str]) -> None:
-    """Install Debian packages. Raises CalledProcessError when that does not work."""
+    """Install Debian packages. Raises CalledProcessError if the installation fails."""
     print(f"installing system packages: {' '.join(packages)}", flush=True)
     prefix = [] if os.geteuid() == 0 else ["sudo"]
     env = {**os.environ, "DEBIAN_FRONTEND": "noninteractive"}
@@ -124,7 +127,7 @@ def install(packages: list[str]) -> None:
 
 
 def ensure_environment(folder: Path, requirements: list[str]) -> Path:
-    """Create the virtual environment, again only if pyproject.toml changed; return the path of its Python."""
+    """Create the virtual environment and return the path of its Python. Create it again only if pyproject.toml changed."""
     python = folder / ("Scripts/python.exe" if os.name == "nt" else "bin/python")
     fingerprint = hashlib.sha256((ROOT / "pyproject.toml").read_bytes() + repr(requirements).encode()).hexdigest()
     stamp = folder / "antdsl-installed"
@@ -162,7 +165,8 @@ def run_example(python: Path, out: Path) -> int:
 
 
 def run_tests(python: Path, quick: bool, arguments: list[str]) -> int:
-    """Run the test suite as in CI, with one process per core and each file in one process; or the quick part in one process."""
+    """Run the tests. `quick`: only the quick part, in one process. Otherwise run the full suite as in CI, with one process per
+    core; each test file runs in one process."""
     files = (
         [path.relative_to(ROOT).as_posix() for pattern in QUICK_TEST_PATTERNS for path in sorted(ROOT.glob(pattern))]
         if quick
@@ -174,8 +178,8 @@ def run_tests(python: Path, quick: bool, arguments: list[str]) -> int:
 
 
 def run_gate(python: Path) -> int:
-    """Run linter and formatter on all Python and type checks on the package; also those of the page if node and its packages are
-    installed."""
+    """Run linter and formatter on all Python files and type checks on the package. If node and its packages are installed, also
+    run the checks of the preview's page."""
     tools = [[str(python), "-m", *words.split()] for words in ("ruff check .", "ruff format --check .", "mypy")]
     codes = [subprocess.run(tool, cwd=ROOT).returncode for tool in tools]
     page = ROOT / "antdsl" / "preview" / "web"

@@ -1,5 +1,5 @@
-"""Bounded reads: the only way in which files named by a user are opened. Only regular files, without waiting, and up to a given
-number of bytes."""
+"""Bounded reads. All files named by a user are opened by this module only. It opens only regular files, never waits, and reads at
+most a given number of bytes."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ PathName = str | os.PathLike[str]
 
 
 class NotRegular(OSError):
-    """A folder, a pipe, a socket or a device. The message names which; it fits after the file's name and `is`."""
+    """The path is a folder, a pipe, a socket or a device. The message is the kind, and fits after the file's name and `is`."""
 
     def __init__(self, kind: str) -> None:
         super().__init__(errno.EINVAL, f"it is {kind}")
@@ -29,7 +29,7 @@ class NotRegular(OSError):
 
 
 class TooLarge(OSError):
-    """A file of `size` bytes, where fewer are read."""
+    """A file has `size` bytes, which is more than the limit of the read."""
 
     def __init__(self, size: int, cap: int) -> None:
         super().__init__(errno.EFBIG, f"it has {size:,} bytes, and more than {cap:,} are not read")
@@ -37,16 +37,19 @@ class TooLarge(OSError):
 
 
 def real_path(path: PathName) -> Path:
-    """Return a path with all links resolved. Never raises: a link to itself is resolved as far as possible."""
+    """Return a path with all links resolved. Never raises: a link that points to itself is resolved as far as possible."""
     return Path(os.path.realpath(path))
 
 
 def open_regular(path: PathName, *, follow: bool = True, folder: int | None = None) -> int:
-    """Return a handle on a regular file, to be closed by the caller. `follow`: follow a link at the end of the path. `folder`: an
-    open folder that the path is relative to. Raises NotRegular or another OSError.
+    """Return a handle on a regular file, to be closed by the caller. Raises NotRegular or another OSError.
 
-    A file that is not regular is not even opened: opening alone can wake the writer of a pipe, or start a device. If another file
-    takes its place in between, O_NONBLOCK prevents waiting, and the type of the handle is checked again."""
+    `follow`: follow a link at the end of the path.
+    `folder`: the handle of an open folder that the path is relative to.
+
+    A file that is not regular is not even opened, because opening alone can wake the writer of a pipe or start a device. If
+    another file replaces it in between, O_NONBLOCK prevents waiting, and the type of the handle is checked again.
+    """
     below = {"dir_fd": folder} if folder is not None and _CAN_OPEN_BY_LEVEL else {}
     try:
         _require_regular(os.stat(path, follow_symlinks=follow, **below))
@@ -69,7 +72,7 @@ def _require_regular(status: os.stat_result) -> None:
 
 
 def size_of(handle: int, cap: int) -> int:
-    """The size of an open file in bytes; TooLarge above `cap`."""
+    """Return the size of an open file in bytes. Raises TooLarge above `cap`."""
     size = os.fstat(handle).st_size
     if size > cap:
         raise TooLarge(size, cap)
@@ -77,8 +80,8 @@ def size_of(handle: int, cap: int) -> int:
 
 
 def read_blocks(handle: int, cap: int) -> Iterator[bytes]:
-    """Yield the contents of an open file in blocks. Raises TooLarge above `cap` bytes: before any read, or as soon as a growing
-    file passes it. The handle stays open."""
+    """Yield the contents of an open file in blocks. The handle stays open. Raises TooLarge for a file of more than `cap` bytes:
+    before any read, or as soon as a growing file exceeds the limit."""
     size_of(handle, cap)
     left = cap + 1
     while part := os.read(handle, min(left, _READ_BLOCK_BYTES)):
@@ -89,7 +92,7 @@ def read_blocks(handle: int, cap: int) -> Iterator[bytes]:
 
 
 def read_handle(handle: int, cap: int) -> bytes:
-    """Read all of an open file and close it; raise TooLarge above `cap` bytes."""
+    """Read an open file to its end, close it, and return its bytes. Raises TooLarge above `cap` bytes."""
     try:
         return b"".join(read_blocks(handle, cap))
     finally:
@@ -97,12 +100,12 @@ def read_handle(handle: int, cap: int) -> bytes:
 
 
 def read_bounded(path: PathName, cap: int, *, follow: bool = True) -> bytes:
-    """Return all of a regular file. Raises NotRegular, TooLarge or another OSError. `follow` as in `open_regular`."""
+    """Return all bytes of a regular file. Raises NotRegular, TooLarge or another OSError. `follow`: as in `open_regular`."""
     return read_handle(open_regular(path, follow=follow), cap)
 
 
 def read_start(path: PathName, count: int) -> bytes:
-    """Read the first bytes of a regular file, at most `count`; links are followed. Raises OSError if there is none."""
+    """Return the first bytes of a regular file, at most `count`. Links are followed. Raises OSError if there is no such file."""
     handle = open_regular(path)
     try:
         return os.read(handle, count)
@@ -111,7 +114,8 @@ def read_start(path: PathName, count: int) -> bytes:
 
 
 def open_bounded(path: PathName, cap: int, *, follow: bool = True) -> IO[bytes]:
-    """Open a regular file of at most `cap` bytes for random access. Raises OSError. `follow` as in `open_regular`."""
+    """Open a regular file of at most `cap` bytes for random access. Raises NotRegular, TooLarge or another OSError. `follow`: as
+    in `open_regular`."""
     handle = open_regular(path, follow=follow)
     try:
         size_of(handle, cap)

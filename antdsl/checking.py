@@ -1,5 +1,5 @@
-"""Checks many files, on all cores where the system can fork processes that share loaded modules; results equal those of checking
-one by one."""
+"""Checks many files. Where the system can fork processes that share loaded modules, all cores are used. Results equal those of
+checking one file after the other."""
 
 from __future__ import annotations
 
@@ -33,7 +33,12 @@ MAX_GROUPS = 256  # that a byte can name; what is beyond is checked in the end
 
 @dataclass(slots=True)
 class CheckResult:
-    """Results of checking files: a report for each in their order, the texts that were read, and the programs, if requested."""
+    """Results of checking files.
+
+    `reports`: the report of each file, in the order of the files.
+    `sources`: the texts that were read.
+    `programs`: the programs, if requested.
+    """
 
     reports: dict[Path, Report] = field(default_factory=dict)
     sources: list[Source] = field(default_factory=list)
@@ -56,8 +61,11 @@ def check_all(
     programs: bool = False,
     cpu_seconds: float = 0.0,
 ) -> CheckResult:
-    """Check each file as `check_path` does, on `cores` cores. `programs` also returns the programs, which requires one process. A
-    file that takes more than `cpu_seconds` of processor time is reported; 0 is no limit."""
+    """Check each file as `check_path` does, on `cores` cores.
+
+    `programs`: also return the programs; this requires `cores` = 1.
+    `cpu_seconds`: limit of processor time per file; a file that exceeds it is reported. 0 means no limit.
+    """
     result = CheckResult(cpu_seconds=cpu_seconds)
     groups = _group_files(files)
     parsed = SharedParsedFiles()
@@ -73,7 +81,7 @@ def check_all(
 
 
 def check_text(data: bytes, choices: RunChoices, *, strict: bool = False, cpu_seconds: float = 0.0) -> CheckResult:
-    """Check one program that is not in a file. Its imports are resolved from the working directory."""
+    """Check one program that does not come from a file. Its imports are resolved from the working directory."""
     path, parsed, result = Path("<stdin>.ant"), SharedParsedFiles(), CheckResult(cpu_seconds=cpu_seconds)
     source, report = syntax.read_bytes("<stdin>", data)
     if source is None:
@@ -139,7 +147,8 @@ def _check(
 
 
 def _overdue_report(file: Path, seconds: float, spent: CpuBudgetSpent) -> Report:
-    """Return the report of a file that took too long: its place, and the stage of the check that was running."""
+    """Return the report of a file that exceeded its processor time. It names the file and the stage of the check that was
+    running."""
     modules = [each.f_globals.get("__name__", "") for each, _ in traceback.walk_tb(spent.__traceback__)]
     stages = [name.split(".")[1] for name in modules if name.startswith("antdsl.") and name != __name__]
     stage = next((each for each in reversed(stages) if each in _STAGE_PHRASES), "")
@@ -163,7 +172,7 @@ _STAGE_PHRASES = {
 
 
 def _group_files(files: Sequence[Path]) -> list[list[Path]]:
-    """Group files that may use each other: those of a folder and of all folders below it. Small groups come first."""
+    """Group files that may use each other: the files of a folder and of all folders below it. Small groups come first."""
     groups: dict[Path, list[Path]] = {}
     tops: list[Path] = []
     for folder in sorted({real_path(file).parent for file in files}):
@@ -185,14 +194,14 @@ def _file_weight(files: Iterable[Path]) -> int:
 
 
 def _can_fork() -> bool:
-    """Return whether this process may fork: only on Linux, and not if the threads of a ray library are loaded."""
+    """Return whether this process can fork safely: only on Linux, and only if no ray library with threads is loaded."""
     return sys.platform == "linux" and "open3d" not in sys.modules
 
 
 def _start_child(
     groups: Sequence[list[Path]], claims: int, choices: RunChoices, strict: bool, parsed: SharedParsedFiles, cpu_seconds: float
 ) -> tuple[int, int]:
-    """Start a child process that checks groups; return its process id and the pipe of its result."""
+    """Start a child process that checks groups of files. Return its process id, and the handle of the pipe with its result."""
     ours, theirs = os.pipe()
     process = os.fork()
     if process == 0:
@@ -226,7 +235,7 @@ def _run_child(
 
 
 def _collect_child(process: int, pipe: int) -> CheckResult:
-    """Return the result of a child; empty if it ended before or during its answer."""
+    """Return the result of a child process. It is empty if the child ended before or during its answer."""
     results = CheckResult()
     with os.fdopen(pipe, "rb") as file, suppress(ValueError):
         results.reports, results.sources = decode_reports(file.read())

@@ -1,12 +1,13 @@
-"""How child processes start: with search paths that never name the working directory.
+"""Starts child processes with search paths that never contain the working directory.
 
-Python looks for modules in the working directory first when it starts with `-c` or `-m`. So does every child that the standard
-library or Dask starts. `isolate` disables that for this process and for all its children, whatever code starts them.
-`module_command` and `module_environment` start a module of ours.
+Started with `-c` or `-m`, Python first looks for modules in the working directory. All children that the standard library or Dask
+start do the same. `isolate` disables this for the current process and all its children, whatever code starts them.
+`module_command` and `module_environment` start a module of antdsl.
 
-An empty or relative entry of `PATH`, `PYTHONPATH` or a list of library folders means the working directory. It is removed: people
-rarely write it on purpose (`PYTHONPATH=$PYTHONPATH:/studio` with an empty variable), and a project that is opened must not gain
-from it. Absolute entries are the user's own choice."""
+An empty or relative entry of `PATH`, `PYTHONPATH` or a list of library folders means the working directory. `isolate` removes
+such entries. They are rarely intended (`PYTHONPATH=$PYTHONPATH:/studio` with an empty variable), and would let an opened project
+run its own code. Absolute entries are the user's own choice.
+"""
 
 import os
 import sys
@@ -20,8 +21,9 @@ INSTALLATION_FOLDER = os.path.dirname(os.path.dirname(os.path.abspath(__file__))
 def isolate() -> None:
     """Remove the working directory from all search paths of this process and of its children. A second call changes nothing.
 
-    The change lasts for the life of the process: a pool starts its children when tasks come, and libraries start theirs in
-    separate threads."""
+    The change lasts for the life of the process. It cannot be limited to one call: a pool starts its children when tasks arrive,
+    and libraries start theirs in separate threads.
+    """
     relative = _relative_entries(os.environ.get("PYTHONPATH", ""))
     for name in SEARCH_PATH_VARIABLES:
         if value := os.environ.get(name):
@@ -39,12 +41,12 @@ def isolate() -> None:
 
 
 def module_command(module: str, *arguments: str) -> list[str]:
-    """The command that runs a module of ours in a new interpreter. It needs `module_environment`."""
+    """Return the command that runs a module of antdsl in a new interpreter. The command needs `module_environment`."""
     return [sys.executable, "-P", "-m", module, *arguments]
 
 
 def module_environment() -> dict[str, str]:
-    """Return the environment of such a command: this process's own, so that the child imports the same antdsl."""
+    """Return the environment for `module_command`: that of this process, so that the child imports the same antdsl."""
     isolate()
     path = [entry for entry in os.environ.get("PYTHONPATH", "").split(os.pathsep) if entry]
     if os.path.basename(INSTALLATION_FOLDER) not in ("site-packages", "dist-packages") and INSTALLATION_FOLDER not in path:

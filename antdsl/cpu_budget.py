@@ -1,4 +1,4 @@
-"""The processor time that a piece of work may take, including other processes that work for it."""
+"""A limit of processor time for a piece of work, including other processes that work for it."""
 
 from __future__ import annotations
 
@@ -18,13 +18,16 @@ _SOONEST_SIGNAL_SECONDS = 1e-6
 
 
 class CpuBudgetSpent(BaseException):
-    """A piece of work has taken more processor time than it may. No handler of Exception may swallow this."""
+    """The work has used more processor time than its budget. Derived so that no handler of Exception catches it."""
 
 
 @contextmanager
 def cpu_budget(seconds: float) -> Iterator[None]:
-    """Raise CpuBudgetSpent inside the context once this process and charged time exceed `seconds` of processor time; 0 is no
-    limit. Main thread only, and not on Windows, which lacks such a timer. A running library call finishes first."""
+    """Raise CpuBudgetSpent inside the context once this process and charged time exceed `seconds` of processor time. 0 is no
+    limit.
+
+    For the main thread only. Does nothing on Windows, which has no such timer. A library call that is running finishes first.
+    """
     global _budget_process, _budget_end_seconds
     if not seconds or not hasattr(signal, "setitimer") or threading.current_thread() is not threading.main_thread():
         yield
@@ -45,12 +48,12 @@ def cpu_budget(seconds: float) -> Iterator[None]:
 
 
 def remaining_seconds() -> float:
-    """Seconds of the budget that are left; infinite where there is no budget."""
+    """Return the remaining seconds of the budget; infinity without a budget."""
     return max(_budget_end_seconds - time.process_time(), 0.0) if _budget_process == os.getpid() else math.inf
 
 
 def charge(seconds: float) -> None:
-    """Charge processor time of another process to the budget. Raises CpuBudgetSpent in the main thread if nothing is left."""
+    """Subtract processor time of another process from the budget. Raises CpuBudgetSpent in the main thread if nothing is left."""
     global _budget_end_seconds
     if _budget_process != os.getpid():
         return

@@ -1,8 +1,9 @@
-"""A shot as a job for any render farm: a scene in, steps with dependencies out.
+"""A shot as a job for any render farm. The input is a scene, the output is steps with dependencies.
 
 `shot_job` defines the commands of a shot and their dependencies. `job_template` writes them as a template of Open Job
-Description, `json_lines` as lines for any script. Every command may be stopped and restarted: it continues from existing
-results."""
+Description, `json_lines` as one line per command for any script. Every command may be stopped and restarted: it continues from
+existing results.
+"""
 
 from __future__ import annotations
 
@@ -20,7 +21,7 @@ _PLACEHOLDER = re.compile("\0(\\w+)\0")  # no word of a command line has this ch
 
 @dataclass(frozen=True, slots=True)
 class JobPath:
-    """A path that may differ on another machine. `flow`: whether it is read, written, or both."""
+    """A path that may differ on another machine. `flow`: whether it is read (IN), written (OUT), or both (INOUT)."""
 
     name: str
     path: Path
@@ -30,8 +31,11 @@ class JobPath:
 
 @dataclass(frozen=True, slots=True)
 class Step:
-    """One command, or one for each chunk of frames. In `command`, `_placeholder` stands for a path or the chunk. `needs`: steps
-    that must finish first."""
+    """One command, or one command per chunk of frames.
+
+    `command`: the words; `_placeholder` stands for a path or the chunk.
+    `needs`: the steps that must finish first.
+    """
 
     name: str
     description: str
@@ -41,13 +45,13 @@ class Step:
     grace: int = 120  # seconds from SIGTERM to SIGKILL
 
     def fixed_texts(self) -> list[str]:
-        """Return the parts of the command that are the same on all machines and for all chunks."""
+        """Return the parts of the command that are equal on all machines and for all chunks."""
         return [text for word in self.command for text in _PLACEHOLDER.split(word)[::2]]
 
 
 @dataclass(frozen=True, slots=True)
 class Job:
-    """All steps of a shot, in a valid execution order."""
+    """All steps of a shot. Each step comes after the steps that it needs."""
 
     name: str
     paths: tuple[JobPath, ...]
@@ -56,8 +60,12 @@ class Job:
 
 @dataclass(frozen=True, slots=True)
 class Shot:
-    """The requested output: frames `first` to `last` of a scene, one drawn in `every` frames, `chunk` pictures per task. `run`
-    and `render`: extra arguments of these commands."""
+    """The requested output: frames `first` to `last` of a scene.
+
+    `every`: one frame in `every` is drawn.
+    `chunk`: pictures per task.
+    `run` and `render`: extra arguments of these two commands.
+    """
 
     scene: Path
     cache: Path
@@ -73,7 +81,7 @@ class Shot:
 
 
 def shot_job(shot: Shot, name: str) -> Job:
-    """Return the job that makes a shot."""
+    """Return the job that simulates and draws a shot."""
     project = JobPath("Project", shot.scene.parent, "IN", "The folder of the scene, with all that lies below it")
     cache = JobPath("Cache", shot.cache, "INOUT", "The folder of the cache")
     pictures = JobPath("Pictures", shot.pictures, "INOUT", "The folder of the pictures")
@@ -105,7 +113,8 @@ def shot_job(shot: Shot, name: str) -> Job:
 
 
 def frame_chunks(first: int, last: int, every: int, count: int) -> tuple[str, ...]:
-    """Return ranges of frames that have `count` pictures each, the last perhaps fewer; each begins with a picture."""
+    """Return ranges of frames with `count` pictures each; the last may have fewer. Each range begins with a frame that is
+    drawn."""
     starts = range(first, last + 1, every * count)
     return tuple(f"{start}..{min(start + every * count - 1, last)}" for start in starts)
 
@@ -120,8 +129,12 @@ def _command_words(command: Sequence[str], values: Mapping[str, str]) -> list[st
 
 
 def json_lines(job: Job) -> str:
-    """Return a line for each command, in a valid execution order: `name`, `step`, `command` as words, and `needs`, the names of
-    the commands that must finish first. Paths are absolute paths of this machine."""
+    """Return one JSON line per command, each after the commands that it needs. Paths are absolute paths of this machine.
+
+    `name` and `step`: names of the command and of its step.
+    `command`: the words.
+    `needs`: the names of the commands that must finish first.
+    """
     paths = {place.name: str(place.path.resolve()) for place in job.paths}
     names = {step.name: [_command_name(step, frames) for frames in step.chunks or ("",)] for step in job.steps}
     lines = []
@@ -139,10 +152,12 @@ def _command_name(step: Step, frames: str) -> str:
 
 
 def job_template(job: Job, folder: Path) -> dict[str, Any]:
-    """Return a template of Open Job Description, revision 2023-09, as JSON values, without any extension of it
-    (https://github.com/OpenJobDescription/openjd-specifications/wiki/2023-09-Template-Schemas). `folder`: where its file will
-    lie. Places below it are relative to it. The submitter of the job must name others, as the specification lets no template lead
-    out of its folder."""
+    """Return a template of Open Job Description, revision 2023-09, as JSON values, without extensions of the format
+    (https://github.com/OpenJobDescription/openjd-specifications/wiki/2023-09-Template-Schemas).
+
+    `folder`: the folder of the template file. Paths below it are written relative to it. All other paths must be named by the
+        submitter of the job, because the specification forbids paths that lead out of that folder.
+    """
     return {
         "specificationVersion": "jobtemplate-2023-09",
         "name": job.name,
@@ -152,7 +167,7 @@ def job_template(job: Job, folder: Path) -> dict[str, Any]:
 
 
 def paths_to_name(job: Job, folder: Path) -> list[JobPath]:
-    """Return the places that the submitter of the job must name."""
+    """Return the paths that the submitter of the job must name: those outside `folder`, the folder of the template file."""
     return [place for place in job.paths if _path_below(place, folder) is None]
 
 

@@ -19,8 +19,9 @@ SKIPPED_FOLDERS = frozenset(["node_modules", "__pycache__", "out", "build", "dis
 
 
 def find_files(paths: Iterable[Path]) -> tuple[list[Path], Report]:
-    """Return the programs and scenes that paths select: files themselves, matches of patterns such as `shots/**/*.ant`, and files
-    in folders. Folders are searched without following links; hidden ones are left out."""
+    """Return the programs and scenes that paths select, and a report. A path selects a file, the matches of a pattern such as
+    `shots/**/*.ant`, or all programs and scenes of a folder. Folders are searched without following links, and hidden ones are
+    skipped."""
     matches: dict[Path, None] = {}
     report = Report()
     for path in _expand_patterns(paths, report):
@@ -55,7 +56,7 @@ def _expand_patterns(paths: Iterable[Path], report: Report) -> Iterator[Path]:
 
 
 def load_sources(files: Iterable[Path], parsed: ParsedFileCache) -> list[Source]:
-    """Return the readable texts of checked files: programs as they were parsed, and scenes."""
+    """Return the texts of the checked files that can be read: programs as they were parsed, and scenes."""
     texts = [file.source for file, _ in parsed.values() if not file.source.path.startswith("<")]
     for path in files:
         if path.suffix != ".ant":
@@ -68,7 +69,7 @@ def load_sources(files: Iterable[Path], parsed: ParsedFileCache) -> list[Source]
 
 
 def _is_scene(path: Path) -> bool:
-    """Return whether a YAML file begins like a scene; a folder may hold other YAML files."""
+    """Return whether a YAML file begins like a scene; folders may contain other YAML files."""
     try:
         lines = read_start(path, 4096).removeprefix(b"\xef\xbb\xbf").splitlines()
     except OSError:

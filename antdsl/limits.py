@@ -1,4 +1,4 @@
-"""Every cap in one place. A person may raise one by a flag of the command line; a program or a scene never can."""
+"""All limits of sizes and counts. A user may raise some of them by flags of the command line; a program or a scene never can."""
 
 from __future__ import annotations
 

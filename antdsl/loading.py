@@ -1,5 +1,5 @@
-"""Access to the text behind names: programs that a scene or a person names, the library behind `use steering`, files behind `use
-"./mine.ant"`. Each file is read and parsed once; its hash is stored for the cache."""
+"""Loads the texts behind names: programs that a scene or a user names, the library file of `use steering`, and the file of `use
+"./mine.ant"`. Each file is read and parsed once, and its hash is stored for the cache."""
 
 from __future__ import annotations
 
@@ -24,8 +24,11 @@ ParsedFileCache = dict[str, tuple[nodes.File, Report]]
 
 
 class SharedParsedFiles(ParsedFileCache):
-    """The same for many files that do not change meanwhile. `checked`: results for the same files, as a scene's program is that
-    of its file. The names of the libraries that it uses are stored with it."""
+    """A cache of parsed files for checking many files that do not change meanwhile.
+
+    `checked`: results of checking programs, so that a program that several scenes name is checked once. Each result also has the
+        names of the libraries that the program uses.
+    """
 
     def __init__(self) -> None:
         super().__init__()
@@ -33,21 +36,25 @@ class SharedParsedFiles(ParsedFileCache):
 
 
 def find_library(name: str) -> nodes.File | None:
-    """The file behind `use NAME`, or None when there is none. The same object as long as its text is the same."""
+    """Return the file behind `use NAME`, or None if there is none. Returns the same object as long as the file's text is the
+    same."""
     return LoadedSources(Path()).find_library(name)
 
 
 @lru_cache(maxsize=64)
 def _parsed_library(name: str, text: str) -> tuple[nodes.File, Report]:
-    """Return a parsed library file, cached: parsing takes longer than the check of the parts that most programs use."""
+    """Return a parsed library file, cached: parsing takes longer than checking the parts that most programs use."""
     return syntax.parse(Source(name, text))
 
 
 @dataclass(slots=True)
 class LoadedSources:
-    """Programs and what they use. `modules` is by the path as written in `use`; `texts` are all sources by their path below
-    `folder`, library files as `<steering>`; `parsed`
-    may be shared by several of these, so that a file is read once and has one place."""
+    """Programs and the files that they use.
+
+    `modules`: used files, by the path as written in `use`.
+    `texts`: all sources, by their path below `folder`; library files as `<steering>`.
+    `parsed`: a cache that several LoadedSources may share, so that each file is read once and findings have one location.
+    """
 
     folder: Path
     files: list[nodes.File] = field(default_factory=list)
@@ -60,7 +67,7 @@ class LoadedSources:
     _bytes: int = 0
 
     def find_library(self, name: str) -> nodes.File | None:
-        """The file behind `use NAME`, or None when there is none."""
+        """Return the file behind `use NAME`, or None if there is none."""
         if name not in self._library:
             path = library_file(name)
             self._library[name] = None if path is None else self._parse(path, f"<{name}>", of_library=True)
@@ -71,7 +78,7 @@ class LoadedSources:
         return tuple(self._library)
 
     def add_file(self, path: Path) -> nodes.File | None:
-        """Add a program that the user named. It may have any path; files that it uses must be below its folder."""
+        """Add a program that the user named. The program may have any path, but files that it uses must be below its folder."""
         file = self._parse(path, str(path))
         if file is not None:
             self.files.append(file)
@@ -79,7 +86,7 @@ class LoadedSources:
         return file
 
     def add_named(self, text: str, roots: Roots, span: Span) -> nodes.File | None:
-        """Add a program that a scene names, with the scene's access to files. Return None if it cannot be read."""
+        """Add a program that a scene names. It has the scene's access to files. Return None if it cannot be read."""
         path = self._locate(text, roots, span)
         if path is None:
             return None
@@ -117,8 +124,8 @@ class LoadedSources:
         *,
         of_library: bool = False,
     ) -> nodes.File | None:
-        """Return a parsed file, or None with the reason in the report. `origin`: the roots that the file may lie in, and its path
-        there. None for a file of the library or one that the person named."""
+        """Return a parsed file, or None with the reason in the report. `origin`: the roots that may contain the file, and its
+        path there. It is None for a file of the library, and for one that the user named."""
         place = os.path.realpath(path)
         if place in self.parsed:
             file, report = self.parsed[place]
@@ -180,12 +187,12 @@ class LoadedSources:
 
 
 def use_lines(file: nodes.File) -> tuple[nodes.Use, ...]:
-    """The `use` lines of a file."""
+    """Return the `use` lines of a file."""
     return tuple(item for item in file.items if isinstance(item, nodes.Use))
 
 
 def display_path(path: Path) -> str:
-    """Return a path for display: relative to the working directory if it is below it."""
+    """Return a path for display: relative to the working directory if the path is below it."""
     try:
         return str(path.relative_to(Path.cwd()))
     except ValueError:

@@ -1,6 +1,7 @@
-"""The complete chain: text → tree → program → plan, scene → setting, both → a world that steps.
+"""The complete chain from text to simulation: text → tree → program → plan; scene → setting; plan and setting → a world.
 
-Every stage returns `(result, Report)`; a result is None where errors prevent it."""
+Every stage returns `(result, Report)`. The result is None if errors prevent it.
+"""
 
 from __future__ import annotations
 
@@ -34,7 +35,7 @@ SKIPPED_FOLDERS = frozenset(["node_modules", "__pycache__", "out", "build", "dis
 
 @dataclass(frozen=True, slots=True)
 class RunChoices:
-    """What the user of a scene chooses in addition: granted roots, and values that override the scene's own."""
+    """Choices of the user in addition to the scene: granted roots, and values that override the scene's own."""
 
     grants: Mapping[str, Path] = field(default_factory=dict)
     frames: FrameRange | None = None
@@ -45,8 +46,12 @@ class RunChoices:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Shot:
-    """A scene that is ready to be simulated. `inputs` has a hash of everything that the result depends on, by name. `loaded` are
-    the texts of the program. `bodies`: by species, those from files."""
+    """A scene that is ready to be simulated.
+
+    `inputs`: a hash, by name, of everything that the result depends on.
+    `loaded`: the texts of the program.
+    `bodies`: by species, the bodies that come from files.
+    """
 
     scene: Scene
     program: Program
@@ -66,7 +71,9 @@ def compile_files(
 ) -> tuple[Program | None, Report]:
     """Parse and check programs together, with the library and all files that they use.
 
-    `strict` adds the findings of `check --strict`. `parsed` and `memo` cache what was parsed and checked, for the next call."""
+    `strict`: add the findings of `check --strict`.
+    `parsed` and `memo`: caches of parsed and checked parts, for the next call.
+    """
     files = [Path(path) for path in paths]
     loaded = LoadedSources(real_path(files[0]).parent if files else Path.cwd(), parsed={} if parsed is None else parsed)
     for file in files:
@@ -103,8 +110,12 @@ def open_scene(
     thorough: bool = True,
     raw: bool = False,
 ) -> tuple[Shot | None, Report]:
-    """Everything from a scene's file to a shot: read, compile, match, lower, optimise, stage. `parsed` as in `compile_files`,
-    `thorough` as in `passes.optimise`; `raw`: the plan as lowered, before any pass."""
+    """Read a scene, compile its programs, and return the shot, or None, with the report.
+
+    `parsed`: as in `compile_files`.
+    `thorough`: as in `passes.optimise`.
+    `raw`: return the plan before any pass.
+    """
     path = Path(path)
     from antdsl import passes, plan
     from antdsl.bodies.crowd_bodies import crowd_bodies
@@ -142,7 +153,7 @@ def open_scene(
 
 
 def _undrawn_things(scene: Scene) -> frozenset[str]:
-    """Things of the world that pictures leave out."""
+    """Return the names of things of the world that pictures leave out."""
     return frozenset(name for name, thing in scene.model.world.items() if getattr(thing, "look", None) == "none")
 
 
@@ -154,7 +165,7 @@ def _read_scene(
     data: bytes | None = None,
     texts: Mapping[Path, bytes] | None = None,
 ) -> tuple[Scene | None, Program | None, LoadedSources, Report]:
-    """The scene, the programs of its crowd checked together, and how they match."""
+    """Return the scene, its programs checked together, their sources, and a report of how scene and programs match."""
     from antdsl.scene.load import load, load_text
     from antdsl.scene.matching import match_scene
     from antdsl.scene.overriding import read_overrides
@@ -189,8 +200,8 @@ def _read_scene(
 
 
 def _begin_reading(scene: Scene) -> None:
-    """Announce a new scene to the reader. If the scene has things from USD files, USD is loaded while the programs are
-    checked."""
+    """Notify the reader of foreign formats of a new scene. If the scene has things from USD files, the USD library is loaded
+    while the programs are checked."""
     if "antdsl.reader.client" in sys.modules:
         from antdsl.reader import client
 
@@ -205,8 +216,8 @@ _MISSING_CROWD_HELP = "add `crowd:` and below it `  - {species: NAME, from: FILE
 
 
 def simulate(shot: Shot, options: Options | None = None) -> Iterator[World]:
-    """Step through a shot. Yield the world at each frame from first to last, after the preroll. It is the same World object each
-    time."""
+    """Step through a shot. Yield the world at each frame from first to last, after the preroll. The yielded object is always the
+    same World."""
     from antdsl.runtime import bind, step
 
     world = bind(shot.plan, shot.setting, options)
@@ -221,10 +232,11 @@ def simulate(shot: Shot, options: Options | None = None) -> Iterator[World]:
 def check_scene_text(
     path: Path, texts: Mapping[Path, bytes], *, parsed: ParsedFileCache | None = None
 ) -> tuple[Scene | None, Program | None, Report]:
-    """Check a scene as in an editor, with its programs and bodies: everything in `check_path` except findings about the meshes of
-    its world.
+    """Check a scene as in an editor, with its programs and bodies. The findings are those of `check_path`, except those about the
+    meshes of its world.
 
-    `texts` are the scenes that override those on disk: this one, and those that it extends."""
+    `texts`: texts that override scenes on disk: this scene, and the scenes that it extends.
+    """
     from antdsl.bodies.crowd_bodies import crowd_bodies
 
     scene, program, _, report = _read_scene(path, RunChoices(), parsed=parsed, data=texts[path], texts=texts)
@@ -241,9 +253,11 @@ def check_path(
     parsed: ParsedFileCache | None = None,
     specs: bool = True,
 ) -> tuple[Program | None, Report]:
-    """Check a file without running it: a program alone, or a scene with its programs and meshes. With one `parsed` for many
-    files, findings about a program have one location, whichever file names it. `specs`: also check that the scenes of its specs
-    exist."""
+    """Check a file without running it: a program alone, or a scene with its programs and meshes.
+
+    `parsed`: a cache for many files. With it, findings about a program have one location, whichever file names the program.
+    `specs`: also check that the scenes of the program's specs exist.
+    """
     from antdsl.scene.existence_checks import check_spec_scenes
 
     choices = choices or RunChoices()
@@ -268,7 +282,8 @@ def check_path(
 
 
 def mesh_imports(path: Path, choices: RunChoices) -> tuple[Mapping[str, MeshImport], str]:
-    """Return by name the import notes of each readable mesh of a scene, whatever else is wrong, and the scene's unit."""
+    """Return the import report of each readable mesh of a scene by name, and the scene's unit. Other errors of the scene do not
+    matter."""
     from antdsl.scene.staging.stage_scene import import_reports
 
     scene, program, _, _ = _read_scene(path, choices)
@@ -278,8 +293,10 @@ def mesh_imports(path: Path, choices: RunChoices) -> tuple[Mapping[str, MeshImpo
 def _attribute_warnings(report: Report, scene: Scene, program: Program, setting: WorldSetting | None) -> list[Diagnostic]:
     """Return the warnings about attributes that do not hold in a scene.
 
-    These say that an attribute is constant, where the scene sets it for some agents at the start. Or they say that it is never
-    read, where the scene writes it to the cache."""
+    One kind of warning says that an attribute is constant; it does not hold if the scene sets the attribute for some agents at
+    the start. The other kind says that an attribute is never read; it does not hold if the scene writes the attribute to the
+    cache.
+    """
     initial_attributes = setting.initial_attributes if setting is not None else {}
     initial_spans = [a.span for name, of in initial_attributes.items() for a in program.species[name].attributes if a.name in of]
     output = scene.model.output.attributes

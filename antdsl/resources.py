@@ -1,5 +1,5 @@
 """Locations of the files that come with antdsl: the grammar, the behaviour library, the code pages, the preview's page, examples,
-the files of a new project. Only this module knows them."""
+and the files of a new project. No other module knows these locations."""
 
 from __future__ import annotations
 
@@ -10,28 +10,28 @@ _PACKAGE_FOLDER = Path(__file__).resolve().parent
 
 
 def _folder(name: str) -> Path:
-    """Return a folder: in `_data` in an installed package, next to the package in a checkout."""
+    """Return the path of a folder: in `_data` in an installed package, next to the package in a checkout."""
     packed = _PACKAGE_FOLDER / "_data" / name
     return packed if packed.is_dir() else _PACKAGE_FOLDER.parent / name
 
 
 def grammar_folder() -> Path:
-    """The folder of the grammar, its tables and the language reference."""
+    """Return the folder of the grammar, its tables and the language reference."""
     return _folder("grammar")
 
 
 def behaviours_folder() -> Path:
-    """The folder of the library, one `.ant` file for each name that `use NAME` can bring."""
+    """Return the folder of the library; it has one `.ant` file for each name that `use NAME` accepts."""
     return _folder("behaviours")
 
 
 def grammar_file(name: str) -> Path:
-    """A file of the grammar's folder, such as `tables.json`."""
+    """Return the path of a file of the grammar's folder, such as `tables.json`."""
     return grammar_folder() / name
 
 
 def library_names() -> tuple[str, ...]:
-    """The names that `use NAME` can bring, sorted."""
+    """Return the names that `use NAME` accepts, sorted."""
     return tuple(sorted(path.stem for path in behaviours_folder().glob("*.ant")))
 
 
@@ -42,17 +42,17 @@ def library_file(name: str) -> Path | None:
 
 
 def example_file(name: str) -> Path:
-    """A file of the examples that ship with the package, such as `foraging/scene.yaml`: those that `antdsl bench` measures."""
+    """Return the path of a file of the shipped examples, such as `foraging/scene.yaml`; `antdsl bench` measures them."""
     return _folder("examples") / name
 
 
 def project_file(name: str) -> Path:
-    """A file of the project that `antdsl new` writes."""
+    """Return the path of a file of the project that `antdsl new` writes."""
     return _PACKAGE_FOLDER / "cli" / "project" / name
 
 
 def code_page(code: str) -> Path | None:
-    """The page of a diagnostic's code, in Markdown, or None when there is none."""
+    """Return the Markdown page of a diagnostic's code, or None if there is none."""
     page = _folder("docs/codes") / f"{code}.md"
     return page if page.is_file() else None
 
@@ -63,5 +63,5 @@ def page_file(name: str) -> Path:
 
 
 def body_file(name: str) -> Path:
-    """Return a file of the bodies that come with antdsl: `bodies.json`, `ant.json`, `ant.glb`."""
+    """Return the path of a file of the bodies that come with antdsl: `bodies.json`, `ant.json`, `ant.glb`."""
     return _PACKAGE_FOLDER / "bodies" / "data" / name

@@ -8,8 +8,8 @@ from dataclasses import dataclass, field
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Source:
-    """The text of one file, with its display name. `part`: the number of a part of a file, 0 for a whole file. A part is a
-    separate source, so that it can move in its file unchanged."""
+    """The text of one file, with its display name. `part`: the number of a part of a file, 0 for a complete file. Each part is a
+    separate source, so that it can move within the file without a change."""
 
     path: str
     text: str
@@ -25,13 +25,13 @@ class Source:
         object.__setattr__(self, "_starts", tuple(starts))
 
     def line_column(self, offset: int) -> tuple[int, int]:
-        """Line and column of a character offset, both counted from 1."""
+        """Return line and column of a character offset, both counted from 1."""
         offset = max(0, min(offset, len(self.text)))
         line = bisect_right(self._starts, offset)
         return line, offset - self._starts[line - 1] + 1
 
     def line_text(self, line: int) -> str:
-        """The text of a line counted from 1, without its line end."""
+        """Return the text of a line, counted from 1, without its line end."""
         if not 1 <= line <= len(self._starts):
             return ""
         start = self._starts[line - 1]
@@ -52,7 +52,7 @@ class Span:
         return self.source.text[self.start : self.end]
 
     def to(self, other: Span) -> Span:
-        """The smallest span that holds both."""
+        """Return the smallest span that contains both."""
         return Span(self.source, min(self.start, other.start), max(self.end, other.end))
 
     def __str__(self) -> str:

@@ -17,13 +17,14 @@ _SKIPPED_FOLDERS = frozenset(["_data", "page", "web", "__pycache__"])
 
 
 def has_modules() -> bool:
-    """Return whether the installation has the sources of its modules; without them, `sources` does not depend on the code."""
+    """Return whether the installation has the sources of its modules. Without them, the result of `sources` does not depend on
+    the code."""
     return antdsl.__file__.endswith(".py")
 
 
 @cache
 def sources() -> str:
-    """A hash of the package's modules, its library of behaviours and its grammar, by name: 24 hexadecimal digits."""
+    """Return a hash of the package's modules, its library of behaviours and its grammar, by name: 24 hexadecimal digits."""
     hashed = blake2b(digest_size=12)
     for start in (Path(antdsl.__file__).parent, behaviours_folder(), grammar_folder()):
         for folder, inner, files in os.walk(start):

@@ -1,7 +1,8 @@
 """Folders of the user who runs this process, and private files in them.
 
-The home folder comes from the password database, on Windows from the system's known folders. `HOME` and `XDG_*` are not read:
-they may point into an untrusted project, but the contents of these folders are trusted."""
+The home folder comes from the password database, on Windows from the system's known folders. `HOME` and `XDG_*` are not read,
+because they may point into an untrusted project, and antdsl trusts the contents of these folders.
+"""
 
 from __future__ import annotations
 
@@ -16,11 +17,11 @@ _LOCAL_APP_DATA_FOLDER_ID = "f1b32785-6fba-4fcf-9d55-7b8e7f157091"  # the known 
 
 
 class NotPrivate(PermissionError):
-    """A file or folder that another user could have written or read; the text says why."""
+    """A file or folder could have been written or read by another user; the message says why."""
 
 
 def home_folder() -> Path:
-    """The home folder of the effective user. OSError where the system knows none, or it does not exist."""
+    """Return the home folder of the effective user. Raises OSError if the system knows none or it does not exist."""
     try:
         import pwd
 
@@ -33,28 +34,33 @@ def home_folder() -> Path:
 
 
 def cache_folder() -> Path:
-    """Return where programs of this user store what they can compute again. Raises OSError if there is no home folder."""
+    """Return the folder in which programs of this user cache data that they can compute again. Raises OSError without a home
+    folder."""
     if sys.platform == "win32":
         return _local_app_data()
     return home_folder() / ("Library/Caches" if sys.platform == "darwin" else ".cache")
 
 
 def state_folder() -> Path:
-    """Return where programs of this user store what must survive a restart. Raises OSError if there is no home folder."""
+    """Return the folder in which programs of this user store data that must survive a restart. Raises OSError without a home
+    folder."""
     return _local_app_data() if sys.platform == "win32" else home_folder() / ".local" / "state"
 
 
 def make_private_folder(path: Path) -> None:
-    """Create a folder, and its parents, unless it exists. OSError where that fails; NotPrivate where it is a link, belongs to
-    another user, or others may write to it."""
+    """Create a folder and its parents unless they exist. Raises OSError if that fails. Raises NotPrivate if the folder is a link,
+    belongs to another user, or is writable by others."""
     path.parent.mkdir(parents=True, exist_ok=True)
     path.mkdir(mode=0o700, exist_ok=True)
     _require_private(os.lstat(path), stat.S_IWGRP | stat.S_IWOTH)
 
 
 def read_private(path: Path, cap: int) -> bytes:
-    """Return the content of a file of at most `cap` bytes that only this user may read. Raises OSError if there is none, it is a
-    link or not a regular file. Raises NotPrivate if it has two names, belongs to another user, or others may read or write it."""
+    """Return the content of a file of at most `cap` bytes that only this user may read.
+
+    Raises OSError if there is no such file, or if it is a link or not a regular file. Raises NotPrivate if the file has two
+    names, belongs to another user, or is readable or writable by others.
+    """
     _require_private(os.lstat(path.parent), stat.S_IWGRP | stat.S_IWOTH)
     handle = open_regular(path, follow=False)
     try:
@@ -67,7 +73,7 @@ def read_private(path: Path, cap: int) -> bytes:
 
 def _require_private(status: os.stat_result, others: int) -> None:
     """Raise NotPrivate for a file that others may access. `others`: mode bits that no private file has. On Windows, access lists
-    control this, and those of a user's own folders exclude others."""
+    control this; the lists of a user's own folders exclude others."""
     if stat.S_ISLNK(status.st_mode) or getattr(status, "st_reparse_tag", False):
         raise NotPrivate(0, "it is a link")
     if stat.S_ISREG(status.st_mode) and status.st_nlink > 1:

@@ -1,9 +1,11 @@
-"""Atomic writes: a file gets its name after all of it is written. This module writes, syncs and moves all files.
+"""Atomic writes: a file gets its name only after it has been written completely. All files are written, synced and moved by this
+module.
 
 `sync=True`, the default, writes a file to the disk before it gets its name, so that a power loss leaves the old file or the new
 one. `sync=False` is for files that need not wait for the disk one by one. Some of them are checked against a hash on every read,
 so a damaged one is detected and created again. Others are the many files of one command, which creates them again when it is
-repeated: `sync_files` writes them to the disk together before the command ends."""
+repeated. For these, `sync_files` writes all of them to the disk before the command ends.
+"""
 
 from __future__ import annotations
 
@@ -30,25 +32,28 @@ _APPEND_FLAGS = os.O_WRONLY | os.O_APPEND | os.O_CREAT | getattr(os, "O_NOFOLLOW
 
 
 def write_atomically(path: Path, data: bytes | BytesParts, *, sync: bool = True, mode: int = 0o666) -> None:
-    """Write a file atomically. `data`: its bytes, or parts to be joined.
+    """Write a file atomically. `data`: its bytes, or parts to be joined. `mode`: its permissions, minus those that the system
+    withholds from new files.
 
-    A reader, even after a crash, sees the old file or all of the new one. An OSError names `path`; the old file then stays.
-    `mode`: the permissions of the file, less what the system withholds from new files."""
+    A reader, even after a crash, sees the old file or the complete new one. An OSError names `path`, and the old file then
+    remains.
+    """
     with _open_atomic(path, sync, mode) as handle:
         write_parts(handle, [data] if isinstance(data, bytes) else data)
 
 
 @contextmanager
 def atomic_file(path: Path, *, sync: bool = True) -> Iterator[IO[bytes]]:
-    """As `write_atomically`, with a binary file to write piece by piece."""
+    """Yield a binary file to write piece by piece; it replaces `path` at the end of the context. Otherwise as
+    `write_atomically`."""
     with _open_atomic(path, sync, 0o666) as handle, FileIO(handle, "wb", closefd=False) as raw, BufferedWriter(raw) as file:
         yield cast(IO[bytes], file)
 
 
 @contextmanager
 def atomic_path(path: Path, ending: str = PART_SUFFIX, *, sync: bool = True) -> Iterator[Path]:
-    """As `atomic_file`, with a path, for libraries and programs that open files by name. `ending`: the suffix of the file being
-    written, for programs that depend on it."""
+    """Yield a path for libraries and programs that open files by name; the file replaces `path` at the end of the context.
+    `ending`: the suffix of the temporary file, for programs that depend on it."""
     part = new_sibling(path, ending)
     with _move_into_place(str(part), path, sync):
         yield part
@@ -65,7 +70,7 @@ def new_sibling(path: Path, ending: str = PART_SUFFIX) -> Path:
 
 
 def _open_new(path: Path, ending: str, mode: int) -> tuple[str, int]:
-    """As `new_sibling`, open for writing: return its path and its handle."""
+    """Create an empty new file as `new_sibling` does, open for writing. Return its path and its handle."""
     place, name = os.path.split(path)
     remove_stale(place)
     for left in reversed(range(_MAX_NAME_ATTEMPTS)):
@@ -89,10 +94,12 @@ _cleaned_folders: set[tuple[int, str]] = set()
 
 
 def remove_stale(folder: str) -> None:
-    """Remove unfinished files of killed processes from a folder. Runs once for each folder and process.
+    """Remove unfinished files of killed processes from a folder. Runs at most once per folder and process.
 
-    Only regular files of this user with our name pattern are removed, if their process ran on this machine (in this container)
-    and is gone. No clock is used. Does nothing on Windows, where testing for a process is not safe."""
+    Removes only regular files of this user with antdsl's name pattern for unfinished files. Their process must have run on this
+    machine and in this container, and must have ended. Does not rely on clocks. Does nothing on Windows, where testing for a
+    process is not safe.
+    """
     key = (os.getpid(), os.path.abspath(folder or "."))
     if key in _cleaned_folders or os.name == "nt":
         return
@@ -118,13 +125,14 @@ def _is_running(process: int) -> bool:
 
 
 def _machine_digits() -> str:
-    """Return eight digits for this machine, and for the container that has the process numbers visible here."""
+    """Return eight digits that identify this machine. In a container, they identify the container, because it has its own process
+    numbers."""
     return _cached_machine_digits(os.getpid())
 
 
 @lru_cache(1)
 def _cached_machine_digits(process: int) -> str:
-    """Return the same, computed once by each process."""
+    """Return the digits of `_machine_digits`, computed once per process."""
     from hashlib import blake2b
 
     space = ""
@@ -136,7 +144,7 @@ def _cached_machine_digits(process: int) -> str:
 
 @contextmanager
 def _open_atomic(path: Path, sync: bool, mode: int) -> Iterator[int]:
-    """Yield a handle of a file that replaces `path` at the end."""
+    """Yield the handle of a temporary file that replaces `path` at the end of the context."""
     part, handle = _open_new(path, PART_SUFFIX, mode)
     with _move_into_place(part, path, sync):
         try:
@@ -151,8 +159,8 @@ def _open_atomic(path: Path, sync: bool, mode: int) -> Iterator[int]:
 
 
 def create_complete(path: Path, data: bytes, mode: int = 0o666) -> None:
-    """Create a file that has its complete content as soon as it has its name. Raises FileExistsError if the name is taken,
-    another OSError if it cannot be written. `mode`: as in `write_atomically`."""
+    """Create a file that has its complete content as soon as it has its name. Raises FileExistsError if the name is taken, and
+    another OSError if the file cannot be written. `mode`: as in `write_atomically`."""
     part, handle = _open_new(path, PART_SUFFIX, mode)
     try:
         with os.fdopen(handle, "wb") as file:
@@ -165,7 +173,8 @@ def create_complete(path: Path, data: bytes, mode: int = 0o666) -> None:
 
 @contextmanager
 def _move_into_place(part: str, path: Path, sync: bool) -> Iterator[None]:
-    """Move what has been written to its place. If anything fails, remove it, and make an OSError name `path`."""
+    """Move the file `part` to `path` at the end of the context. If anything fails, remove `part`, and make an OSError name
+    `path`."""
     try:
         yield
         _replace(part, path)
@@ -184,7 +193,7 @@ def _move_into_place(part: str, path: Path, sync: bool) -> Iterator[None]:
 
 
 def _replace(part: str, path: Path) -> None:
-    """Call `os.replace`. If a reader may hold the old file open (Windows), retry a few times."""
+    """Call `os.replace`. Retry a few times, because on Windows a reader may hold the old file open."""
     for attempt in range(5):
         try:
             os.replace(part, path)
@@ -199,7 +208,7 @@ def _replace(part: str, path: Path) -> None:
 
 @contextmanager
 def name_failures(path: Path) -> Iterator[None]:
-    """Make an OSError that names no file name `path`."""
+    """Make an OSError that names no file name `path` instead."""
     try:
         yield
     except OSError as problem:
@@ -209,19 +218,19 @@ def name_failures(path: Path) -> Iterator[None]:
 
 
 class AppendedFile:
-    """A file that grows at its end. An OSError names it. The caller must close it."""
+    """A file that grows at its end. Errors are OSErrors that name the file. The caller must close it."""
 
     def __init__(self, path: Path) -> None:
         self._path = path
         self._handle = os.open(path, _APPEND_FLAGS, 0o666)
 
     def write(self, parts: BytesParts) -> None:
-        """Append parts. They are on the disk after the next `sync`; before that, possibly only a beginning of them."""
+        """Append parts. They are on the disk after the next `sync`; before it, possibly only their beginning."""
         with name_failures(self._path):
             write_parts(self._handle, parts)
 
     def sync(self) -> None:
-        """Bring all that was written onto the disk."""
+        """Write all appended data to the disk."""
         with name_failures(self._path):
             os.fsync(self._handle)
 
@@ -230,8 +239,8 @@ class AppendedFile:
 
 
 def write_parts(handle: int, parts: BytesParts) -> None:
-    """Write parts one after the other into an open file. If the system supports it, one call writes all: allocating one large
-    piece takes half the time of many small ones."""
+    """Write parts into an open file, one after the other. If the system supports it, one call writes all parts: allocating one
+    large piece takes half the time of many small ones."""
     left = deque(parts)
     while left:
         batch = list(islice(left, _PARTS_PER_WRITE))
@@ -263,7 +272,7 @@ def sync_files(paths: Iterable[Path]) -> None:
 
 
 def sync_folder(folder: Path) -> None:
-    """Make the names in a folder durable, where the system can."""
+    """Write the file names of a folder to the disk, where the system supports it."""
     if os.name == "nt":
         return
     try:
@@ -291,7 +300,7 @@ def make_folder(folder: Path) -> None:
 
 
 def is_link(path: Path) -> bool:
-    """Return whether a path is itself a link (on Windows, also a junction); False where nothing exists."""
+    """Return whether a path is itself a link (on Windows, also a junction). Return False if nothing exists at the path."""
     try:
         status = os.lstat(path)
     except OSError:
@@ -300,8 +309,8 @@ def is_link(path: Path) -> bool:
 
 
 def first_link(base: Path, *names: str) -> Path | None:
-    """Return the first of `base/NAME`, `base/NAME/NAME`, … that is a link, or None. Links within `base` are the caller's
-    choice."""
+    """Return the first of `base/NAME`, `base/NAME/NAME`, … that is a link, or None. Links in the path `base` itself are not
+    checked: they are the caller's choice."""
     path = base
     for name in names:
         path /= name

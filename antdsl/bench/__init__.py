@@ -1,9 +1,10 @@
 """Measurements of steps: how long they take, and ratios between backends.
 
 `cases` names the measured cases, and `scaling` builds a scene of a case with a given number of agents. `measuring` runs the
-set-up and steps of a case in this process, several backends in turn. `costs` does so in a separate process, which shares its
-memory and start-up with nothing else. `ratios` holds the statistics, `tables` the texts. Nothing here changes a result. What only
-developers measure is in `tests/benchmarks`."""
+set-up and steps of a case in this process, several backends in turn. `costs` does the same in a separate process, so that no
+other code affects its memory and start-up. `ratios` holds the statistics, `tables` the texts. Measurements for developers only
+are in `tests/benchmarks`. Nothing in this package changes a result.
+"""
 
 from antdsl.bench.cases import CASES, Case
 from antdsl.bench.costs import Cost, Job, Measurement, measure_in_process

@@ -1,4 +1,4 @@
-"""The measuring process: it takes a job as one JSON argument and prints the result as JSON on its last line."""
+"""The measuring process. It takes a job as its JSON argument, and prints the result as JSON on its last line."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from antdsl.bench.costs import JOBS, MEASUREMENTS
 
 
 def main() -> None:
-    """Do the job."""
+    """Run the job and print its result."""
     warnings.simplefilter("ignore")  # what libraries say to programmers
     from antdsl.bench.measuring import measure
 

@@ -20,8 +20,8 @@ FEW = 2_000  # foraging ants up to which the small scene is taken
 
 
 class CaseError(Exception):
-    """A scene that cannot be opened, or that cannot have this number of agents. `report` has the findings, the message the
-    rest."""
+    """A scene cannot be opened, or cannot have this number of agents. `report` has the findings; the message has all other
+    reasons."""
 
     def __init__(self, message: str, report: Report | None = None) -> None:
         super().__init__(message)
@@ -32,10 +32,13 @@ class CaseError(Exception):
 class Case:
     """A case to measure.
 
-    `make` returns the shot with a given number of agents (None: its own number). `agents`: the numbers of agents for its table,
-    empty if the case has one size. `quick`: the numbers for a quick look. `bare`: removes the parts of the shot that bare steps
-    leave out. `sight` (mm): the radius within which neighbours are counted.
-    `published_figures`: results that others have reported."""
+    `make`: returns the shot with a given number of agents; None means its own number.
+    `agents`: the numbers of agents for the case's table; empty if the case has one size.
+    `quick`: the numbers of agents for a quick selection.
+    `bare`: removes the parts of the shot that bare steps leave out.
+    `sight`: the radius in mm within which neighbours are counted.
+    `published_figures`: results that others have reported.
+    """
 
     name: str
     description: str
@@ -48,7 +51,8 @@ class Case:
 
 
 def open_shot(path: Path, agents: int | None, *, frames: int = FRAMES) -> Shot:
-    """Return a scene's shot, with its world scaled to another number of agents. Raises CaseError."""
+    """Return the shot of a scene. `agents`: scale the world to this number of agents; None leaves it unchanged. Raises
+    CaseError."""
     from antdsl.bench.scaling import scale_setting
     from antdsl.pipeline import RunChoices, open_scene
     from antdsl.scene.values import parse_frames
@@ -65,7 +69,7 @@ def open_shot(path: Path, agents: int | None, *, frames: int = FRAMES) -> Shot:
 
 
 def _open_texts(texts: Mapping[str, str]) -> Shot:
-    """Return a shot from texts: `scene.yaml` and the files it names."""
+    """Return a shot from texts: `scene.yaml` and the files that it names."""
     with tempfile.TemporaryDirectory() as folder:
         for name, text in texts.items():
             Path(folder, name).write_text(text, encoding="utf-8")
@@ -82,7 +86,7 @@ def _foraging(agents: int | None) -> Shot:
 
 
 def _without_contacts(shot: Shot) -> Shot:
-    """Return the shot without contacts, to compare it with the hand-written frame, which has none."""
+    """Return the shot without contacts, for comparison with the hand-written frame, which has no contacts."""
     return replace(shot, setting=replace(shot.setting, contacts="off"))
 
 
@@ -127,7 +131,7 @@ def _valley_file(agents: int | None) -> Path:
 
 
 def _valley_of_meshes(agents: int | None) -> Shot:
-    """Return the valley with its hill as a mesh, which no agent digs."""
+    """Return the valley with its hill as a mesh, so that no agent can dig it."""
     folder = example_file("thesis/base.yaml").parent
     texts = {"scene.yaml": _valley_file(agents).read_text(encoding="utf-8")}
     texts["base.yaml"] = (folder / "base.yaml").read_text(encoding="utf-8")
@@ -205,5 +209,5 @@ CASES: Mapping[str, Case] = {
 
 
 def case_of(name: str) -> Case:
-    """A case by its name, or one for a scene's path."""
+    """Return the case of a name, or a new case for a scene's path."""
     return CASES.get(name) or Case(name, "a scene", lambda agents: open_shot(Path(name), agents))

@@ -1,5 +1,5 @@
-"""Requests to measuring processes and their results, as plain values that are sent as JSON; and a job in a separate process,
-which shares its memory and its start-up with no other job."""
+"""Requests to measuring processes and their results, as plain values that are sent as JSON. Also runs a job in a separate
+process, so that no other job affects its memory and start-up."""
 
 from __future__ import annotations
 
@@ -15,10 +15,14 @@ from antdsl.child_processes import module_command, module_environment
 
 @dataclass(frozen=True, slots=True)
 class Job:
-    """A case to measure (its name, or the path of a scene) with a number of agents (None: its own number) on some backends.
+    """A case to measure on some backends.
 
-    Each backend takes `turns` turns of `steps` steps, alternating with the others. With 0 steps, a turn has as many as take about
-    20 ms. `full_run`: also measure frames of a run, as `antdsl run` makes them."""
+    `case`: its name, or the path of a scene.
+    `agents`: the number of agents; None for the case's own number.
+    `turns`: the number of turns of each backend; backends alternate.
+    `steps`: steps per turn; 0 means as many as take about 20 ms.
+    `full_run`: also measure frames of a run, as `antdsl run` makes them.
+    """
 
     case: str
     agents: int | None
@@ -31,7 +35,8 @@ class Job:
 
 @dataclass(frozen=True, slots=True)
 class Cost:
-    """Seconds of a step, as CPU time and as wall time: one number per turn, and by phase the mean of all turns."""
+    """Seconds of a step. `cpu` and `wall`: CPU and wall time, one number per turn. `phases_cpu` and `phases_wall`: by phase, the
+    mean of all turns."""
 
     cpu: list[float]
     wall: list[float]
@@ -40,23 +45,30 @@ class Cost:
 
     @property
     def cpu_ms(self) -> float:
-        """CPU milliseconds of a step: the median of the turns."""
+        """Return the CPU milliseconds of a step: the median of the turns."""
         return 1000 * median(self.cpu)
 
     @property
     def wall_ms(self) -> float:
-        """Wall-clock milliseconds of a step: the median of the turns."""
+        """Return the wall-clock milliseconds of a step: the median of the turns."""
         return 1000 * median(self.wall)
 
 
 @dataclass(frozen=True, slots=True)
 class SetUp:
-    """CPU seconds until the first frame, and to have machine code after it.
+    """CPU seconds of a set-up.
 
-    Until the first frame: `start`: Python and packages. `compile`: from the texts to a plan and meshes. `bind`: to a world.
-    `first`: the first step. After it: `code`: to build machine code that no run has cached; then to load cached machine code
-    (None for a backend without machine code, or if no folder can store it). `second`: the second step, the first one in machine
-    code."""
+    Until the first frame:
+    - `start`: import of Python and packages.
+    - `compile`: from the texts to a plan and meshes.
+    - `bind`: from these to a world.
+    - `first`: the first step.
+
+    After the first frame; None for a backend without machine code:
+    - `code`: build machine code that no run has cached.
+    - Next field: load cached machine code; also None if no folder can store it.
+    - `second`: the second step, which is the first one in machine code.
+    """
 
     start: float
     compile: float
@@ -68,14 +80,18 @@ class SetUp:
 
     @property
     def total(self) -> float:
-        """Until the first frame stands."""
+        """Return the seconds until the first frame is complete."""
         return self.start + self.compile + self.bind + self.first
 
 
 @dataclass(frozen=True, slots=True)
 class FullRun:
-    """Seconds per frame of a run with cache, feet and contacts as in the scene. `cpu` and `wall`: of all threads, including the
-    writer; `step`: CPU of the same steps without writing; `feet`: the part of `step` that moves feet."""
+    """Seconds per frame of a run with cache, feet and contacts as in the scene.
+
+    `cpu` and `wall`: of all threads, including the writer.
+    `step`: CPU seconds of the same steps without writing.
+    `feet`: the part of `step` that moves feet.
+    """
 
     frames: int
     cpu: float
@@ -86,13 +102,16 @@ class FullRun:
 
 @dataclass(frozen=True, slots=True)
 class Measurement:
-    """Results of a measuring process.
+    """Results of a measuring process. `set_up`, `memory` and `full_run` are those of the first backend.
 
-    `costs`: by the names of backends, and of other frames that took turns. Of the first backend: `set_up`; `memory`: the largest
-    growth of the process in bytes, from before the binding; `full_run`. `state`: bytes of all stored values of agents. `nodes`:
-    number of nodes of the plan.
-    `neighbours`: mean number of others within the case's sight after the last step. `told`: messages about deviations from the
-    request, for example that NumPy ran instead of machine code. Each message begins with the name of its backend."""
+    `costs`: by name of backends, and of other frames that took turns.
+    `memory`: the largest growth of the process in bytes, from before the binding.
+    `state`: bytes of all stored values of agents.
+    `nodes`: number of nodes of the plan.
+    `neighbours`: mean number of other agents within the case's sight after the last step.
+    `told`: messages about deviations from the request, for example that NumPy ran instead of machine code. Each begins with the
+        name of its backend.
+    """
 
     job: Job
     agents: int
@@ -107,7 +126,7 @@ class Measurement:
     told: tuple[str, ...] = ()
 
     def ratios(self, name: str, other: str) -> list[float]:
-        """Return the CPU time of a step of one entry of `costs` divided by that of another, turn by turn."""
+        """Return the CPU time of a step of `name` divided by that of `other` (two entries of `costs`), turn by turn."""
         return [one / two for one, two in zip(self.costs[name].cpu, self.costs[other].cpu, strict=True)]
 
 
@@ -115,11 +134,11 @@ JOBS, MEASUREMENTS = TypeAdapter(Job), TypeAdapter(Measurement)  # which read an
 
 
 class MeasuringError(Exception):
-    """The process ended without a result; the message is what it said last."""
+    """The measuring process ended without a result. The message is the last output of the process."""
 
 
 def measure_in_process(job: Job, words: Sequence[str] = ()) -> Measurement:
-    """Return what a separate process measures. `words`: the command that measures, without the job; by default that of
+    """Return the measurement of a job in a separate process. `words`: the command to run, without the job; by default that of
     antdsl. Raises MeasuringError."""
     text = JOBS.dump_json(job).decode()
     command = [*words, text] if words else module_command("antdsl.bench", text)

@@ -1,4 +1,4 @@
-"""Takes a job through set-up and steps in this process, with several backends in turn."""
+"""Runs the set-up and the steps of a job in this process, with several backends in turn."""
 
 from __future__ import annotations
 
@@ -37,8 +37,8 @@ Frame = Callable[[], None]
 
 
 def measure(job: Job, make_others: Callable[[int], Mapping[str, Frame]] = lambda agents: {}) -> Measurement:
-    """Do a job. `make_others(agents)` returns other frames by name, which take turns with the backends. Raises CaseError for a
-    scene that cannot be opened or scaled."""
+    """Return the measurement of a job. `make_others(agents)` returns other frames by name, which take turns with the backends.
+    Raises CaseError for a scene that cannot be opened or scaled."""
     with _use_empty_code_folder():
         return _measure(job, make_others)
 
@@ -86,14 +86,14 @@ def _measure(job: Job, make_others: Callable[[int], Mapping[str, Frame]]) -> Mea
 
 
 def _untyped_name(name: str) -> Any:
-    """Return the name of a backend, already looked up in `BACKENDS`, without its type."""
+    """Return the name of a backend, typed as Any. The caller has already looked it up in `BACKENDS`."""
     return name
 
 
 @contextmanager
 def _use_empty_code_folder() -> Iterator[None]:
-    """Store machine code and mesh tables in an empty folder while the context is open. Those that other runs have cached are not
-    searched."""
+    """Store machine code and mesh tables in an empty folder while the context is open, so that those cached by other runs are not
+    used."""
     previous_values = {name: os.environ.get(name) for name in (CACHE_VARIABLE, stored_tables.TABLE_STORE.variable)}
     with tempfile.TemporaryDirectory(prefix="antdsl-code-") as folder:
         os.environ |= dict.fromkeys(previous_values, folder)
@@ -111,7 +111,7 @@ def _use_empty_code_folder() -> Iterator[None]:
 
 
 def _import_packages(llvm: bool) -> float:
-    """Return the CPU seconds of this process after the import of all packages that steps need. `llvm`: include the packages that
+    """Import all packages that steps need, and return the CPU seconds of this process so far. `llvm`: include the packages that
     build machine code."""
     import antdsl.casting.rays
     import antdsl.runtime.backends  # noqa: F401
@@ -132,7 +132,8 @@ def _make_stepper(world: World) -> Frame:
 
 
 def wait_for_code(world: World) -> bool:
-    """Wait for the machine code of a world's backend, so that no measured step runs without it. Return whether there is any."""
+    """Wait for the machine code of a world's backend, so that no measured step runs without it. Return whether the backend has
+    machine code."""
     if not isinstance(world.backend, NativeBackend):
         return False
     world.backend.wait_for_code(world)
@@ -140,8 +141,8 @@ def wait_for_code(world: World) -> bool:
 
 
 def _time_code_load(world: World) -> tuple[float | None, list[str]]:
-    """Return the CPU seconds in which a world loads machine code that another run has cached, and messages. The seconds are None
-    without machine code, or if it cannot be stored; the messages say why."""
+    """Return the CPU seconds in which a world loads machine code from the cache, and messages. The seconds are None without
+    machine code, or if it cannot be stored; the messages then say why."""
     if not wait_for_code(world):
         return None, []
     ready.release_code()
@@ -152,7 +153,7 @@ def _time_code_load(world: World) -> tuple[float | None, list[str]]:
 
 
 def _measure_turns(runners: dict[str, Frame], worlds: dict[str, World], steps: int, turns: int) -> dict[str, Cost]:
-    """Measure `turns` turns of `steps` steps each, after WARM uncounted steps of each runner."""
+    """Return the cost of each runner over `turns` turns of `steps` steps each. Each runner first makes WARM uncounted steps."""
     for run in runners.values():
         for _ in range(WARM):
             run()
@@ -180,7 +181,7 @@ def _measure_turns(runners: dict[str, Frame], worlds: dict[str, World], steps: i
 
 
 def _state_bytes(world: World) -> int:
-    """Return the bytes of the arrays that hold the agents; an array that is used twice counts once."""
+    """Return the bytes of the arrays that hold the agents. An array that is used twice counts once."""
     arrays: dict[int, int] = {}
     for population in world.populations.values():
         held = [population.ids, population.born, population.quarantined, population.position, population.normal]
@@ -209,13 +210,13 @@ def mean_neighbours(world: World, sight: float) -> float:
 
 
 def count_run_frames(step: float) -> int:
-    """Return how many frames of a run to measure, where a bare step takes `step` seconds: about two seconds' worth, within
-    limits."""
+    """Return how many frames of a run to measure: about two seconds' worth, within limits. `step`: seconds of a bare step."""
     return min(max(int(2.0 / max(8.0 * step, 1e-6)), _FEWEST_FRAMES), _MOST_STEPS)
 
 
 def _measure_full_run(shot: Shot, options: Options, frames: int) -> FullRun:
-    """Measure `frames` frames of a run after WARM, then the same number of steps of the same world without writing."""
+    """Return the cost of `frames` frames of a run after WARM uncounted frames. Then measure the same number of steps of the same
+    world without writing."""
     from antdsl.outputs.recording import begin, record
     from antdsl.scene.values import parse_frames
 

@@ -1,4 +1,4 @@
-"""Generated programs and scenes of the cases that are not examples: texts with a placeholder for the size of the crowd's area."""
+"""Generates programs and scenes of the cases that are not examples: texts with a placeholder for the size of the crowd's area."""
 
 from __future__ import annotations
 
@@ -100,7 +100,7 @@ species ant {
 
 
 def plane_scene(species: str, agents: int, radius: float) -> str:
-    """A scene of one species on the empty plane, in a disc of `radius` mm."""
+    """Return a scene of one species on the empty plane, in a disc of `radius` mm."""
     crowd = f"{{species: {species}, from: {species}.ant, count: {agents}, place: {{radius: {radius:.3f} mm}}}}"
     return f"antdsl: 1\nunits: mm\nfps: 24\nframes: 1..480\nseed: 1\ncrowd: [{crowd}]\n"
 

@@ -1,6 +1,7 @@
 """Ratios of costs that were measured in turn, with their 95 % intervals.
 
-Two runs in turn meet the same machine load, so their ratio is meaningful where a single time is not."""
+Two runs in turn have the same machine load. So their ratio is meaningful, unlike a single time.
+"""
 
 from __future__ import annotations
 
@@ -27,13 +28,13 @@ class Ratio:
         return f"{self.mean:.3f} ({self.low:.3f} to {self.high:.3f})"
 
     def is_above(self, most: float) -> bool:
-        """Return whether the whole interval lies above a ratio: slower than that, and not by chance."""
+        """Return whether the complete interval lies above `most`: the cost is higher, and not by chance."""
         return self.low > most
 
 
 def bootstrap_interval(ratios: Sequence[float], seed: int = 1) -> Ratio:
-    """Return the mean of some ratios, with the 2.5th and 97.5th percentile of bootstrap means (B. Efron, Annals of Statistics 7,
-    1979). The same ratios give the same interval. Raises ValueError for none."""
+    """Return the mean of ratios, with the 2.5th and 97.5th percentile of bootstrap means (B. Efron, Annals of Statistics 7,
+    1979). Equal ratios give equal intervals. Raises ValueError for an empty sequence."""
     if not ratios:
         raise ValueError("no ratios were measured")
     draw = random.Random(seed)
@@ -42,8 +43,8 @@ def bootstrap_interval(ratios: Sequence[float], seed: int = 1) -> Ratio:
 
 
 def measure_in_turn(measure: Callable[[int], T], runners: int, count: int, warm: int = 1) -> list[tuple[T, ...]]:
-    """Measure the cost of runners 0, 1, … in turn, `count` times; the runner that starts changes from turn to turn. `warm` runs
-    of each before are not counted: they fill caches."""
+    """Return the costs of runners 0, 1, … measured in turn, `count` times. The runner that begins changes from turn to turn.
+    `warm`: uncounted runs of each runner at the start, which fill caches."""
     for _ in range(warm):
         for runner in range(runners):
             measure(runner)

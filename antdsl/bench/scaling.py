@@ -1,4 +1,4 @@
-"""A setting with more or fewer agents, at the same density or all in one place."""
+"""Changes the number of agents of a setting, at the same density or in one cluster."""
 
 from __future__ import annotations
 
@@ -10,11 +10,12 @@ from antdsl.scene.setting import PointMm, WorldSetting
 
 
 def scale_setting(setting: WorldSetting, agents: int) -> WorldSetting:
-    """Return the setting with `agents` agents in total, with lengths of the world scaled about its origin so that density stays
-    equal. Meshes, positions of items and crowds, and curves are scaled. Sizes of agents and items, cells of fields and radii of
-    behaviours are not.
+    """Return the setting with `agents` agents in total, at the same density. Lengths of the world are scaled about its origin:
+    meshes, positions of items and crowds, and curves. Sizes of agents and items, cells of fields and radii of behaviours are not
+    scaled.
 
-    Raises ValueError for a world with solids, flows, maps or moving things."""
+    Raises ValueError for a world with solids, flows, maps or moving things.
+    """
     if setting.solids or setting.flows or setting.maps or any((setting.moves.meshes, setting.moves.items, setting.moves.curves)):
         raise ValueError("only worlds of meshes, items and curves that stand still can be scaled")
     previous_count = sum(crowd.count for crowd in setting.crowds)
@@ -44,7 +45,8 @@ def scale_setting(setting: WorldSetting, agents: int) -> WorldSetting:
 
 
 def gather_crowds(setting: WorldSetting, share: float) -> WorldSetting:
-    """Return the setting with every crowd that has a radius in `share` of its area, around the same point."""
+    """Return the setting with crowds compressed to `share` of their area, around the same centre. Crowds without a radius do not
+    change."""
     crowds = tuple(
         replace(crowd, place=replace(crowd.place, radius=crowd.place.radius * share**0.5)) if crowd.place.radius else crowd
         for crowd in setting.crowds

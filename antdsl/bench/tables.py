@@ -22,20 +22,20 @@ PACKAGES = ("numpy", "scipy", "llvmlite", "open3d", "open3d-cpu")
 
 @dataclass(frozen=True, slots=True)
 class Result:
-    """A case with one number of agents: one measured process for each backend, and one process in which several backends took
-    turns."""
+    """A case with one number of agents. `alone`: the measurement of one process per backend. `together`: that of one process in
+    which several backends took turns."""
 
     alone: tuple[Measurement, ...]
     together: Measurement | None = None
 
 
 def ratio_text(ratios: Sequence[float]) -> str:
-    """Return the mean, with its interval if there are enough turns for one."""
+    """Return the mean of ratios as text, with its interval if there are enough turns for one."""
     return str(bootstrap_interval(ratios)) if len(ratios) >= LEAST_PAIRS else f"{mean(ratios):.2f} ({len(ratios)} turns)"
 
 
 def backend_of(measured: Measurement) -> str:
-    """Return the backend of a process that measured only one."""
+    """Return the name of the backend of a process that measured only one."""
     return measured.job.backends[0]
 
 
@@ -48,15 +48,15 @@ COLUMNS = (
 
 
 def set_up_of(measurement: Measurement) -> list[str]:
-    """Return the values that SET_UP names; empty for those that do not exist."""
+    """Return the values of a set-up as text, in the order of SET_UP. Missing values are empty."""
     one = measurement.set_up
     seconds = (one.start, one.compile, one.bind, one.first, one.code, one.kept, one.second)
     return ["" if each is None else f"{each:.2f}" if each >= 0.1 else f"{each:.4f}" for each in seconds]
 
 
 def full_run_of(measurement: Measurement) -> list[str]:
-    """Return CPU and wall milliseconds and frames per second of a run, and CPU milliseconds of its step and feet. Entries are
-    empty if no run was measured."""
+    """Return texts: CPU milliseconds, wall milliseconds and frames per second of a run, then CPU milliseconds of its step and of
+    its feet. All are empty if no run was measured."""
     run = measurement.full_run
     if run is None:
         return [""] * 5
@@ -65,7 +65,7 @@ def full_run_of(measurement: Measurement) -> list[str]:
 
 
 def step_rows(result: Result) -> list[list[str]]:
-    """Return a row of `COLUMNS` for each backend. Bytes are those of the stored values of agents; `grew by` refers to the whole
+    """Return one row of `COLUMNS` per backend. Bytes are those of the stored values of agents; `grew by` refers to the complete
     process."""
     rows = []
     for measurement in result.alone:
@@ -104,7 +104,7 @@ def phases(result: Result) -> tuple[list[str], list[list[str]]]:
 
 
 def compare_backends(result: Result) -> list[str]:
-    """A line for each backend after the first: its ratio to the first, from turns in one process."""
+    """Return a line for each backend after the first: its ratio to the first, from turns in one process."""
     if result.together is None:
         return []
     first, *others = result.together.job.backends
@@ -121,7 +121,7 @@ def list_messages(result: Result) -> list[str]:
 
 
 def describe_result(result: Result) -> str:
-    """Return the case, its agents and what else is known of it."""
+    """Return a text with the case, its number of agents, and further facts about it."""
     measurement = result.alone[0]
     case = CASES.get(measurement.job.case)
     words = [f"{measurement.job.case}, {measurement.agents:,} {'agent' if measurement.agents == 1 else 'agents'}"]
@@ -133,12 +133,12 @@ def describe_result(result: Result) -> str:
 
 
 def as_json(results: Sequence[Result]) -> dict[str, Any]:
-    """All that was measured, with the ratios that tables show."""
+    """Return all measurements, with the ratios that tables display, as JSON values."""
     return {"machine": describe_machine(), "results": [asdict(result) for result in results]}
 
 
 def describe_machine() -> dict[str, str]:
-    """Return a description of the machine, by name: date, machine, system, versions."""
+    """Return a description of the machine as a mapping: date, machine, system and versions."""
     details = {
         "date": datetime.date.today().isoformat(),
         "machine": f"{processor_name()}, {os.cpu_count()} cores",

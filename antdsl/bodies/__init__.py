@@ -1,1 +1,1 @@
-"""Shapes of agents, food and nests: small procedural meshes; and the collision capsules of trunks."""
+"""Bodies of agents and shapes of food, nests and other items: agent definitions, small procedural meshes, and skinned meshes."""

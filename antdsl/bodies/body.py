@@ -1,4 +1,4 @@
-"""Rotations that stand bodies on the ground, and normals of meshes."""
+"""Rotations that align bodies with the ground, and normals of meshes."""
 
 from typing import Any
 
@@ -11,7 +11,7 @@ Array = NDArray[np.float64]
 
 
 def vertex_normals(vertices: Array, faces: NDArray[np.int32]) -> NDArray[np.float32]:
-    """Unit normals (n, 3) of vertices, faces weighted by their area; a vertex without faces gets +y."""
+    """Return unit normals (n, 3) of vertices: the mean of their faces, weighted by area. A vertex without faces gets +y."""
     corners = vertices[faces]
     normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     total = np.stack(
@@ -23,8 +23,8 @@ def vertex_normals(vertices: Array, faces: NDArray[np.int32]) -> NDArray[np.floa
 
 
 def unit_normals(normals: NDArray[Any], tolerance: float = 0.0) -> NDArray[np.float32]:
-    """Return normals (n, 3) scaled to length 1, unless their length differs from 1 by `tolerance` at most; a normal without
-    length becomes +y."""
+    """Return normals (n, 3) scaled to length 1. A length that differs from 1 by at most `tolerance` is not changed. A normal of
+    length 0 becomes +y."""
     wide = normals.astype(np.float64)
     length = np.sqrt((wide * wide).sum(axis=1, keepdims=True))
     scaled = np.where(np.abs(length - 1.0) > tolerance, wide / np.maximum(length, 1e-12), wide)
@@ -34,8 +34,9 @@ def unit_normals(normals: NDArray[Any], tolerance: float = 0.0) -> NDArray[np.fl
 def orientation(heading: Array, up: Array) -> Array:
     """Return quaternions (n, 4) as x, y, z, w that rotate +x to `heading` (n, 3) and +y to `up` (n, 3).
 
-    `up` is exact: the heading is first projected onto the plane perpendicular to it. If the two define no frame (zero or
-    parallel), any perpendicular heading is used."""
+    The rotated +y equals `up` exactly: the heading is first projected onto the plane perpendicular to `up`. If the two define no
+    frame (zero or parallel), any heading perpendicular to `up` is used.
+    """
     up = unit_or(up, np.array([0.0, 1.0, 0.0]))
     ahead = heading - up * (heading * up).sum(axis=1, keepdims=True)
     level = np.cross(up, np.where(np.abs(up[:, :1]) < 0.9, np.array([[1.0, 0.0, 0.0]]), np.array([[0.0, 0.0, 1.0]])))
@@ -46,13 +47,13 @@ def orientation(heading: Array, up: Array) -> Array:
 
 
 def turned(orient: Array, vectors: Array) -> Array:
-    """`vectors` (n, …, 3) turned by the quaternions `orient` (n, 4) of the same row."""
+    """Return vectors (n, …, 3) rotated by the quaternions `orient` (n, 4) of the same row."""
     matrix = rotation_matrices(orient).astype(vectors.dtype)
     return np.asarray(np.einsum("nij,n...j->n...i", matrix, vectors, optimize=True))
 
 
 def rotation_matrices(orient: Array) -> Array:
-    """Matrices (n, 3, 3) of quaternions (n, 4) as x, y, z, w; a zero quaternion turns nothing."""
+    """Return rotation matrices (n, 3, 3) of quaternions (n, 4) as x, y, z, w. A zero quaternion becomes the identity."""
     length = np.linalg.norm(orient, axis=1, keepdims=True)
     q = np.where(length > 1e-12, orient / np.maximum(length, 1e-12), np.array([0.0, 0.0, 0.0, 1.0]))
     x, y, z, w = q.T
@@ -65,8 +66,8 @@ def rotation_matrices(orient: Array) -> Array:
 
 
 def _quaternions_of(m: Array) -> Array:
-    """Return quaternions of rotation matrices (n, 3, 3). Starts from the largest of the four components, so that no divisor is
-    small."""
+    """Return quaternions (n, 4) of rotation matrices (n, 3, 3). The largest of the four components is computed first, so that no
+    divisor is small."""
     xx, yy, zz = m[:, 0, 0], m[:, 1, 1], m[:, 2, 2]
     squares = np.stack([1 + xx - yy - zz, 1 - xx + yy - zz, 1 - xx - yy + zz, 1 + xx + yy + zz], axis=1)
     a, b, c = m[:, 2, 1] - m[:, 1, 2], m[:, 0, 2] - m[:, 2, 0], m[:, 1, 0] - m[:, 0, 1]

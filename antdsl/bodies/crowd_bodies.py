@@ -1,5 +1,5 @@
-"""The bodies of a scene's crowd: agent definitions from files, checked against what the species play. Also what a run needs of
-them: clip lengths, strides and marks, and the collision size of each body."""
+"""The bodies of a scene's crowd: agent definitions from files, checked against the clips, groups and marks that the species use.
+Also the body data that a run needs: clip lengths, strides and marks, and the collision size of each body."""
 
 from __future__ import annotations
 
@@ -33,9 +33,12 @@ _MAX_LISTED_NAMES = 12  # names in a message
 class CrowdBodies:
     """Bodies by species.
 
-    `definitions`: of species with a body file (one object for all that name the same file). `rooms`: the space that these occupy.
-    `clips`: of all species. `legs`: of species with legs and gaits. `hashes`: content hash of each file, by its path in the
-    scene."""
+    `definitions`: of species with a body file; species that name the same file share one object.
+    `clips`: of all species.
+    `rooms`: the collision sizes of the bodies in `definitions`.
+    `legs`: of species with legs and gaits.
+    `hashes`: content hash of each file, by its path in the scene.
+    """
 
     definitions: Mapping[str, Definition] = field(default_factory=dict)
     clips: Mapping[str, Mapping[str, ClipData]] = field(default_factory=dict)
@@ -45,8 +48,11 @@ class CrowdBodies:
 
 
 class LegsBySpecies(Mapping[str, LegsData]):
-    """The legs of species with a body that has legs and gaits. `bodies`: by species, a definition or the name of one of the
-    library. The legs are computed on first access: most commands do not need them."""
+    """The legs of all species with a body that has legs and gaits. Computed on first access, because most commands do not need
+    them.
+
+    `bodies`: by species, a definition or the name of a library body.
+    """
 
     def __init__(self, bodies: Mapping[str, Definition | str]) -> None:
         self._bodies = bodies
@@ -67,8 +73,8 @@ class LegsBySpecies(Mapping[str, LegsData]):
 
 
 def crowd_bodies(scene: Scene, program: Program) -> tuple[CrowdBodies, Report]:
-    """Return the bodies of a scene's crowd, from files and from the library, and a report of what does not match. Findings are at
-    the body's place in the scene, with a label where the program uses what is missing."""
+    """Return the bodies of a scene's crowd, from files and from the library, and a report of mismatches. A finding is located
+    where the scene names the body; a label marks where the program uses the missing part."""
     report = Report()
     files: dict[str, Definition | None] = {}
     named = _named_bodies(scene)
@@ -108,7 +114,8 @@ def crowd_bodies(scene: Scene, program: Program) -> tuple[CrowdBodies, Report]:
 
 
 def _check_layers(scene: Scene, program: Program, worn: Mapping[str, Definition], report: Report) -> None:
-    """Report layers that crowd lines wear and their body does not have, and more layers than can be distinguished."""
+    """Report layers that crowd lines wear and that their body does not have. Also report more layers than can be
+    distinguished."""
     layers: dict[str, set[str]] = {}
     for number, line in enumerate(scene.model.crowd):
         if line.species not in program.species:
@@ -142,7 +149,7 @@ def clip_data(clip: Clip, body: Definition) -> ClipData:
 
 def body_room(body: Definition) -> RoomData:
     """Return the collision size of a body: length and width of the box of its layer `collision` in the rest pose. Without that
-    layer, the layer that it always shows is used. The length is never less than the width."""
+    layer, use the layer that is always displayed. The length is never less than the width."""
     layer = body.layers.get(COLLISION_LAYER) or own_layer(body)
     least, most = rest_box(replace(body, layers={layer.name: layer}))
     corners = np.array([[(least, most)[k >> axis & 1][axis] for axis in range(3)] for k in range(8)])
@@ -161,7 +168,8 @@ def _library_bodies(scene: Scene, program: Program) -> dict[str, str]:
 
 
 def _named_bodies(scene: Scene) -> dict[str, tuple[str, Span]]:
-    """Return the body of each species: from its first crowd line that names one, else the library body that matches its name."""
+    """Return the body of each species: from its first crowd line that names a body, else the library body that matches the
+    species' name."""
     bodies: dict[str, tuple[str, Span]] = {}
     for number, line in enumerate(scene.model.crowd):
         if line.body is not None:
@@ -172,8 +180,8 @@ def _named_bodies(scene: Scene) -> dict[str, tuple[str, Span]]:
 
 
 def _check_body(species: Species, body: Definition, text: str, place: Span, report: Report, by_name: bool = False) -> None:
-    """Report the clips, transform groups and marks that a species needs and its body lacks. `by_name`: no line names a body, so
-    it was chosen by the species' name."""
+    """Report the clips, transform groups and marks that a species needs and its body lacks. `by_name`: no crowd line names a
+    body, so the body was chosen by the species' name."""
     lacks: dict[str, tuple[str, Label]] = {}  # help text and place of each missing name
 
     def want(what: str, name: str, known: Iterable[str], label: Label) -> None:
@@ -215,8 +223,8 @@ def _check_body(species: Species, body: Definition, text: str, place: Span, repo
 
 
 def _find_misplaced_marks(species: Species, body: Definition) -> Iterator[tuple[str, str, Label]]:
-    """Yield the marks that a state waits for, and that other clips of the body have but the state's clip does not. Each comes
-    with a message, a help text and its place."""
+    """Yield misplaced marks: a state waits for the mark, the state's clip lacks it, but other clips of the body have it. Each
+    comes with a message, a help text and its location."""
     having: dict[str, list[str]] = {}
     for clip in body.clips.values():
         for mark in clip.marks:
@@ -248,6 +256,6 @@ def _play_lines(machine: Machine) -> Iterator[Play]:
 
 
 def _display_lines(machine: Machine) -> Iterator[Wear | Channel | Look]:
-    """What states of a machine show beside clips."""
+    """Yield the statements of a machine's states that display something in addition to clips: worn layers, channels and looks."""
     for state in machine.states:
         yield from (line for line in state.body if isinstance(line, (Wear, Channel, Look)))

@@ -1,4 +1,4 @@
-"""The definitions of the bodies that come with antdsl, each read when it is first used."""
+"""The definitions of the bodies that come with antdsl. Each is read on first use."""
 
 from __future__ import annotations
 

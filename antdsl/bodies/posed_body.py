@@ -1,7 +1,8 @@
 """An agent definition prepared for drawing: one mesh with vertices that follow the poses of many agents.
 
-Agents that are small in a picture get coarse shapes: all points in a grid cell become one (vertex clustering; J. Rossignac and
-P. Borrel, Multi-resolution 3D approximations for rendering complex scenes, 1993)."""
+Agents that are small in a picture get coarse shapes: all points in a grid cell become one point (vertex clustering; J. Rossignac
+and P. Borrel, Multi-resolution 3D approximations for rendering complex scenes, 1993).
+"""
 
 from __future__ import annotations
 
@@ -39,11 +40,17 @@ _GOLDEN_RATIO_FRACTION = (5**0.5 - 1) / 2  # multiples of it are spread evenly o
 class PosedBody:
     """A body of length 1 along +x (its heading), up +y, posed by the clips that each agent plays.
 
-    `faces` int32[m, 3]. `own` float32[v, 3]: linear colours of materials. `tint` float32[v]: 1 takes the agent's colour, 0 that
-    of the material; no material, or one named `state`, gives 1. `material` [v]: names. `taken` int[v]: the point of each vertex,
-    counted through the shapes of all `bindings`. Drawn are the shapes of its base layer and of `layers`; those that it does not
-    have are ignored. The base layer is `body` if it exists, else the first not called `collision`. `fine` is for agents that are
-    large in a picture, `coarse` for small ones, `distant` for those of some pixels."""
+    The drawn shapes are those of the base layer and of `layers`; layers that the body lacks are ignored. The base layer is `body`
+    if it exists, else the first layer not called `collision`.
+
+    `faces`: int32[m, 3].
+    `own`: float32[v, 3], linear colours of materials.
+    `tint`: float32[v]. 1 takes the agent's colour, 0 that of the material. Vertices without a material, or with one named
+        `state`, have 1.
+    `material`: [v], names.
+    `taken`: int[v], the point of each vertex, counted through the shapes of all `bindings`.
+    `fine`, `coarse`, `distant`: versions for agents that are large, small, or only some pixels long in a picture.
+    """
 
     def __init__(self, definition: Definition, clips: Sequence[tuple[str, str] | PlayedClip], layers: Sequence[str] = ()) -> None:
         self.clips, self.layers, self._whole, self.name = tuple(clips), tuple(layers), definition, definition.name
@@ -69,12 +76,12 @@ class PosedBody:
         self.material = np.concatenate([np.zeros(0, "U1"), *(part[4] for part in parts)])
 
     def colours(self, driven: DrivenPose) -> Floats:
-        """Return linear colours of materials float32[n, v, 3] of agents, or [1, v, 3] if all have the same."""
+        """Return linear colours of materials, float32[n, v, 3], or [1, v, 3] if all agents have the same."""
         return colours_of(self._definition.variation, driven.draws, self.material, self.own)
 
     @cached_property
     def reach(self) -> float:
-        """Return the distance of the farthest point of the rest pose's box from the origin, in body lengths."""
+        """Return the distance from the origin to the farthest point of the box of the rest pose, in body lengths."""
         drawn = Layer(
             BODY_LAYER, tuple(b for b in self._bindings if not b.deformer), tuple(b for b in self._bindings if b.deformer)
         )
@@ -83,7 +90,7 @@ class PosedBody:
 
     @cached_property
     def fine(self) -> PosedBody:
-        """Return the version for agents that are large in a picture: with the layer `close`, if it exists."""
+        """Return the version for agents that are large in a picture, with the layer `close` if it exists."""
         close = self._whole.layers.get(CLOSE_LAYER)
         if close is None:
             return self
@@ -95,7 +102,7 @@ class PosedBody:
     @cached_property
     def coarse(self) -> PosedBody:
         """Return the version with fewer triangles, for agents that are small in a picture. If there is a layer `close`, the layer
-        `body` is coarse enough as it is."""
+        `body` is used unchanged."""
         return self if CLOSE_LAYER in self._whole.layers else PosedBody(coarse_definition(self._whole), self.clips, self.layers)
 
     @cached_property
@@ -106,8 +113,8 @@ class PosedBody:
         return PosedBody(coarse_definition(replace(self._whole, layers=layers, shapes=drawn)), self.clips, self.layers)
 
     def idle_clips(self, ids: NDArray[Any], seconds: float) -> tuple[MachineClips, ...]:
-        """Return what agents with these ids play by default: the definition's idle clip, each with a different start, `seconds`
-        from frame 0. Empty if there is no such clip."""
+        """Return the clips that agents with these ids play by default: the idle clip of the definition, with a different start
+        for each agent. `seconds`: time since frame 0. Empty if there is no idle clip."""
         clip = self._whole.clips.get(self._whole.idle)
         if clip is None or clip.duration <= 0:
             return ()
@@ -118,13 +125,13 @@ class PosedBody:
 
     @cached_property
     def mesh(self) -> SkinnedMesh:
-        """The same vertices with the bones that they follow, for graphics hardware to pose."""
+        """Return the same vertices with the bones that they follow, so that graphics hardware can pose them."""
         return skinned_mesh(self._definition, self._bindings, self.taken)
 
     @cached_property
     def masks(self) -> NDArray[np.uint64]:
-        """Return which of `layers` show each vertex, uint64[v]: bit k for layer number k; 0 for vertices that are always
-        shown."""
+        """Return which of `layers` make each vertex visible, uint64[v]: bit k for layer number k. Vertices that are always
+        visible have 0."""
         own, layers = own_layer(self._whole), self._whole.layers
         vertex_masks = []
         for binding in self._bindings:
@@ -136,12 +143,12 @@ class PosedBody:
 
     @cached_property
     def legs(self) -> LegSolver | None:
-        """Return the legs that place its feet; None for a body without legs."""
+        """Return the solver that places the body's feet; None for a body without legs."""
         return LegSolver(self._whole) if self._whole.legs else None
 
     @property
     def definition(self) -> Definition:
-        """The agent definition itself."""
+        """Return the agent definition."""
         return self._whole
 
     @property
@@ -151,11 +158,11 @@ class PosedBody:
 
     @property
     def bindings(self) -> tuple[Binding, ...]:
-        """The bindings of the layers that are drawn, static ones of a layer first."""
+        """Return the bindings of the drawn layers; in each layer, static bindings come first."""
         return self._bindings
 
     def with_clips(self, clips: Sequence[tuple[str, str] | PlayedClip]) -> PosedBody:
-        """The same for agents that play other clips."""
+        """Return the same body for agents that play other clips."""
         return PosedBody(self._whole, clips, self.layers)
 
     def poses(
@@ -168,8 +175,13 @@ class PosedBody:
         driven: DrivenPose = NO_DRIVEN_POSE,
         local: bool = False,
     ) -> Poses:
-        """Return transforms and channels of `count` agents, in the definition's space; `local` adds local ones. Agents play what
-        their machines select, with the values in `driven`. With `feet`, legs bend to reach these, and trunks move with them."""
+        """Return transforms and channels of `count` agents, in the definition's space.
+
+        `machines`: select the clips that agents play.
+        `feet`: if given, legs bend to reach these feet, and trunks move with them.
+        `driven`: values that drive poses in addition to clips.
+        `local`: also return local transforms.
+        """
         playing = playing_of_machines(self._table, self._played, machines, count, driven.lean)
         poses = posed(self._table, self._definition.groups, playing, local=local, threads=threads)
         poses = with_channels(self._table, poses, driven.channels)
@@ -189,13 +201,13 @@ class PosedBody:
         *,
         driven: DrivenPose = NO_DRIVEN_POSE,
     ) -> tuple[Floats, Floats]:
-        """Vertices and unit normals float32[n, v, 3] of the same agents, in body lengths."""
+        """Return vertices and unit normals float32[n, v, 3] of `count` agents, in body lengths. Arguments: as in `poses`."""
         points, normals = self.shape_points(self.poses(machines, count, feet, threads, driven=driven))
         return points[:, self.taken], normals[:, self.taken]
 
     def shape_points(self, poses: Poses) -> tuple[Floats, Floats]:
-        """Points and unit normals float32[n, p, 3] of the shapes of all bindings, one after the other, in body lengths: front +x,
-        up +y."""
+        """Return points and unit normals float32[n, p, 3] of the shapes of all bindings, one after the other. Lengths are body
+        lengths; front is +x, up +y."""
         deformed_shapes = [bound(self._definition, binding, poses) for binding in self._bindings]
         none = np.zeros((len(poses.world), 0, 3), np.float32)
         points = np.concatenate([none, *(each.points for each in deformed_shapes)], axis=1)
@@ -204,14 +216,14 @@ class PosedBody:
 
 
 def own_layer(definition: Definition) -> Layer:
-    """Return the layer that a body always shows; without one, a layer that has no shapes."""
+    """Return the layer that is always drawn. A body without one gets a layer without shapes."""
     layers = definition.layers
     worn = [layer for name, layer in layers.items() if name != COLLISION_LAYER]
     return layers.get(BODY_LAYER) or next(iter(worn), Layer(BODY_LAYER))
 
 
 def _needed_shapes(definition: Definition, names: Iterable[str]) -> dict[str, Shape]:
-    """Return shapes by name, and the shapes they blend with."""
+    """Return the named shapes, and the shapes that they blend with, by name."""
     shapes: dict[str, Shape] = {}
     left = list(names)
     while left:
@@ -223,8 +235,7 @@ def _needed_shapes(definition: Definition, names: Iterable[str]) -> dict[str, Sh
 
 
 def _visible_bindings(definition: Definition, layers: Sequence[str]) -> tuple[Binding, ...]:
-    """Return the bindings of a body with some layers in addition to its own: each binding once, in the order of the definition's
-    layers."""
+    """Return the bindings of the base layer and of `layers`, each once, in the order of the definition's layers."""
     own = own_layer(definition)
     worn = (own, *(layer for name, layer in definition.layers.items() if name in layers and layer is not own))
     return tuple(dict.fromkeys(binding for layer in worn for binding in _layer_bindings(layer)))
@@ -243,8 +254,8 @@ def _with_normals(shape: Shape) -> Shape:
 def _split_by_material(
     shape: Shape, colours: Mapping[str, tuple[float, float, float]]
 ) -> tuple[NDArray[np.int64], NDArray[np.int32], NDArray[np.float32], NDArray[np.float32], NDArray[np.str_]]:
-    """Return the vertices of a shape, split by material: point of each vertex, triangles of vertices, linear colours, tints and
-    material names."""
+    """Return the vertices of a shape, split by material. The results are the point of each vertex, triangles of vertices, linear
+    colours, tints and material names."""
     material = np.zeros(len(shape.faces), np.int64) if shape.material is None else shape.material.astype(np.int64)
     names = shape.materials or ("",)
     pairs = shape.faces.astype(np.int64) * len(names) + material[:, None]
@@ -257,7 +268,7 @@ def _split_by_material(
 
 
 def coarse_definition(definition: Definition) -> Definition:
-    """Return the definition with fewer points. Shapes still follow joints by its deformers, but are no longer blended."""
+    """Return the definition with fewer points. Shapes still follow joints by the same deformers, but are not blended."""
     cell = definition.length / COARSE_CELLS_PER_BODY_LENGTH
     shapes = {name: coarse_shape(shape, cell) for name, shape in definition.shapes.items()}
     layers = {
@@ -268,9 +279,9 @@ def coarse_definition(definition: Definition) -> Definition:
 
 
 def coarse_shape(shape: Shape, cell: float) -> Shape:
-    """Return a shape in which the points of each cell are replaced by their mean, which follows the joints of the first of them.
-    Triangles with two corners in one cell are left out. The bounding box keeps its size, so that the shape does not get
-    thinner."""
+    """Return a shape in which the points of each grid cell are replaced by their mean. The mean follows the joints of the first
+    point of the cell. Triangles with two corners in one cell are left out. The bounding box keeps its size, so that the shape
+    does not get thinner."""
     if not len(shape.points):
         return shape
     size = min(cell, float(np.ptp(shape.points, axis=0).max()) / COARSE_CELLS_PER_SHAPE) or cell

@@ -1,8 +1,9 @@
-"""Small meshes made from numbers: spheres and stones; and bodies of what is placed: an apple, a ring (a donut), a crumb of
-bread, a lump of sugar, a nest mound, a plain ball.
+"""Small meshes computed from numbers: spheres, stones, and the shapes of items (an apple, a ring (a donut), a crumb of bread, a
+lump of sugar, a nest mound, a plain ball).
 
-Every shape is `(vertices float64 (n, 3), faces int32 (m, 3))`, y up, counter-clockwise seen from outside. Bodies have the
-radius 1 and rest at y = 0 or are sunk a little."""
+Every shape is `(vertices float64 (n, 3), faces int32 (m, 3))`, y up, counter-clockwise seen from outside. Shapes of items have
+the radius 1, and rest at y = 0 or slightly below.
+"""
 
 from collections.abc import Callable
 from functools import cache, lru_cache
@@ -39,7 +40,7 @@ def _apple() -> ColouredMesh:
 
 
 def _ring() -> ColouredMesh:
-    """A glazed ring: outer radius 1, tube 0.38, icing on the upper half with a wavy border, and sprinkles."""
+    """Return a glazed ring: outer radius 1, tube radius 0.38, icing on the upper half with a wavy border, and sprinkles."""
     around, across = 48, 20
     u = np.arange(around) * 2 * np.pi / around
     v = np.arange(across) * 2 * np.pi / across
@@ -81,7 +82,7 @@ def _ring() -> ColouredMesh:
 
 def _mound() -> ColouredMesh:
     """Return a low ring of loose soil with a dark hole, as ants pile it up around a nest entrance. It is lower than an ant, so
-    that none is buried."""
+    that it hides no ant."""
     rings, around = 22, 40
     reach = np.linspace(0, 1.25, rings)
     turn = np.arange(around) * 2 * np.pi / around
@@ -104,7 +105,7 @@ def _mound() -> ColouredMesh:
 
 
 def _crumb() -> ColouredMesh:
-    """A crumb of bread: broken faces, pores, and crust on one side."""
+    """Return a crumb of bread: broken faces, pores, and crust on one side."""
     vertices, faces = sphere(5)
     draw = np.random.Generator(np.random.Philox(71))
     directions = draw.normal(size=(13, 3))
@@ -172,7 +173,7 @@ _SHAPE_WORDS: tuple[tuple[str, str], ...] = (
 
 @cache
 def placed(shape: str) -> ColouredMesh:
-    """Vertices, faces and display colours 0..1 of the named shape."""
+    """Return vertices, faces and display colours (0 to 1) of the named shape."""
     arrays = ITEM_SHAPES[shape]()
     for array in arrays:
         array.setflags(write=False)
@@ -196,7 +197,7 @@ def _icosphere(detail: int) -> MeshArrays:
 
 
 def sphere(detail: int = 2) -> MeshArrays:
-    """Unit sphere of 20 · 4^detail triangles around the origin."""
+    """Return the unit sphere around the origin, with 20 · 4^detail triangles."""
     vertices, faces = _icosphere(detail)
     return vertices.copy(), faces.copy()
 
@@ -204,8 +205,8 @@ def sphere(detail: int = 2) -> MeshArrays:
 def wave_noise(
     points: NDArray[np.float64], seed: int, wavelength: float, octaves: int, *, fade: float = 0.5, count: int = 7
 ) -> NDArray[np.float64]:
-    """Return smooth noise of about unit size at `points` (n, d): a sum of sines in random directions. Each octave has half the
-    wavelength and `fade` times the height of the one before."""
+    """Return smooth noise of about unit size at `points` (n, d): a sum of `count` sines per octave, in random directions. Each
+    octave has half the wavelength and `fade` times the height of the previous one."""
     draw = np.random.Generator(np.random.Philox(seed))
     total = np.zeros(len(points))
     for octave in range(octaves):
@@ -219,7 +220,8 @@ def wave_noise(
 
 
 def stone(seed: int, radii: tuple[float, float, float], *, detail: int = 2, roughness: float = 0.16) -> MeshArrays:
-    """An irregular stone around the origin with about these half axes: a sphere cut flat by planes, then dented by noise."""
+    """Return an irregular stone around the origin with approximately these half axes: a sphere cut flat by planes, then dented by
+    noise."""
     vertices, faces = sphere(detail)
     draw = np.random.Generator(np.random.Philox(seed))
     cuts = draw.normal(size=(9, 3))
@@ -232,7 +234,8 @@ def stone(seed: int, radii: tuple[float, float, float], *, detail: int = 2, roug
 
 
 def sheet(x: NDArray[np.float64], z: NDArray[np.float64]) -> MeshArrays:
-    """Flat grid over the lines `x` (a,) and `z` (b,) at y = 0: a · b vertices, the z index runs fastest, faces look up."""
+    """Return a flat grid over the lines `x` (a,) and `z` (b,) at y = 0. It has a · b vertices; the z index runs fastest, and
+    faces look up."""
     a, b = len(x), len(z)
     grid = np.stack(np.meshgrid(x, z, indexing="ij"), axis=-1).reshape(-1, 2)
     vertices = np.stack([grid[:, 0], np.zeros(a * b), grid[:, 1]], axis=1)
@@ -246,7 +249,7 @@ def sheet(x: NDArray[np.float64], z: NDArray[np.float64]) -> MeshArrays:
 
 
 def join_meshes(parts: list[MeshArrays]) -> MeshArrays:
-    """One mesh of several."""
+    """Return one mesh that contains all parts."""
     starts = np.cumsum([0] + [len(vertices) for vertices, _ in parts])
     vertices = np.concatenate([vertices for vertices, _ in parts])
     faces = np.concatenate([faces + start for (_, faces), start in zip(parts, starts[:-1], strict=True)])

@@ -24,9 +24,14 @@ Matrix = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SkinnedMesh:
-    """A mesh for linear skinning only. `points` float32[v, 3] and `normals` float32[v, 3] in the rest pose, in the definition's
-    units; `bones` int32[v, 4] and `weights` float32[v, 4], which add up to 1. Each of B bones has a `joint` int32[B], its number
-    in the rig, and an `inverse` float32[B, 3, 4] from the rest pose into its space."""
+    """A mesh for linear skinning, with v vertices and B bones.
+
+    `points` and `normals`: float32[v, 3] in the rest pose, in the definition's units.
+    `bones`: int32[v, 4], the bones that each vertex follows.
+    `weights`: float32[v, 4], which add up to 1.
+    `joint`: int32[B], the number of each bone's joint in the rig.
+    `inverse`: float32[B, 3, 4], transforms the rest pose to the space of each bone.
+    """
 
     points: NDArray[np.float32]
     normals: NDArray[np.float32]
@@ -37,12 +42,13 @@ class SkinnedMesh:
 
 
 def skinned_mesh(definition: Definition, bindings: Sequence[Binding], taken: NDArray[np.integer]) -> SkinnedMesh:
-    """Return the mesh of some bindings; their shapes must have normals. `taken` int[v]: the selected vertices, counted through
+    """Return the mesh of some bindings. Their shapes must have normals. `taken` int[v]: the selected vertices, counted through
     all bindings.
 
-    A static shape follows its joint only. For a point that follows more than four joints, the four with the largest weights
-    remain. Deformers other than linear skinning are not applied: dual quaternions become linear, and blend shapes stay at their
-    base. `blend_targets` has the differences from that base."""
+    A static shape follows its joint only. If a point follows more than four joints, the four with the largest weights remain.
+    Deformers other than linear skinning are not applied: dual quaternions become linear, and blend shapes have their base shape.
+    `blend_targets` returns the differences from that base.
+    """
     bone_table = _BoneTable(definition)
     parts = [(_skinned_part if _is_skinned(each) else _static_part)(definition, each, bone_table) for each in bindings]
     none = np.zeros((0, 3), np.float32)
@@ -66,7 +72,7 @@ class _MeshPart:
 
 
 class _BoneTable:
-    """The bones that were requested so far, each once."""
+    """The bones that were requested so far. Each bone is stored once."""
 
     def __init__(self, definition: Definition) -> None:
         self.rest = world_matrices(definition.rig.parents, definition.rig.rest)
@@ -89,8 +95,8 @@ def _is_skinned(binding: Binding) -> bool:
 
 
 def _static_part(definition: Definition, binding: Binding, bone_table: _BoneTable) -> _MeshPart:
-    """Return a static shape of a joint, moved to its place in the rest pose. It then shares the bone of shapes skinned to that
-    joint."""
+    """Return a static shape, moved to the position of its joint in the rest pose. It then shares the bone of shapes that are
+    skinned to that joint."""
     shape = definition.shapes[binding.shape]
     points, normals = shape.points.astype(np.float64), _normals(shape).astype(np.float64)
     bones = np.zeros((len(points), MAX_JOINTS_PER_VERTEX), np.int32)
@@ -123,7 +129,7 @@ def _skinned_part(definition: Definition, binding: Binding, bone_table: _BoneTab
 
 
 def _strongest_joints(capture: Capture) -> tuple[NDArray[np.int32], NDArray[np.float32]]:
-    """Return the joints with the largest weights of each point, and their weights."""
+    """Return the joints with the largest weights of each point, at most four, and their weights."""
     joints, weights = capture.joints, capture.weights
     if joints.shape[1] < MAX_JOINTS_PER_VERTEX:
         wide = ((0, 0), (0, MAX_JOINTS_PER_VERTEX - joints.shape[1]))
@@ -142,8 +148,12 @@ def _normals(shape: Shape) -> NDArray[np.float32]:
 
 @dataclass(frozen=True, slots=True)
 class BlendTarget:
-    """One shape of an input: the channel that weights the input, the weights at which the input has shapes, and the index of this
-    shape."""
+    """One shape of a blend-shape input.
+
+    `channel`: the channel that weights the input.
+    `knots`: the weights at which the input has shapes.
+    `place`: the index of this shape in `knots`.
+    """
 
     channel: str
     knots: tuple[float, ...]
@@ -153,8 +163,9 @@ class BlendTarget:
 def blend_targets(
     definition: Definition, bindings: Sequence[Binding], taken: NDArray[np.integer]
 ) -> dict[BlendTarget, NDArray[np.float32]]:
-    """Return what each target adds at weight 1 to the rest pose of a skinned mesh, float32[v, 6]: to points and to normals. Only
-    shapes with blending as their first deformer count. `taken` int[v]: the vertices to include, numbered through all bindings."""
+    """Return the differences that each target adds at weight 1 to the rest pose of a skinned mesh, float32[v, 6]: three numbers
+    for points and three for normals. Only shapes with blending as their first deformer have targets. `taken` int[v]: the selected
+    vertices, counted through all bindings."""
     sizes = [len(definition.shapes[each.shape].points) for each in bindings]
     starts = np.cumsum([0, *sizes])
     offsets_by_target: dict[BlendTarget, NDArray[np.float32]] = {}
@@ -192,7 +203,7 @@ def _offsets(
 
 
 def weights_of(targets: Sequence[BlendTarget], rig: Rig, channels: Floats) -> Floats:
-    """Return the weights float32[n, K] of K targets for n agents with channel values `channels` float32[n, C]."""
+    """Return the weights float32[n, K] of K targets for n agents. `channels`: float32[n, C]."""
     weights = np.zeros((len(channels), len(targets)), np.float32)
     for k, target in enumerate(targets):
         weights[:, k] = shares_of(channels[:, rig.channel(target.channel)], np.array(target.knots))[target.place]
@@ -201,7 +212,7 @@ def weights_of(targets: Sequence[BlendTarget], rig: Rig, channels: Floats) -> Fl
 
 def channels_only(definition: Definition) -> Definition:
     """Return the definition reduced to its channels: one static joint, and clips with only channel values. Its poses have the
-    same channels as the definition's."""
+    same channel values as those of the definition."""
 
     def valued(clip: Clip) -> Clip:
         empty = np.zeros((clip.samples, 0, 3), np.float32)

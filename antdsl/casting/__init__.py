@@ -1,8 +1,14 @@
-"""Rays and nearest points against triangles, and the geometry that asks for them: the one room that imports Open3D.
+"""Rays and nearest points against triangles, and the geometry of these queries. Only this package imports Open3D.
 
-In go vertices and triangles in mm; out come faces, distances and weights in float64. `rays` lets Open3D name a face, and
-`faces` measures it again in float64, so that no result depends on the processor; `picture_rays` takes its word, for what is only
-looked at. `triangle_grid` answers short rays (`grid_rays`) and near
-places (`nearest_faces`) without it: all faces nearby in float64. Rays near a known face need no search (`ray_walks`).
-`distance_grid` gives lower bounds of distances, by which most rays are never cast; `rasterise` tells which cells of a
-lattice triangles touch; `curves` are polylines with nearest points. Nothing here knows agents, plans or scenes."""
+Input is vertices and triangles in mm; output is faces, distances and weights in float64.
+
+- `rays`: Open3D proposes a face, and `faces` measures it again in float64, so that no result depends on the processor.
+- `picture_rays`: Open3D's results without that check, for pictures only.
+- `triangle_grid`: answers short rays (`grid_rays`) and queries near faces (`nearest_faces`) without Open3D, from all nearby faces
+  in float64.
+- `ray_walks`: rays near a known face, which need no search.
+- `distance_grid`: lower bounds of distances; with them, most rays need not be cast.
+- `rasterise`: the cells of a lattice that triangles touch.
+- `curves`: polylines with nearest points.
+
+The package does not depend on agents, plans or scenes."""

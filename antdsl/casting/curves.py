@@ -29,11 +29,10 @@ class CurvePoints:
 
 
 class SampledCurve:
-    """A polyline float64[n,3] (mm), n >= 1, resampled into pieces of equal length, at most `spacing` mm (the sample count is
-    limited).
+    """A polyline float64[n,3] (mm), n >= 1, resampled into pieces of equal length, at most `spacing` mm.
 
-    Its direction is from the first point to the last; `reverse` flips it. Raises ValueError if a point is not finite or there is
-    none. A curve of one point has no direction: its tangent is 0."""
+    The number of samples is limited. The direction is from the first point to the last; `reverse` flips it. A curve of one point
+    has no direction: its tangent is 0. Raises ValueError if there is no point, or a point is not finite."""
 
     def __init__(self, points: Vectors, spacing: float, reverse: bool = False) -> None:
         points = np.asarray(points, np.float64).reshape(-1, 3)
@@ -50,10 +49,10 @@ class SampledCurve:
         self._tree: Any = None
 
     def closest(self, x: NDArray[Any], y: NDArray[Any], z: NDArray[Any]) -> CurvePoints:
-        """Return the nearest points to positions given as 1-D arrays; of equally near ones the first along the curve.
+        """Return the nearest points to positions (1-D arrays, mm); of equally near points, the first along the curve.
 
-        Exact for the resampled curve: the nearest sample bounds the distance. Only segments within that bound plus one piece can
-        hold the nearest point. Positions that are not finite get infinity."""
+        The result is exact for the resampled curve: the nearest sample bounds the distance, and only segments within that bound
+        plus one piece can contain the nearest point. Positions that are not finite get an infinite distance."""
         from scipy.spatial import cKDTree
 
         if self._tree is None:
@@ -71,7 +70,7 @@ class SampledCurve:
         return CurvePoints(*(np.ascontiguousarray(c, np.float32) for c in columns))
 
     def _nearest_on_segments(self, place: Vectors) -> tuple[Vectors, Vectors]:
-        """Return the nearest point and tangent, from the segments with samples near enough to contain it."""
+        """Return the nearest point and tangent, from the segments with samples that are near enough."""
         few = min(_NEAREST_SAMPLES, len(self.samples))
         gap, sample = self._tree.query(place, k=list(range(1, few + 1)))
         best = self._nearest_segment(place, sample)
@@ -86,7 +85,7 @@ class SampledCurve:
         return self.samples[best] + part * self._step[best], unit(tangent)
 
     def _nearest_segment(self, place: Vectors, sample: NDArray[np.int64]) -> NDArray[np.int64]:
-        """Return the nearest segment of those next to samples int[n,k], the first of equals."""
+        """Return the nearest of the segments next to samples int[n,k]; of equally near ones, the first."""
         segment = np.sort(np.clip(np.concatenate([sample - 1, sample], axis=1), 0, len(self._step) - 1), axis=1)
         gaps = np.stack([self._project_on_segment(place, column)[1] for column in segment.T], axis=1)
         best: NDArray[np.int64] = segment[np.arange(len(place)), gaps.argmin(axis=1)]
@@ -104,7 +103,7 @@ class SampledCurve:
 
 def resample(points: Vectors, spacing: float) -> Vectors:
     """Return points [k,3] at equal spacing along a polyline [n,3], both ends included. The spacing is at most `spacing`, unless
-    the point count reaches its limit."""
+    the number of points reaches its limit."""
     step = np.sqrt((np.diff(points, axis=0) ** 2).sum(axis=1))
     keep = np.concatenate(([True], step > 0))
     points, at = points[keep], np.concatenate(([0.0], np.cumsum(step[step > 0])))

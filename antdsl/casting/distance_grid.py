@@ -1,5 +1,5 @@
-"""Lower bounds of the distance to the nearest triangle: a coarse grid that excludes agents far from all triangles in a few array
-passes."""
+"""Lower bounds of the distance to the nearest triangle. A coarse grid excludes agents far from all triangles in a few array
+operations."""
 
 from __future__ import annotations
 
@@ -26,8 +26,9 @@ Cells = tuple[Array1[F64], Array1[F64], Array1[I64], F64]  # where they begin an
 
 
 class DistanceGrid:
-    """Lower bounds of the distance to a set of triangles, from their corners float64[m,3,3] (mm). `lasting`: whether another run
-    may need the same bounds, so that they are stored."""
+    """Lower bounds of the distance to a set of triangles, with corners float64[m,3,3] (mm).
+
+    If `lasting`, the bounds are stored for other runs that may need them."""
 
     def __init__(self, corners: NDArray[np.float64], cells: int = _TARGET_CELLS, lasting: bool = True) -> None:
         self._low = corners.min(axis=(0, 1)) if len(corners) else np.zeros(3)
@@ -52,10 +53,10 @@ class DistanceGrid:
         return {"least": least}
 
     def refine(self, distance: Callable[[NDArray[np.float64]], NDArray[np.float64]]) -> None:
-        """Raise the bounds of cells near triangles by the measured distance (mm) from their centres [n,3]. This leaves a slack of
-        one half diagonal per cell instead of two.
+        """Raise the bounds of cells near triangles. `distance` measures the distance (mm) of the cell centres [n,3].
 
-        Skipped where measuring would take longer than it saves a crowd in a few hundred steps."""
+        Refined bounds are too low by at most half the diagonal of a cell, others by twice as much. The method does nothing if the
+        measurement would take longer than it saves a crowd in a few hundred steps."""
         near = np.flatnonzero(self._least < 2 * self._width)
         if near.size > _MAX_REFINED_CELLS:
             return
@@ -66,7 +67,7 @@ class DistanceGrid:
         self._least[near] = np.maximum(self._least[near], least.astype(np.float32))
 
     def lower_bounds(self, x: NDArray[Any], y: NDArray[Any], z: NDArray[Any], threads: int = 1) -> NDArray[np.float32]:
-        """Return a distance (mm, float32[n]) within which there is no triangle; 0 near the triangles."""
+        """Return a distance (mm, float32[n]) from each position within which there is no triangle; 0 near triangles."""
         least_distances, columns = np.empty(len(x), np.float32), (x, y, z)
         single = all(each.dtype == np.float32 for each in columns)
         if not single:
@@ -101,7 +102,7 @@ def _lower_bound(cells: Cells, least: Array1[F32], px: F64, py: F64, pz: F64) ->
 def write_lower_bounds(
     positions: PointColumns, cells: Cells, least: Array1[F32], least_distances: Array1[F32], begin: I64, end: I64
 ) -> None:
-    """Write the distances of the positions in rows `begin` to `end` (exclusive)."""
+    """Write the distance bounds of the positions in rows `begin` to `end` (exclusive)."""
     x, y, z = positions
     for n in independent(begin, end):
         least_distances[n] = _lower_bound(cells, least, np.float64(x[n]), np.float64(y[n]), np.float64(z[n]))
@@ -111,7 +112,7 @@ def write_lower_bounds(
 def write_lower_bounds64(
     positions: PointColumns64, cells: Cells, least: Array1[F32], least_distances: Array1[F32], begin: I64, end: I64
 ) -> None:
-    """The same of places in float64."""
+    """Write the bounds of `write_lower_bounds` for positions in float64."""
     x, y, z = positions
     for n in independent(begin, end):
         least_distances[n] = _lower_bound(cells, least, x[n], y[n], z[n])
@@ -119,7 +120,7 @@ def write_lower_bounds64(
 
 @inlined
 def _cell_number(place: F64) -> I64:
-    """Return the cell number of a coordinate in cells that is not negative."""
+    """Return the cell number of a coordinate (in cells), which must not be negative."""
     return nearest_integer(np.floor(place))
 
 
@@ -131,7 +132,7 @@ def _clamp(place: F64, low: F64, high: F64) -> F64:
 
 
 def cell_width(extent: NDArray[np.float64], cells: int) -> float:
-    """Return the edge of cubes of which about `cells` fill a box; a thin box counts only its long sides."""
+    """Return the edge length of cubes of which about `cells` fill a box. For a thin box, only its long sides count."""
     longest = float(extent.max())
     if not longest > 0:
         return 1.0
@@ -146,8 +147,10 @@ def cell_width(extent: NDArray[np.float64], cells: int) -> float:
 
 
 def triangle_width(corners: NDArray[np.float64], width: float) -> float:
-    """Return the edge of cubes, at least `width`, for which listing triangles with corners float64[m,3,3] takes at most a few
-    seconds."""
+    """Return an edge length of cubes, at least `width`, for which it takes at most a few seconds to list the cubes that triangles
+    touch.
+
+    The triangles have corners float64[m,3,3]."""
     lengths, area = sides_and_area(corners)
     around = float(lengths.sum())
     while 3 * area / width**2 + 2 * around / width > _MAX_LISTED_CELLS + 8.0 * len(corners):
@@ -156,8 +159,8 @@ def triangle_width(corners: NDArray[np.float64], width: float) -> float:
 
 
 def sides_and_area(corners: NDArray[np.float64]) -> tuple[NDArray[np.float64], float]:
-    """Return the lengths (3, m) of the sides of triangles and their total area. The count of cubes they touch depends on sides,
-    area and corners."""
+    """Return the lengths (3, m) of the sides of triangles, and their total area. They determine how many cubes the triangles
+    touch."""
     sides = [corners[:, (k + 1) % 3] - corners[:, k] for k in range(3)]
     normal = np.cross(sides[0], sides[1])
     lengths: NDArray[np.float64] = np.sqrt(np.stack([dot(side, side) for side in sides]))

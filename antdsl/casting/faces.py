@@ -1,6 +1,6 @@
 """Triangles in float64: ray intersections, nearest points, and the faces that share a corner.
 
-Sums, products, quotients and roots of single elements in one fixed order: the same bits on every processor."""
+All results are sums, products, quotients and roots of single elements in one fixed order: the same bits on every processor."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ FaceTable = tuple[Array3[F64], Array1[F64], Array1[I64], Array1[I64], Array1[I64
 
 class Faces:
     """Triangles with corners float64[m,3,3] (mm). `brief`: build no tables, since few faces are queried. `largest`: the
-    coordinate (mm) that defines a hair, if it is not the largest of all corners."""
+    coordinate (mm) that the length `hair` is relative to; by default the largest of all corners."""
 
     def __init__(self, corners: Floats, brief: bool = False, largest: float | None = None) -> None:
         self.corners = corners
@@ -44,8 +44,8 @@ class Faces:
         self._meeting: tuple[Index, Index, Index] | None = None
 
     def widened_corners(self) -> NDArray[np.float32]:
-        """Return corners float32[3m,3] of slightly enlarged triangles (each side moved out by a few `hair`), so that float32 rays
-        miss no face."""
+        """Return corners float32[3m,3] of slightly enlarged triangles, so that float32 rays miss no face. Each side is moved out
+        by a few `hair`."""
         a, b, c = (self.corners[:, k] for k in range(3))
         normal = unit(np.cross(b - a, c - a))
         ab, bc, ca = (np.cross(unit(side), normal) for side in (b - a, c - b, a - c))
@@ -66,12 +66,12 @@ class Faces:
         return self._normals.take(face, axis=0)
 
     def _planes_and_rims(self, face: Index) -> tuple[Floats, Floats]:
-        """`planes` and rims of faces."""
+        """Return the `planes` of faces, and for each face the weight below which a point counts as near its border."""
         if self._brief:
             return self._compute_planes(self.corners.take(face, axis=0))
         if self._planes is None:
             rows, rims = self._compute_planes(self.corners)
-            rims[self._find_duplicates()] = np.inf  # what lies in another one is nowhere the only one there
+            rims[self._find_duplicates()] = np.inf  # a face with a duplicate is never the only face at a point
             self._planes = rows, rims
         rows, rims = self._planes
         return rows.take(face, axis=0), rims.take(face)
@@ -86,9 +86,10 @@ class Faces:
     def cross_planes(
         self, face: Index, origin: Floats, displacement: Floats
     ) -> tuple[Floats, Floats, NDArray[np.bool_], NDArray[np.bool_]]:
-        """Intersect rays from `origin` [k,3] along `displacement` [k,3] with the planes of faces. Returns the ray parameter, in
-        lengths of `displacement`; the weights [k,3] of the corners there; whether the point is in the face; whether it is within
-        float32 error of the border."""
+        """Intersect rays from `origin` [k,3] along `displacement` [k,3] with the planes of faces.
+
+        Returns the ray parameter in lengths of `displacement`; the corner weights [k,3] of the intersection; whether it is in the
+        face; and whether it is within float32 error of the border."""
         rows, rim = self._planes_and_rims(face)
         at = ((rows[:, :, 0] * origin[:, 0:1] + rows[:, :, 1] * origin[:, 1:2]) + rows[:, :, 2] * origin[:, 2:]) + rows[:, :, 3]
         to = (rows[:, :, 0] * displacement[:, 0:1] + rows[:, :, 1] * displacement[:, 1:2]) + rows[:, :, 2] * displacement[:, 2:]
@@ -102,9 +103,11 @@ class Faces:
     def check_hits(
         self, named: Index, origin: Floats, displacement: Floats, at: NDArray[np.floating]
     ) -> tuple[Floats, Floats, NDArray[np.bool_], Floats]:
-        """Check hits that Open3D reports, on the named faces at about `at` of their length. Returns the exact part of the length,
-        the weights of the corners, whether the ray hits, and `hair` as a part of the length. Near the border of the named face,
-        the first hit among the faces that meet there counts; `named` is changed to it."""
+        """Check hits that Open3D reports: on the faces `named`, at approximate ray parameters `at` (in lengths of
+        `displacement`).
+
+        Returns the exact ray parameter, the corner weights, whether the ray hits, and `hair` in lengths of `displacement`. Near
+        the border of a named face, the first hit among the faces that meet there counts, and `named` is changed to that face."""
         tables = self.tables()
         if tables is not None:
             n = len(named)
@@ -134,8 +137,8 @@ class Faces:
         return fractions, weights, hit, hair
 
     def tables(self) -> tuple[Floats, Floats, Index, Index, Index] | None:
-        """Return the tables that kernels read, for all faces: planes, borders, and the results of `_met`. None for a short-lived
-        set of faces."""
+        """Return the tables that kernels read, for all faces: planes, border widths, and the results of `_weld_corners`. None for
+        `brief` faces."""
         if self._brief:
             return None
         self._planes_and_rims(np.empty(0, np.int64))
@@ -143,8 +146,8 @@ class Faces:
         return *self._planes, *self._meeting
 
     def nearest(self, points: Floats, face: Index) -> tuple[Floats, Floats, Index]:
-        """Return the nearest position to each point [k,3], its squared distance and its face. `face` is the nearest in float32;
-        the result is that face or one that meets it at the nearest position. Of equally near ones the first."""
+        """Return the nearest position to each point [k,3], its squared distance and its face. `face` is the nearest face in
+        float32. The result is that face, or one that meets it at the nearest position; of equally near faces, the first."""
         tables = self.tables()
         if tables is not None:
             face, place, square = face.copy(), np.empty((len(points), 3)), np.empty(len(points))
@@ -169,8 +172,8 @@ class Faces:
         return place, square, face
 
     def faces_at_corner(self, face: Index, weights: Floats) -> tuple[Index, Index]:
-        """Return for each face all faces that share its corner of largest weight, itself included. The result contains the
-        indices of the queried faces, and the face numbers, ascending."""
+        """Return all faces that share the corner of largest weight with a queried face, itself included: the index of the queried
+        face, and the face number, ascending."""
         if self._meeting is None:
             self._meeting = self._weld_corners()
         weld, first, faces = self._meeting
@@ -181,7 +184,7 @@ class Faces:
         return which, faces.take(np.repeat(first.take(corner), count) + step)
 
     def _find_duplicates(self) -> NDArray[np.bool_]:
-        """Which faces have the corners of another one."""
+        """Return which faces have the same corners as another face."""
         if self._meeting is None:
             self._meeting = self._weld_corners()
         three = np.sort(self._meeting[0].reshape(-1, 3), axis=1)
@@ -192,7 +195,7 @@ class Faces:
         return is_doubled
 
     def _weld_corners(self) -> tuple[Index, Index, Index]:
-        """Return the welded vertex number of each corner; where the faces at each vertex begin; these faces."""
+        """Return the welded vertex number of each corner, the start of each vertex's faces in a list, and that list of faces."""
         flat = self.corners.reshape(-1, 3)
         order = np.lexsort((flat[:, 2], flat[:, 1], flat[:, 0]))
         new = (flat[order[1:]] != flat[order[:-1]]).any(axis=1)
@@ -205,8 +208,8 @@ class Faces:
 
 def planes(corners: Floats) -> Floats:
     """Return three rows (k, 3, 4) for triangles [k,3,3]. Multiplied with a point's coordinates and 1, they give the height along
-    the normal and the weights of the second and third corner. All zero for a triangle without area (D. Baldwin, M. Weber, Fast
-    Ray-Triangle Intersections by Coordinate Transformation, JCGT 5(3), 2016)."""
+    the normal and the weights of the second and third corner. All are zero for a triangle without area (D. Baldwin, M. Weber,
+    Fast Ray-Triangle Intersections by Coordinate Transformation, JCGT 5(3), 2016)."""
     a, one, two = corners[:, 0], corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
     normal = np.cross(one, two)
     size = dot(normal, normal)[:, None]
@@ -219,7 +222,8 @@ def planes(corners: Floats) -> Floats:
 
 
 def nearest_on_triangle(points: Floats, corners: Floats) -> Floats:
-    """Nearest point of each triangle [n,3,3] to each point [n,3] (Ericson, Real-Time Collision Detection, 2005, p. 136-142)."""
+    """Return the nearest point of each triangle [n,3,3] to each point [n,3] (Ericson, Real-Time Collision Detection, 2005, p.
+    136-142)."""
     a, b, c = corners[:, 0], corners[:, 1], corners[:, 2]
     u, v, w = b - a, c - a, points - a
     uu, uv, vv, wu, wv = dot(u, u), dot(u, v), dot(v, v), dot(w, u), dot(w, v)
@@ -265,8 +269,8 @@ def hits(
     hit: Array1[BOOL],
     short: Array1[F64],
 ) -> None:
-    """As `Faces.judged`, into the last five arrays: face, part of the length, corner weights, whether it is hit, and `hair` as a
-    part of the length."""
+    """Write the results of `Faces.check_hits` to the last five arrays: face, ray parameter, corner weights, whether the ray hits,
+    and `hair`."""
     planes, rims, weld, first, faces = table
     for i in range(named.size):
         x, y, z = displacement[i, 0], displacement[i, 1], displacement[i, 2]
@@ -292,7 +296,7 @@ def hits(
 def nearest(
     table: FaceTable, corners: Array3[F64], points: Strided2[F64], face: Array1[I64], place: Array2[F64], square: Array1[F64]
 ) -> None:
-    """As `Faces.nearest`, into the last three arrays; `face` holds what Open3D names."""
+    """Write the results of `Faces.nearest` to the last three arrays. At the start, `face` has the faces that Open3D reports."""
     planes, rims, weld, first, faces = table
     for i in range(face.size):
         p = (points[i, 0], points[i, 1], points[i, 2])
@@ -315,19 +319,19 @@ def nearest(
 
 @inlined
 def evaluate_point(planes: Array3[F64], face: I64, row: I64, x: F64, y: F64, z: F64) -> F64:
-    """One row of a face's planes, for a place."""
+    """Return the product of one row of a face's planes with a point's coordinates and 1."""
     return ((planes[face, row, 0] * x + planes[face, row, 1] * y) + planes[face, row, 2] * z) + planes[face, row, 3]
 
 
 @inlined
 def evaluate_direction(planes: Array3[F64], face: I64, row: I64, x: F64, y: F64, z: F64) -> F64:
-    """The same for a way."""
+    """Return the product of one row of a face's planes with a direction."""
     return (planes[face, row, 0] * x + planes[face, row, 1] * y) + planes[face, row, 2] * z
 
 
 @inlined
 def _minimum(a: F64, b: F64, c: F64) -> F64:
-    """NaN if any is, as `np.minimum` has it."""
+    """Return the least number; NaN if any is NaN, as `np.minimum`."""
     if a != a or b != b or c != c:
         return np.nan
     return min(min(a, b), c)
@@ -354,7 +358,7 @@ def _cross_plane(planes: Array3[F64], face: I64, a: F64, b: F64, c: F64, x: F64,
 
 @inlined
 def squared_length(a: Vec3) -> F64:
-    """The square of a vector's length."""
+    """Return the square of a vector's length."""
     return dot_of(a, a)
 
 
@@ -365,7 +369,7 @@ def _point_along(a: Vec3, v: Vec3, s: F64) -> Vec3:
 
 @inlined
 def nearest_on(corners: Array3[F64], face: I64, p: Vec3) -> Vec3:
-    """As `nearest_on_triangle`."""
+    """Return the nearest point of a face to a point, as `nearest_on_triangle`."""
     a = (corners[face, 0, 0], corners[face, 0, 1], corners[face, 0, 2])
     b = (corners[face, 1, 0], corners[face, 1, 1], corners[face, 1, 2])
     c = (corners[face, 2, 0], corners[face, 2, 1], corners[face, 2, 2])

@@ -1,6 +1,6 @@
-"""Filters of grids: minimum or maximum of the surrounding cells, and distance to the nearest cell of a kind.
+"""Filters of grids: minimum or maximum of the surrounding cells, and distance to the nearest cell that is not free.
 
-Bit-identical to SciPy's `ndimage`, which takes longer to import than all filters of a scene."""
+Results are bit-identical to those of SciPy's `ndimage`. Importing SciPy takes longer than all filters of a scene."""
 
 from __future__ import annotations
 
@@ -42,8 +42,8 @@ def _filter_around(grid: NDArray[T], rings: int, better: Any) -> NDArray[T]:
 def distances_to_blocked(free: NDArray[np.bool_]) -> NDArray[np.float64]:
     """Return the distance, in cells between centres, to the nearest cell that is not `free`; at least one cell must not be free.
 
-    Works along one axis after the other: the minimum over each cell's line of the squared value there plus the squared distance
-    along the line."""
+    The axes are processed one after another. For each cell, the result is the minimum over its line of two terms: the squared
+    value of a cell of the line, plus its squared distance along the line."""
     square = np.where(free, np.int32(_MAX_SQUARED_CELLS), np.int32(0))
     for axis in np.argsort(free.shape, kind="stable"):  # after the shortest few cells are far from all
         line = np.moveaxis(square, axis, 0)

@@ -1,4 +1,4 @@
-"""The first face that each ray meets in a grid of triangles, see `triangle_grid`: one ray at a time, cube by cube."""
+"""The first face that each ray hits in a grid of triangles (`triangle_grid`): one ray at a time, cube by cube."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ _MIN_AXIS_CUBES = 1e-12  # cubes: a ray that goes no farther along an axis stays
 def first_hits(
     grid: GridTables, origin: Strided2[F64], displacement: Strided2[F64], t: Array1[F64], face: Array1[I64], begin: I64, end: I64
 ) -> None:
-    """As `TriangleGrid.first`, into `t` and `face`, for rays `begin` to `end` (exclusive)."""
+    """Write the results of `TriangleGrid.first` to `t` and `face`, for rays `begin` to `end` (exclusive)."""
     cells = scratch(2 * PREFETCH_GROUP_SIZE, I64)
     for low in range(begin, end, PREFETCH_GROUP_SIZE):
         high = min(low + PREFETCH_GROUP_SIZE, end)
@@ -55,9 +55,13 @@ def trace_normals(
     begin: I64,
     end: I64,
 ) -> tuple[I64, I64, I64]:
-    """As `TriangleGrid.faced`, for rays `begin` to `end` (exclusive), into the last two arrays from index `begin` on. `which`:
-    the rays that hit; `results` [4, n]: part of the length and normal (x y z). Returns `begin`, the number of hits, and the
-    number of rays beyond the grid's reach."""
+    """Write the results of `TriangleGrid.trace_normals` for rays `begin` to `end` (exclusive), to the last two arrays from index
+    `begin` on.
+
+    - `which`: the rays that hit
+    - `results` [4, n]: ray parameter and normal (x y z)
+
+    Returns `begin`, the number of hits, and the number of rays beyond the grid's reach."""
     shape, count, left = grid[0], 0, 0
     zero = shape[6], shape[7], shape[8]
     cells, faces, many = scratch(2 * PREFETCH_GROUP_SIZE, I64), scratch(PREFETCH_GROUP_SIZE, I64), normals.shape[1]
@@ -98,8 +102,9 @@ def _prefetch_faces(
 
 @kernel
 def cast_feelers(grid: GridTables, rays: SevenColumns, results: Array2[F32]) -> I64:
-    """As `TriangleGrid.feelers`, into the last array: distance and normal. The distance is NaN for feelers that the grid cannot
-    resolve; returns their number."""
+    """Write the results of `TriangleGrid.cast_feelers` to the last array: distance and normal.
+
+    The distance is NaN for feelers that the grid cannot resolve. Returns the number of these."""
     x, y, z, dx, dy, dz, reach = rays
     count = 0
     for i in range(reach.size):
@@ -121,8 +126,9 @@ def feel_askers(
     begin: I64,
     end: I64,
 ) -> I64:
-    """As `TriangleGrid.felt`, for agents `begin` to `end` (exclusive), into the last arrays. The distance is NaN for feelers that
-    the grid cannot resolve; returns their number."""
+    """Write the results of `TriangleGrid.feel_askers`, for agents `begin` to `end` (exclusive).
+
+    The distance is NaN for feelers that the grid cannot resolve. Returns the number of these."""
     x, y, z, clear = positions
     wx, wy, wz, reach = directions
     hit, t, nx, ny, nz = results
@@ -148,8 +154,9 @@ def feel_askers(
 
 @called
 def cast_feeler(grid: GridTables, p: Vec3F32, d: Vec3F32, reach: F32) -> tuple[tuple[F64, F64, F64, F64], I64]:
-    """Return the hit of a feeler, and the face. The hit contains the unit normal towards the feeler's origin, and the distance in
-    mm (inf = no hit, NaN = the grid cannot answer)."""
+    """Return the hit of a feeler, and the face. A hit is the distance (mm) and the unit normal towards the feeler's origin.
+
+    The distance is infinite for no hit, NaN if the grid cannot answer."""
     shape, normals = grid[0], grid[7]
     far = np.float64(reach)
     a = np.float64(p[0]) - shape[6], np.float64(p[1]) - shape[7], np.float64(p[2]) - shape[8]
@@ -165,7 +172,7 @@ def cast_feeler(grid: GridTables, p: Vec3F32, d: Vec3F32, reach: F32) -> tuple[t
 
 @called
 def first_hit(grid: GridTables, a: Vec3, w: Vec3) -> tuple[F64, I64]:
-    """Return the part of its length after which a ray meets its first face, and the face."""
+    """Return the ray parameter (0 to 1) at which a ray from `a` by `w` hits its first face, and the face."""
     shape, size, first, listed, bound, planes = grid[0], grid[1], grid[2], grid[3], grid[4], grid[5]
     part = 1.0 / shape[3]
     px, py, pz = (a[0] - shape[0]) * part, (a[1] - shape[1]) * part, (a[2] - shape[2]) * part
@@ -244,7 +251,8 @@ def prefetch_rays(
     cells: Array1[I64],
     count: I64,
 ) -> None:
-    """Prefetch the faces near both ends of the rays with numbers in `rays`. Origins and ways (3, k) are relative to `zero`."""
+    """Prefetch the faces near both ends of the rays with numbers in `rays`. Origins and displacements (3, k) are relative to
+    `zero`."""
     for n in range(count):
         _list_end_cubes(grid, minus(of(origins, rays[n]), zero), of(displacements, rays[n]), cells, n)
     _prefetch_lists(grid, cells, count)
@@ -266,7 +274,8 @@ def _prefetch_lists(grid: GridTables, cells: Array1[I64], count: I64) -> None:
 
 @inlined
 def _prefetch_cube(grid: GridTables, a: Vec3) -> I64:
-    """Return the cube of a position, or the nearest one of the grid. Prefetch the start of its list."""
+    """Return the number of the cube that contains a position, or of the nearest cube in the grid. Prefetch the start of its
+    list."""
     shape, size, first = grid[0], grid[1], grid[2]
     part = 1.0 / shape[3]
     x = min(max(nearest_integer(np.floor((a[0] - shape[0]) * part)), 0), size[0] - 1)
@@ -279,7 +288,7 @@ def _prefetch_cube(grid: GridTables, a: Vec3) -> I64:
 
 @inlined
 def _prefetch_list(grid: GridTables, cell: I64) -> None:
-    """Prefetch the first faces of a cube: two fit in a cache line."""
+    """Prefetch the first faces of a cube: one cache line has two faces."""
     first, listed, bound = grid[2], grid[3], grid[4]
     k: I64 = first[cell]
     fetch_ahead(listed, k)
@@ -291,7 +300,7 @@ def _prefetch_list(grid: GridTables, cell: I64) -> None:
 
 @inlined
 def _axis_interval(p: F64, inverse: F64, moves: BOOL, size: F64) -> tuple[F64, F64]:
-    """Return the parts of its length at which a ray enters and leaves the grid along one axis."""
+    """Return the ray parameters at which a ray enters and leaves the grid along one axis."""
     if not moves:
         return (0.0, 1.0) if p >= 0.0 and p < size else (np.inf, -np.inf)
     one, two = -p * inverse, (size - p) * inverse

@@ -1,6 +1,7 @@
-"""Queries of agents about nearby triangles: distance, feeler hits, and the direction away from them.
+"""Queries of agents about nearby triangles: distance, feeler hits, and the direction away from the triangles.
 
-Agents too far from all triangles to touch them are skipped, by a grid of lower distance bounds (performance: most agents)."""
+Agents too far from all triangles to touch them are skipped, by a grid of lower distance bounds. For performance: this applies to
+most agents."""
 
 from __future__ import annotations
 
@@ -20,7 +21,7 @@ from antdsl.numerics.vectors import VectorComponents
 Vectors = NDArray[np.float64]
 Index = NDArray[np.int64]
 
-FeelerQuery = tuple[NDArray[np.bool_], Arrays, Arrays]  # who of n asks, operands and results of n each
+FeelerQuery = tuple[NDArray[np.bool_], Arrays, Arrays]  # which of n agents take part; operands and results, n each
 
 RAY_LENGTH_FACTOR = 1.1  # of a ray: Open3D looks as far, which is more than it errs by unless the ray is a hair long
 _MIN_POINTS_TO_REFINE = 2_000  # simultaneous queries from which finer distances pay
@@ -29,7 +30,11 @@ _SHORT_LIVED_GRID_CELLS = 1000
 
 @dataclass(frozen=True, slots=True)
 class FeelerHits:
-    """Hits of feelers: `hit`, its distance `t` (mm, inf = no hit) and the face's normal towards the feeler's origin."""
+    """Hits of feelers.
+
+    - `hit`: whether a feeler hits
+    - `t`: the distance (mm); infinite for no hit
+    - `nx`, `ny`, `nz`: the face's normal, on the side of the feeler's origin"""
 
     hit: NDArray[np.bool_]
     t: NDArray[np.float32]
@@ -39,12 +44,12 @@ class FeelerHits:
 
 
 def list_askers(asks: Sequence[FeelerQuery]) -> list[tuple[int, NDArray[np.intp]]]:
-    """Return the rows of all requests, with the number of each request."""
+    """Return, for each request, its number and the rows of its agents."""
     return [(number, np.flatnonzero(asking)) for number, (asking, *_) in enumerate(asks)]
 
 
 class ProximityQueries:
-    """Queries of triangles near positions; `casting.rays` implements the underlying ones."""
+    """Queries about triangles near positions. `casting.rays` implements the basic queries that they use."""
 
     origin: Vectors
     _brief: bool
@@ -95,10 +100,11 @@ class ProximityQueries:
     def cast_feelers(
         self, positions: VectorComponents, directions: VectorComponents, reach: NDArray[Any] | float, threads: int = 1
     ) -> FeelerHits:
-        """Return the hits within `reach` (mm, one or float[n]) of positions (x y z) along unit directions (x y z), all 1-D arrays
-        of one length.
+        """Return the first hits of feelers from positions (x y z) along unit directions (x y z), within `reach` (mm, one or
+        float[n]).
 
-        Agents too far from everything to touch it are skipped (performance: most agents), with the same result."""
+        All arrays are 1-D and of one length. Agents too far from everything to touch it are skipped, with the same result. For
+        performance: this applies to most agents."""
         (x, y, z), (dx, dy, dz) = positions, directions
         if np.ndim(reach) == 0 or reach.dtype != np.float32:  # type: ignore[union-attr]
             reach = np.broadcast_to(np.asarray(reach, np.float32), (len(x),))
@@ -117,10 +123,14 @@ class ProximityQueries:
         return FeelerHits(t < np.inf, t, *normal)
 
     def feel_batch(self, positions: Arrays, asks: Sequence[FeelerQuery], threads: int = 1) -> list[tuple[int, NDArray[np.intp]]]:
-        """As `feelers`, for several requests together, each by some of n agents. `positions`: x y z and the distance free of
-        faces, [n] each. Each request has ways (x y z) of any length and their reach, [n] each, and result arrays: hit, distance
-        and normal (x y z), [n] each. Results must be initialised to no hit; all arrays are contiguous float32. Returns, with the
-        number of each request, the rows that still need `feelers`: all if there is no grid."""
+        """Write the results of `cast_feelers` for several requests together, each for some of n agents.
+
+        - `positions`: x y z, and a distance (mm) within which there is no face, [n] each
+        - `asks`: each request has directions (x y z) of any length and their reach, [n] each, and its result arrays
+        - result arrays: hit, distance and normal (x y z), [n] each, initialised to no hit
+
+        All arrays are contiguous float32. Returns, for each request, its number and the rows that still need `cast_feelers`;
+        these are all rows if there is no grid."""
         grid = self._triangle_grid()
         if grid is None:
             return list_askers(asks)
@@ -133,18 +143,18 @@ class ProximityQueries:
         return left
 
     def tables(self) -> Tables | None:
-        """Return the grid of triangles as kernels read it; None if there is none."""
+        """Return the arrays of the triangle grid that kernels read; None if there is no grid."""
         grid = self._triangle_grid()
         return None if grid is None else grid.tables
 
     def _grid_for(self, columns: tuple[NDArray[Any], ...]) -> TriangleGrid | None:
-        """Return the grid if its kernels accept these columns."""
+        """Return the grid if its kernels accept these columns; else None."""
         return self._triangle_grid() if all(each.dtype == np.float32 for each in columns) else None
 
     def _cast_rays(
         self, rays: tuple[NDArray[Any], ...], reach: NDArray[np.float32], threads: int
     ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-        """Return distance and normal of what feelers touch, for rays as six columns, with array operations."""
+        """Return distance and normal of the first hits of feelers (rays as six columns), by array operations."""
         x, y, z, dx, dy, dz = rays
         t = np.full(len(x), np.inf, np.float32)
         normal = np.zeros((3, len(x)), np.float32)
@@ -165,8 +175,8 @@ class ProximityQueries:
     def nearest_within(
         self, x: NDArray[Any], y: NDArray[Any], z: NDArray[Any], reach: NDArray[Any] | float, threads: int = 1
     ) -> FeelerHits:
-        """Return the nearest face within `reach` (mm, one or float[n]) of positions, 1-D arrays: distance, and unit direction
-        towards the position."""
+        """Return the nearest face within `reach` (mm, one or float[n]) of positions (1-D arrays): distance, and unit direction
+        from the face to the position."""
         n = len(x)
         reach = np.broadcast_to(np.asarray(reach, np.float32), (n,))
         t = np.full(n, np.inf, np.float32)
@@ -186,10 +196,9 @@ class ProximityQueries:
     def signed_distances(
         self, x: NDArray[Any], y: NDArray[Any], z: NDArray[Any], within: NDArray[Any] | float, threads: int = 1
     ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-        """Return the signed distance (mm, float32[n]) of positions from the meshes, negative inside, and the unit direction out,
-        float32[3,n].
+        """Return the signed distance (mm, float32[n]) of positions from the meshes, and the unit direction out, float32[3,n].
 
-        Inside means behind the nearest face. Slow far from the surface."""
+        The distance is negative inside, which means behind the nearest face. Slow far from the surface."""
         grid = self._grid_for((x, y, z))
         if grid is None:
             return self._signed_distances(np.stack([x, y, z], axis=1).astype(np.float64), within, threads)
@@ -215,7 +224,8 @@ class ProximityQueries:
         return (distance * side).astype(np.float32), np.ascontiguousarray(out.T, np.float32)
 
     def _select_reachable(self, rays: Arrays, reach: NDArray[Any]) -> NDArray[np.int64]:
-        """Return the rays that may hit: those with a ball around the feeler's middle that is not known to be empty."""
+        """Return the rows of feelers that may hit. A feeler is excluded if the ball around its middle that contains it is known
+        to be empty."""
         if self._empty:
             return np.empty(0, np.int64)
         if self._grid is None:

@@ -1,4 +1,4 @@
-"""The nearest face of positions in a grid of triangles, and the direction out of the surface: kernels of `triangle_grid`, one
+"""The nearest face to positions in a grid of triangles, and the direction out of the surface: kernels of `triangle_grid`, one
 position at a time."""
 
 from __future__ import annotations
@@ -23,8 +23,10 @@ _PREFETCHED_FACES = 12  # prefetched faces of a row of cubes
 
 @kernel
 def signed_distances(grid: GridTables, positions: ThreeColumns, results: Array2[F32], begin: I64, end: I64) -> I64:
-    """As `TriangleGrid.apart` for positions `begin` to `end` (exclusive), into `results`: signed distance and direction out. The
-    distance is NaN where the grid cannot tell; returns the number of these."""
+    """Write the results of `TriangleGrid.signed_distances` for positions `begin` to `end` (exclusive): signed distance and
+    direction out.
+
+    The distance is NaN if the grid cannot tell. Returns the number of these positions."""
     x, y, z = positions
     count = 0
     for i in range(begin, end):
@@ -36,8 +38,9 @@ def signed_distances(grid: GridTables, positions: ThreeColumns, results: Array2[
 
 @inlined
 def signed_distance(grid: GridTables, place: Vec3F32, within: F64) -> tuple[F32, Vec3F32]:
-    """As `apart`, for one position: its signed distance to the faces and the direction out. The distance is NaN where the grid
-    cannot tell, and infinite where it is more than `within` mm."""
+    """Return the signed distance (mm) of one position to the faces, and the direction out.
+
+    The distance is NaN if the grid cannot tell, and infinite if it is more than `within` mm."""
     shape, normals = grid[0], grid[7]
     p = np.float64(place[0]), np.float64(place[1]), np.float64(place[2])
     a = p[0] - shape[6], p[1] - shape[7], p[2] - shape[8]
@@ -63,7 +66,7 @@ def signed_distance(grid: GridTables, place: Vec3F32, within: F64) -> tuple[F32,
 
 @kernel
 def nearest_points(grid: GridTables, points: Strided2[F64], place: Array2[F64], square: Array1[F64], face: Array1[I64]) -> None:
-    """As `TriangleGrid.nearest`, into the last three arrays."""
+    """Write the results of `TriangleGrid.nearest` to the last three arrays."""
     for i in range(face.size):
         p = (points[i, 0], points[i, 1], points[i, 2])
         square[i], face[i], q = nearest_face(grid, p, np.inf)
@@ -72,7 +75,7 @@ def nearest_points(grid: GridTables, points: Strided2[F64], place: Array2[F64], 
 
 @inlined
 def prefetch_around(grid: GridTables, place: Vec3F32, rows: Array1[I64], k: I64) -> None:
-    """Prefetch the list starts of the cubes around a position. Write these cubes, in nine rows of three, to `rows` from index 9
+    """Prefetch the list starts of the cubes around a position. Write these cubes, as nine rows of three, to `rows` from index 9 *
     `k` on."""
     shape, size, first = grid[0], grid[1], grid[2]
     part = 1.0 / shape[3]
@@ -107,11 +110,12 @@ def _layer_index(at: F64, low: F64, part: F64, size: I64) -> I64:
 
 @called
 def nearest_face(grid: GridTables, p: Vec3, within: F64) -> tuple[F64, I64, Vec3]:
-    """Return the squared distance to a point's nearest face, that face, and the nearest position on it. If that is farther than
-    `within` (mm), the face may be BEYOND (the point is in front of it) or UNSURE.
+    """Return the squared distance to a point's nearest face, that face, and the nearest position on it.
 
-    A face farther than `within`, with the point in front of it, is not measured. Two facts suffice: an upper bound of one such
-    distance, and that faces with the point behind them are farther."""
+    If all faces are farther than `within` (mm), the result may be NEAREST_BEYOND_RANGE or NEAREST_UNKNOWN instead of a face.
+    NEAREST_BEYOND_RANGE means that the point is in front of the nearest face, which then need not be measured. Two facts are
+    sufficient: an upper bound of the distance of a face that has the point in front; and that faces with the point behind them
+    are farther."""
     shape, size, first, listed, bound, corners = grid[0], grid[1], grid[2], grid[3], grid[4], grid[6]
     width, off = shape[3], shape[4]
     part = 1.0 / width
@@ -216,7 +220,8 @@ def _covered_distance(at: F64, middle: I64, ring: I64, size: I64) -> F64:
 
 @inlined
 def _squared_layer_gap(at: F64, cell: I64) -> F64:
-    """Return the squared distance (in cubes) of a point from a layer of cubes along one axis. A tolerance allows for faces that
-    extend beyond their cubes."""
+    """Return the squared distance (in cubes) of a point from a layer of cubes along one axis.
+
+    A tolerance allows for faces that extend beyond their cubes."""
     off = max(max(np.float64(cell) - at, at - np.float64(cell + 1)) - 1e-5, 0.0)
     return off * off

@@ -31,8 +31,8 @@ class _DeferredModule(ModuleType):
 def open3d() -> Any:
     """Return the Open3D module, imported at first use.
 
-    Its plotting parts are not imported: they need a web server and an HTTP client (dash, requests), take half of the time and
-    bind a socket."""
+    Its plotting parts are not imported. They need a web server and an HTTP client (dash, requests), take half of the import time,
+    and bind a socket."""
     if "open3d" not in sys.modules:
         sys.modules.setdefault(_PLOTLY_MODULE, _DeferredModule(_PLOTLY_MODULE))
     try:
@@ -51,7 +51,8 @@ def _not_loaded(why: str) -> str:
 
 @cache
 def require_open3d() -> None:
-    """Raise ImportError if Open3D is not installed. This check is early because the import is slow, and may be needed only late
-    in a run."""
+    """Raise ImportError if Open3D is not installed.
+
+    The check itself is fast. Open3D is slow to import, and may be needed only late in a run."""
     if find_spec("open3d") is None:
         raise ImportError(_not_loaded("the package is not installed"))

@@ -1,4 +1,4 @@
-"""Rays for pictures: Open3D's float32 results without further checks, for speed. Simulation uses `RayScene` instead."""
+"""Rays for pictures: Open3D's float32 results without further checks, for speed. The simulation uses `RayScene` instead."""
 
 from __future__ import annotations
 
@@ -15,9 +15,12 @@ _RAYS_PER_CHUNK = 1 << 17  # rays at once
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PictureHits:
-    """The hits of n rays: `t` float32[n] in lengths of the direction (inf = nothing), `face` int32[n] (-1 = nothing). `u` and `v`
-    are the weights of the face's second and third corner. `normal` float32[n,3]: the face's unit normal, towards the ray's
-    origin."""
+    """The hits of n rays.
+
+    - `t` float32[n]: the distance in lengths of the direction (infinite for no hit)
+    - `face` int32[n]: the face (-1 for no hit)
+    - `u`, `v`: the weights of the face's second and third corner
+    - `normal` float32[n,3]: the face's unit normal, on the side of the ray's origin"""
 
     t: NDArray[np.float32]
     face: NDArray[np.int32]
@@ -27,8 +30,10 @@ class PictureHits:
 
 
 class PictureRays:
-    """Triangles (vertices [n,3], faces [m,3]) that a camera's rays are cast at. Positions are taken relative to the centre of the
-    mesh before they become float32. The bits do not depend on threads or on which rays are cast together."""
+    """Triangles (vertices [n,3], faces [m,3]) for the rays of a camera.
+
+    Positions are taken relative to the centre of the mesh before their conversion to float32. The bits of a ray's result do not
+    depend on threads or on other rays."""
 
     def __init__(self, vertices: NDArray[np.floating], faces: NDArray[np.integer]) -> None:
         self.faces = len(faces)
@@ -41,7 +46,7 @@ class PictureRays:
         self._scene.add_triangles(_tensor(points), _tensor(faces.astype(np.uint32)))
 
     def cast(self, origin: NDArray[Any], direction: NDArray[np.float32], threads: int = 1) -> PictureHits:
-        """The first hit of each ray from `origin` [n,3] or [3] along `direction` [n,3]."""
+        """Return the first hit of each ray from `origin` [n,3] or [3] along `direction` [n,3]."""
         n = len(direction)
         t, face = np.full(n, np.inf, np.float32), np.full(n, -1, np.int32)
         u, v, normal = np.zeros(n, np.float32), np.zeros(n, np.float32), np.zeros((n, 3), np.float32)
@@ -60,7 +65,7 @@ class PictureRays:
     def occluded(
         self, origin: NDArray[Any], direction: NDArray[np.float32], far: float = np.inf, threads: int = 1
     ) -> NDArray[np.bool_]:
-        """Whether anything lies on each ray before `far` lengths of its direction."""
+        """Return whether each ray hits anything before `far` lengths of its direction."""
         n = len(direction)
         is_occluded = np.zeros(n, np.bool_)
         for start in range(0, n if self.faces else 0, _RAYS_PER_CHUNK):

@@ -1,4 +1,4 @@
-"""Finds the cells of a regular lattice that triangles touch: the exact test, in batches that need little memory."""
+"""The cells of a regular lattice that triangles touch, by an exact test, in batches that need little memory."""
 
 from __future__ import annotations
 
@@ -23,9 +23,11 @@ def triangle_cells(
 ) -> Iterator[tuple[NDArray[np.int64], NDArray[np.int64]]]:
     """Yield (cells int64[k,3], triangle int64[k]) until all touched cells of all triangles are listed.
 
-    `corners` is float64[n,3,3] (triangle, corner, axis) in units of cells: cell (i,j,k) is [i,i+1)×[j,j+1)×[k,k+1). A cell may
-    come more than once for a large triangle. With `exact` false, all cells of a small box around each part come. With a `margin`
-    (cells), cells within that distance of a triangle come too. Triangle against box: Akenine-Möller, Fast 3D Triangle-Box Overlap
+    - `corners`: float64[n,3,3] (triangle, corner, axis) in units of cells; cell (i,j,k) is [i,i+1)×[j,j+1)×[k,k+1)
+    - `exact`: if false, yield all cells of a small box around each part of a triangle
+    - `margin`: yield also the cells within this distance (in cells) of a triangle
+
+    A cell may be yielded more than once for a large triangle. Triangle against box: Akenine-Möller, Fast 3D Triangle-Box Overlap
     Testing, 2001, p. 2-4."""
     for a in range(0, len(corners), _TRIANGLES_PER_CHUNK):
         yield from _touched_cells(
@@ -36,10 +38,10 @@ def triangle_cells(
 def _touched_cells(
     tri: NDArray[np.float64], name: NDArray[np.int64], exact: bool, margin: float
 ) -> Iterator[tuple[NDArray[np.int64], NDArray[np.int64]]]:
-    """As `triangle_cells`, for at most `_PIECE` triangles and their names.
+    """Yield cells as `triangle_cells`, for at most `_PIECE` triangles with numbers `name`.
 
-    A needle triangle is cut into slices across its length, each as wide as the needle. Quarters of a needle stay needles: one of
-    n cells length would need n²/4 of them."""
+    A needle triangle is cut into slices across its length, each as wide as the needle. Quarters would still be needles: a needle
+    of n cells length would need n²/4 of them."""
     todo = [(tri, name)]
     while todo:
         tri, name = todo.pop()
@@ -63,7 +65,8 @@ def _touched_cells(
 
 
 def _drop_repeats(cells: NDArray[np.int64], name: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Return the pairs without most duplicates: halves of a slice share cells, and so do neighbouring parts."""
+    """Return the pairs of cell and triangle without most duplicates. Duplicates occur because halves of a slice, and neighbouring
+    parts, share cells."""
     least = cells.min(axis=0, initial=np.iinfo(np.int64).max)
     key = name - name.min(initial=0)
     key_count = float(key.max(initial=0)) + 1
@@ -77,7 +80,7 @@ def _drop_repeats(cells: NDArray[np.int64], name: NDArray[np.int64]) -> tuple[ND
 
 
 def _are_thin(tri: NDArray[np.float64]) -> NDArray[np.bool_]:
-    """Return which triangles are so thin that quarters would outnumber by far the cells that they touch."""
+    """Return which triangles are thin: cut into quarters, they would have far more parts than cells."""
     sides = [tri[:, (k + 1) % 3] - tri[:, k] for k in range(3)]
     square = np.max([(side * side).sum(axis=1) for side in sides], axis=0)
     across = np.cross(sides[0], sides[1])
@@ -119,8 +122,9 @@ def _quarter(tri: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def _bounds(tri: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return the lowest and highest coordinates of triangles, each float64[n,3]; three separate corners are faster than a
-    reduction along an axis."""
+    """Return the lowest and highest coordinates of triangles, each float64[n,3].
+
+    It handles three separate corners, which is faster than a reduction along an axis."""
     a, b, c = tri[:, 0], tri[:, 1], tri[:, 2]
     return np.minimum(np.minimum(a, b), c), np.maximum(np.maximum(a, b), c)
 
@@ -149,8 +153,10 @@ def _box_cells(
 
 
 def _is_touching(tri: NDArray[np.float64], which: NDArray[np.int64], cells: NDArray[np.int64], half: float) -> NDArray[np.bool_]:
-    """Return whether triangles `which` int64[k] of float64[9,n] meet cells int64[k,3], given that their bounding boxes do:
-    bool[k]. `half`: half the edge of the tested cells."""
+    """Return whether triangles `which` int64[k] of float64[9,n] touch the cells int64[k,3], as bool[k]. Their bounding boxes must
+    touch.
+
+    `half`: half the edge of the tested cells."""
     middle = cells.T + 0.5
     v = [[tri[3 * corner + axis].take(which) - middle[axis] for axis in range(3)] for corner in range(3)]
     e = [[w - u for u, w in zip(v[one], v[other], strict=True)] for one, other in ((0, 1), (1, 2), (2, 0))]

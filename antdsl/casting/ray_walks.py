@@ -1,12 +1,12 @@
-"""What short rays hit on a still mesh, by a walk over the faces below them instead of a search in the grid of triangles.
+"""Hits of short rays on a static mesh, by a walk over the faces below the ray. No search in the grid of triangles is needed.
 
-The ring of a face is all faces that share a corner with it. A face has a ball around its middle if no other face comes into it
-and the ring is flat: seen along the face's normal, all its faces show the same side, and none overlaps another. So a ray in the
-ball can hit the ring only, and passes over its faces one after another. A walk begins at the face below the origin of the ray,
-and tests faces in this order as `grid_rays.first_hit` does.
+The ring of a face is all faces that share a corner with it. A face has a ball around its middle if its ring is flat: seen along
+the face's normal, all faces of the ring show the same side, and none overlaps another. No face outside the ring reaches into the
+ball. So a ray within the ball can hit only the ring, and passes over its faces one after another. A walk begins at the face below
+the ray's origin, and tests faces in this order with the test of `grid_rays.first_hit`.
 
-The grid answers for rays that pass near a corner or hit near a side, since it has a rule for hits at equal distances. So answers
-are those of the grid, to the bit, from whichever face the walk begins."""
+The grid answers for rays that pass near a corner or hit near a side, since it has a rule for hits at equal distances. So all
+answers are those of the grid, to the bit, from whichever face the walk begins."""
 
 from __future__ import annotations
 
@@ -42,9 +42,13 @@ _FACES = 512  # for which a thread pays
 
 
 def find_rings(faces: Faces, grid: GridTables, lasting: bool, threads: int = 1) -> Arrays:
-    """A row of two cache lines for each face, as three views: its three planes, float64[16 m]; at LINK the face across each side,
-    opposite of each corner, -1 for none, int32[32 m]; and at BALL middle and square of the radius, which is 0 where the ring is
-    open or not flat, float32[32 m]. `lasting`: whether another run may request the same."""
+    """Return a row of two cache lines for each face, as three views of one table:
+
+    - float64[16 m]: the three planes of a face
+    - int32[32 m]: at LINK, the face across the side opposite each corner, -1 for none
+    - float32[32 m]: at BALL, the middle and squared radius of the ball; the radius is 0 if the ring is open or not flat
+
+    If `lasting`, the table is stored for other runs."""
     count = len(faces.corners) if lasting else 0
     tables = stored_tables.get_or_compute("rings", count, (faces.corners, *grid[0][:5]), partial(_rings, faces, grid, threads))
     space = np.zeros(16 * len(faces.corners) + 8)
@@ -72,7 +76,8 @@ def _rings(faces: Faces, grid: GridTables, threads: int) -> stored_tables.Tables
 
 
 def _links(weld: NDArray[np.int64]) -> NDArray[np.int32]:
-    """The face across each side, of faces (m, 3) by numbers of corners, that has just two faces, wound alike."""
+    """Return the face across each side of faces (m, 3), given by corner numbers; -1 unless exactly two faces with equal winding
+    share the side."""
     one, two = np.roll(weld, -1, axis=1).ravel(), np.roll(weld, -2, axis=1).ravel()
     key = np.minimum(one, two) * (int(weld.max(initial=0)) + 1) + np.maximum(one, two)
     order = np.argsort(key, kind="stable")
@@ -88,7 +93,9 @@ def _links(weld: NDArray[np.int64]) -> NDArray[np.int32]:
 
 @kernel
 def _find_balls(grid: GridTables, corners: Corners, balls: Array2[F32], begin: I64, end: I64) -> None:
-    """Write the balls of faces from `begin` to before `end`. `corners`: as `Faces.tables`, and which have no open side."""
+    """Write the balls of faces `begin` to `end` (exclusive).
+
+    `corners` has the last three arrays of `Faces.tables`, and which corners have no open side."""
     points, weld = grid[6], corners[0]
     for f in range(begin, end):
         middle = 0.0, 0.0, 0.0
@@ -103,7 +110,7 @@ def _find_balls(grid: GridTables, corners: Corners, balls: Array2[F32], begin: I
 
 @called
 def _is_flat(grid: GridTables, corners: Corners, f: I64, middle: Vec3) -> BOOL:
-    """Whether the ring of a face is closed, and its rim goes once around the middle, seen along the normal."""
+    """Return whether the ring of a face is closed and, seen along the normal, its border goes once around the middle."""
     points, normals = grid[6], grid[7]
     weld, first, listed, closed = corners
     up = normals[f, 0], normals[f, 1], normals[f, 2]
@@ -135,7 +142,8 @@ def _is_flat(grid: GridTables, corners: Corners, f: I64, middle: Vec3) -> BOOL:
 
 @called
 def _clearance(grid: GridTables, weld: Array1[I64], f: I64, middle: Vec3) -> F64:
-    """How far a place is from all faces but the ring of face `f`, or from the end of the cubes next to its own."""
+    """Return the distance of a position from all faces outside the ring of face `f`. It is limited by the border of the cubes
+    next to the position's cube."""
     shape, size, first, listed, bound, corners = grid[0], grid[1], grid[2], grid[3], grid[4], grid[6]
     width, least = shape[3], np.inf
     at = (middle[0] - shape[0]) / width, (middle[1] - shape[1]) / width, (middle[2] - shape[2]) / width
@@ -162,20 +170,22 @@ def _clearance(grid: GridTables, weld: Array1[I64], f: I64, middle: Vec3) -> F64
 
 @inlined
 def _has(weld: Array1[I64], f: I64, v: I64) -> BOOL:
-    """Whether a corner is one of a face."""
+    """Return whether a corner belongs to a face."""
     return weld[3 * f] == v or weld[3 * f + 1] == v or weld[3 * f + 2] == v
 
 
 @inlined
 def fetch_start(rings: Rings, face: I64) -> None:
-    """Prefetch what a walk reads of its first face."""
+    """Prefetch the data that a walk reads of its first face."""
     fetch_ahead(rings[0], 16 * face)
     fetch_ahead(rings[0], 16 * face + 8)
 
 
 @inlined
 def walked_hit(grid: GridTables, rings: Rings, start: I64, a: Vec3, w: Vec3) -> tuple[F64, I64]:
-    """As `first_hit`, by a walk from the face below the origin, which is near `start`; UNSURE where a walk cannot answer."""
+    """Return the result of `first_hit` by a walk from the face below the origin `a`, which is searched from `start` on.
+
+    The face is NEAREST_UNKNOWN if a walk cannot answer."""
     links, balls = rings[1], rings[2]
     f = _below(rings, start, a)
     if f < 0 or not _is_near(balls, f, a):
@@ -218,7 +228,8 @@ def walked_hit(grid: GridTables, rings: Rings, start: I64, a: Vec3, w: Vec3) -> 
 
 @inlined
 def _below(rings: Rings, start: I64, place: Vec3) -> I64:
-    """The face that a place is above or below and not near a side of, searched over neighbours; -1 for none."""
+    """Return the face below or above a position, by a search over neighbours from `start` on. Return -1 if there is none, or if
+    the position is near a side."""
     f, count = start, 0
     while f >= 0 and count < _SEARCH:
         _, plane1, plane2 = _planes(rings, f)
@@ -234,20 +245,20 @@ def _below(rings: Rings, start: I64, place: Vec3) -> I64:
 
 @inlined
 def _planes(rings: Rings, f: I64) -> tuple[Plane, Plane, Plane]:
-    """The planes of a face: of itself, and two that give the weights of its second and third corner."""
+    """Return the planes of a face: its own, and two that give the weights of its second and third corner."""
     x0, y0, z0, c0, x1, y1, z1, c1, x2, y2, z2, c2 = load_consecutive(rings[0], 16 * f, 12)
     return (x0, y0, z0, c0), (x1, y1, z1, c1), (x2, y2, z2, c2)
 
 
 @inlined
 def _rise(plane: Plane, place: Vec3) -> F64:
-    """The value of a plane at a place, as `faces.evaluate_point`."""
+    """Return the value of a plane at a position, as `faces.evaluate_point`."""
     return ((plane[0] * place[0] + plane[1] * place[1]) + plane[2] * place[2]) + plane[3]
 
 
 @inlined
 def _slope(plane: Plane, way: Vec3) -> F64:
-    """By how much the value of a plane grows along a way, as `faces.evaluate_direction`."""
+    """Return the growth of a plane's value along a displacement, as `faces.evaluate_direction`."""
     return (plane[0] * way[0] + plane[1] * way[1]) + plane[2] * way[2]
 
 
@@ -258,7 +269,7 @@ def _least_of(a: F64, b: F64, c: F64) -> I64:
 
 @inlined
 def _is_near(balls: Array1[F32], f: I64, place: Vec3) -> BOOL:
-    """Whether a place is in the ball of a face."""
+    """Return whether a position is in the ball of a face."""
     x, y, z, square = load_consecutive(balls, ROW * f + BALL, 4)
     gap = minus(place, (np.float64(x), np.float64(y), np.float64(z)))
     return dot(gap, gap) < np.float64(square)

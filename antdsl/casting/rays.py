@@ -1,5 +1,5 @@
-"""The only interface to Open3D: rays, occlusions, closest points and feelers against triangles, with the same bits for any batch
-or threads."""
+"""Rays, occlusions, closest points and feelers against triangles, with Open3D or a grid. The same bits result for any batches and
+threads."""
 
 from __future__ import annotations
 
@@ -31,10 +31,12 @@ FAR_FROM_ORIGIN_MM = 2000.0  # mm; nearer to zero float32 is a ten-thousandth of
 
 @dataclass(frozen=True, slots=True)
 class RayHitArrays:
-    """The hits of rays. `t` is in lengths of the direction (inf = nothing); `mesh` and `face` are -1 for nothing.
+    """The hits of rays.
 
-    `u v` are the weights of the face's second and third corner. `normal` float32[n,3] is the face's unit normal, turned towards
-    the ray's origin (0 for nothing)."""
+    - `t`: the distance in lengths of the direction; infinite for no hit
+    - `mesh`, `face`: -1 for no hit
+    - `u`, `v`: the weights of the face's second and third corner
+    - `normal` float32[n,3]: the face's unit normal, on the side of the ray's origin; 0 for no hit"""
 
     t: Vectors
     mesh: NDArray[np.int32]
@@ -49,19 +51,21 @@ class RayHitArrays:
 
 
 class RayScene(ProximityQueries):
-    """Triangle meshes that rays can be cast at. Vertices are float64[n,3], faces int[m,3]; lengths are in millimetres.
+    """Triangle meshes that rays can be cast at. Vertices are float64[n,3], faces int[m,3]; lengths are in mm.
 
-    Open3D computes in float32 around the centre of meshes that are far from the world's origin, and its last bits depend on the
-    processor. So it only proposes faces, of triangles that are enlarged by a hair. Hit points and nearest points are computed in
-    float64, from the proposed face and those that share its corner there. Of equally near ones the first mesh counts, then the
-    first face. A `brief` scene, for a single step, is faster to build but has coarser lower bounds of distances. A scene that is
-    not `lasting` stores no table for other runs. A hair is relative to the largest coordinate, or to `largest` (mm) where
-    anything beyond it is a backdrop.
+    Open3D computes in float32, relative to the centre for meshes far from the world's origin, and its last bits depend on the
+    processor. So it only proposes faces, of triangles enlarged by a hair. Hit points and nearest points are computed in float64,
+    from the proposed face and the faces that share its corner there. Of equally near faces, the first mesh counts, then the first
+    face.
 
-    Rays with an end, and nearest-face queries within a distance, go to a `TriangleGrid` where it is useful. The grid measures all
-    faces nearby in float64. Open3D answers longer rays, and queries too far from all faces. The choice depends on the scene and
-    the ray only, so no answer depends on other rays. Where two faces without a common corner are closer than float32 resolves,
-    the grid names the nearer and Open3D either."""
+    A `brief` scene, for a single step, is faster to build but has coarser lower bounds of distances. A scene that is not
+    `lasting` stores no table for other runs. A hair is relative to the largest coordinate, or to `largest` (mm) if anything
+    beyond that is a backdrop.
+
+    Rays with an end, and nearest-face queries within a distance, use a `TriangleGrid` if that is useful. The grid measures all
+    nearby faces in float64. Open3D answers longer rays, and queries too far from all faces. The choice depends on the scene and
+    the ray only, so no answer depends on other rays. If two faces without a common corner are closer than float32 resolves, the
+    grid names the nearer one, and Open3D either of them."""
 
     _brief = False
     _lasting = True
@@ -75,7 +79,7 @@ class RayScene(ProximityQueries):
 
     @classmethod
     def of(cls, meshes: Sequence[MeshArrays]) -> RayScene:
-        """A scene of several meshes; `Hits.mesh` counts them from 0."""
+        """Return a scene of several meshes; `RayHitArrays.mesh` counts them from 0."""
         scene = cls.__new__(cls)
         scene._fill(meshes)
         return scene
@@ -103,7 +107,7 @@ class RayScene(ProximityQueries):
 
     @property
     def _scene(self) -> Any:
-        """Open3D's scene, built on first use: the grid answers most queries of a run."""
+        """Return Open3D's scene, built on first use: the grid answers most queries of a run."""
         if self._tree is None:
             self._tree = self._build_scene(self._faces.widened_corners())
         return self._tree
@@ -121,7 +125,7 @@ class RayScene(ProximityQueries):
     # ---- rays
 
     def cast(self, origin: Vectors, direction: Vectors, threads: int = 1) -> RayHitArrays:
-        """First hit of each ray from `origin` [n,3] along `direction` [n,3] (any length)."""
+        """Return the first hit of each ray from `origin` [n,3] along `direction` [n,3] (any length)."""
         n = len(origin)
         t, mesh, local = np.full(n, np.inf), np.full(n, -1, np.int32), np.full(n, -1, np.int32)
         weights, normal = np.zeros((n, 3)), np.zeros((n, 3), np.float32)
@@ -139,16 +143,20 @@ class RayScene(ProximityQueries):
     def cast_within(
         self, origin: Vectors, step: Vectors, threads: int = 1, most_hit: bool = False
     ) -> tuple[Index, Vectors, NDArray[np.int32], NDArray[np.int32]]:
-        """Return the rays that hit from `origin` [n,3] to `origin + step`, ascending, with t, mesh and face. `most_hit`: skip the
-        occlusion query."""
+        """Return the rays that hit between `origin` [n,3] and `origin + step`, ascending, with ray parameter, mesh and face.
+
+        `most_hit`: skip the occlusion query, because most rays hit."""
         which, t, face = self._first_hits_within(origin - self.origin, step, threads, most_hit)
         return which, t, *self._mesh_and_face(face)
 
     def trace_normals(
         self, origin: Vectors, displacement: Vectors, normals: Vectors, named: Index, threads: int = 1
     ) -> tuple[Index, Vectors, Vectors]:
-        """Return the rays that hit between `origin` [n,3] and `origin + way`, ascending; the part of `displacement` at the hit;
-        and the normal (3, k). Normals come from `normals` (3, m), by the `named` number of each face of the scene."""
+        """Return the rays that hit between `origin` [n,3] and `origin + displacement`: their numbers, ascending, ray parameters
+        and normals (3, k).
+
+        The ray parameter is in lengths of `displacement`. Normals are columns of `normals` (3, m); `named` has the column of each
+        face."""
         grid = self._triangle_grid()
         if grid is not None:
             results, left = grid.trace_normals(origin, displacement, normals, named, threads)
@@ -158,7 +166,8 @@ class RayScene(ProximityQueries):
         return which, part, normals.take(named.take(face), axis=1)
 
     def rings(self, threads: int = 1) -> Arrays | None:
-        """What walks of rays need in addition to `tables`, computed at the first call; None where there is no grid."""
+        """Return the tables that walks of rays need in addition to `tables`, computed at the first call; None if there is no
+        grid."""
         grid = self._triangle_grid()
         if grid is not None and self._rings is None:
             self._rings = find_rings(self._faces, grid.tables, self._lasting, threads)
@@ -174,7 +183,7 @@ class RayScene(ProximityQueries):
     def _first_hits_within(
         self, origin: Vectors, displacement: Vectors, threads: int, most_hit: bool = False
     ) -> tuple[Index, Vectors, Index]:
-        """As `_first` within one length of `displacement`, without weights; short rays use the grid."""
+        """Return the hits of `_first_hits` within one length of `displacement`, without weights. Short rays use the grid."""
         grid = self._triangle_grid()
         if grid is None:
             return self._first_hits(origin, displacement, 1.0, threads, most_hit)[:3]
@@ -189,11 +198,13 @@ class RayScene(ProximityQueries):
 
     def _first_hits(self, origin: Vectors, displacement: Vectors, most: float, threads: int, most_hit: bool = False) -> RayHits:
         """Return the rays that hit within `most` lengths of `displacement` [n,3], from points [n,3] relative to the scene's
-        origin. The result has their numbers, ascending, the part of `displacement`, the face over all meshes and the weights of
-        its corners.
+        origin.
 
-        Hits within a `hair` of a ray's start are ignored. Open3D searches a little too far. It also searches again behind each
-        face that it reports and the ray does not hit: one that the ray starts from or misses by less than a `hair`."""
+        The result has their numbers, ascending, ray parameters (in lengths of `displacement`), faces over all meshes, and corner
+        weights.
+
+        Hits within a `hair` of a ray's start are ignored. So Open3D searches slightly farther than the end. It searches again
+        behind each reported face that the ray does not hit: the ray starts from that face, or misses it by less than a `hair`."""
         nothing = np.empty(0, np.int64), np.empty(0), np.empty(0, np.int64), np.empty((0, 3))
         if self._empty:
             return nothing
@@ -248,8 +259,8 @@ class RayScene(ProximityQueries):
         return rows.take(near_rows), fractions.take(near_rows), named.take(near_rows), weights.take(near_rows, axis=0)
 
     def _open3d_hits(self, rays: NDArray[np.float32], threads: int) -> tuple[NDArray[np.float32], Index]:
-        """Return the approximate part of the length at which Open3D reports a face for prepared rays, and the face over all
-        meshes (-1 = none)."""
+        """Return, for prepared rays, the approximate ray parameter at which Open3D reports a face, and the face over all meshes
+        (-1 = none)."""
         answer = self._scene.cast_rays(self._tensor(rays), nthreads=threads)
         t = answer["t_hit"].numpy()
         face = answer["primitive_ids"].numpy().astype(np.int64)
@@ -264,14 +275,15 @@ class RayScene(ProximityQueries):
         return mesh, (face - self._first_face.take(mesh)).astype(np.int32)
 
     def _facing_normals(self, face: Index, direction: NDArray[Any]) -> NDArray[np.float32]:
-        """Return the normals of faces, turned against the direction of the rays that hit them."""
+        """Return the normals of faces, on the sides that rays with these directions hit."""
         normal = self._faces.normals(face)
         along = (normal[:, 0] * direction[:, 0] + normal[:, 1] * direction[:, 1]) + normal[:, 2] * direction[:, 2]
         turned: NDArray[np.float32] = np.where(along[:, None] > 0, -normal, normal).astype(np.float32)
         return turned
 
     def occluded(self, origin: Vectors, direction: Vectors, far: float = np.inf, threads: int = 1) -> NDArray[np.bool_]:
-        """Return whether anything lies on each ray before `far` lengths of its direction, by Open3D: for pictures only."""
+        """Return whether each ray hits anything before `far` lengths of its direction. The result is Open3D's: for pictures
+        only."""
         rays = np.empty((len(origin), 6), np.float32)
         np.subtract(origin, self.origin, out=rays[:, :3], casting="unsafe")
         rays[:, 3:] = direction
@@ -290,10 +302,11 @@ class RayScene(ProximityQueries):
     def closest(
         self, points: Vectors, threads: int = 1, within: NDArray[Any] | float = np.inf
     ) -> tuple[NDArray[np.int32], NDArray[np.int32], Vectors, NDArray[np.float64]]:
-        """Return the nearest surface of each point [n,3]: mesh, face, position [n,3] in float64 on that face, distance [n].
+        """Return the nearest surface point to each point [n,3]: mesh, face, position [n,3] in float64 on that face, distance [n]
+        (mm).
 
-        Slow far from the surface (each costs as much as 10 to 30 rays): for the few points that no other search resolves. Beyond
-        `within` (mm, one or float[n]) the result may be an equally near face on another side."""
+        Far from the surface, a query costs as much as 10 to 30 rays: use it for the few points that no other search resolves.
+        Beyond `within` (mm, one or float[n]) the result may be an equally near face on another side."""
         n = len(points)
         if self._empty or n == 0:
             nothing = np.full(n, -1, np.int32)
@@ -330,7 +343,7 @@ class RayScene(ProximityQueries):
         return place, distance, face
 
     def _bound_distances(self, points: Vectors) -> Vectors:
-        """Return distances [n] to the nearest face, or to one as near within float32 error: for bounds."""
+        """Return distances [n] to the nearest face, or to a face that is as near within float32 error. They serve as bounds."""
         local = points - self.origin
         gap = nearest_on_triangle(local, self._faces.corners.take(self._open3d_nearest(local, 1), axis=0)) - local
         return np.sqrt((gap[:, 0] * gap[:, 0] + gap[:, 1] * gap[:, 1]) + gap[:, 2] * gap[:, 2])
@@ -347,8 +360,10 @@ class RayScene(ProximityQueries):
         return face
 
     def depth_inside(self, points: Vectors, threads: int = 1) -> NDArray[np.float64]:
-        """Return how far inside each point [n,3] is, in mm: the distance to the surface if at least two of three rays cross an
-        odd number of faces, else 0. Meshes are assumed to be closed."""
+        """Return the depth of each point [n,3] inside the meshes, which are assumed to be closed: the distance to the surface in
+        mm.
+
+        A point is inside if at least two of three rays from it cross an odd number of faces; outside, the result is 0."""
         depths = np.zeros(len(points))
         if not self._empty and len(points):
             local = self._tensor((np.asarray(points, np.float64) - self.origin).astype(np.float32))

@@ -1,8 +1,10 @@
-"""Triangles in the cubes of a regular grid: the first that a short ray hits, and the nearest within some cells, in float64.
+"""Triangles in the cubes of a regular grid: the first face that a short ray hits, and the nearest face within some cells, in
+float64.
 
 A ray visits the cubes along it (J. Amanatides, A. Woo, A Fast Voxel Traversal Algorithm for Ray Tracing, Eurographics 1987). A
-point visits the cubes around it, ring by ring. Every face listed there is measured as `Faces` measures it. So the answer is that
-of all faces: the least distance, then the least number. The cubes only exclude faces that need no test."""
+point visits the cubes around it, ring by ring. Every face listed in a visited cube is measured as in `Faces`. So the answer is
+the same as for a test of all faces: the least distance, then the least face number. The cubes only exclude faces that need no
+test."""
 
 from __future__ import annotations
 
@@ -40,8 +42,8 @@ class TriangleGrid:
     """A grid of all faces. `tables` contains:
 
     - lowest corner, edge, error of a bound, hair and origin (mm, float64[9])
-    - cubes along each axis, int64[3]
-    - where the faces of each cube begin, and their numbers, int32
+    - number of cubes along each axis, int64[3]
+    - the start of each cube's faces in a list, and the list of face numbers, int32
     - plane and bounding ball of each listed face, float32[e,8]
     - planes (m, 3, 4), corners (m, 3, 3) and unit normals (m, 3) of all faces"""
 
@@ -71,8 +73,10 @@ class TriangleGrid:
 
     @staticmethod
     def of(faces: Faces, origin: Floats, lasting: bool = True) -> TriangleGrid | None:
-        """Return a grid if it is useful and not too large; None otherwise. Its size is computed before any allocation. `origin`:
-        the world position of the faces' zero. `lasting`: whether another run may need the same faces."""
+        """Return a grid if it is useful and not too large; otherwise None. Its size is computed before any allocation.
+
+        - `origin`: the world position that the corners of the faces are relative to
+        - `lasting`: whether another run may need the same faces"""
         tables = faces.tables()
         width = None if tables is None else _cube_width(faces.corners)
         if tables is None or width is None:
@@ -83,9 +87,10 @@ class TriangleGrid:
     # ---- rays
 
     def first(self, origin: Floats, displacement: Floats, threads: int = 1) -> tuple[Floats, Index]:
-        """Return the first face that rays from `origin` [n,3] meet within their `displacement` [n,3], and the part of
-        `displacement` there. Hits within a `hair` of the start are ignored. The face is NOTHING if there is none, FURTHER for
-        rays that are too long."""
+        """Return the first face that each ray hits between `origin` [n,3] and `origin + displacement`, and the ray parameter.
+
+        The ray parameter is in lengths of `displacement`. Hits within a `hair` of the start are ignored. The face is NO_FACE if
+        there is none, and FACE_BEYOND_GRID for rays that are too long."""
         t, face = np.empty(len(origin)), np.empty(len(origin), np.int64)
         work = partial(grid_rays.first_hits, self.tables, origin, displacement, t, face)
         parallel.in_parts(work, len(origin), threads, _RAYS_PER_THREAD)
@@ -94,9 +99,11 @@ class TriangleGrid:
     def trace_normals(
         self, origin: Floats, displacement: Floats, normals: Floats, named: Index, threads: int = 1
     ) -> tuple[tuple[Index, Floats, Floats], int]:
-        """Return the rays from world positions for which `first` finds a face: numbers, ascending, the part of the length, and
-        the normal (3, k). Normals come from `normals` (3, m), by the `named` number of each face. Also returns the number of rays
-        that the grid cannot resolve."""
+        """Return the rays from world positions for which `first` finds a face: their numbers, ascending, ray parameters, and
+        normals (3, k).
+
+        Normals are columns of `normals` (3, m); `named` has the column of each face. Returns also the number of rays that the
+        grid cannot resolve."""
         which, results = np.empty(len(origin), np.int64), np.empty((4, len(origin)))
         work = partial(grid_rays.trace_normals, self.tables, origin, displacement, normals, named, which, results)
         parts = parallel.in_parts(work, len(origin), threads, _RAYS_PER_THREAD)
@@ -104,46 +111,53 @@ class TriangleGrid:
         return (which, results[0], results[1:]), sum([left for _, _, left in parts])
 
     def cast_feelers(self, place: PointColumns, direction: PointColumns, reach: Float32Array) -> tuple[Float32Array, int]:
-        """Return the hits of feelers as long as `reach`, from positions along unit directions, float32 columns in the world. The
-        result is float32[4,n]: distance (inf = no hit, NaN = the grid cannot answer) and unit normal towards the feeler's origin.
-        Return also the number of feelers that it cannot answer."""
+        """Return the hits of feelers from positions along unit directions, up to `reach` (mm). Inputs are float32 columns in the
+        world.
+
+        The result is float32[4,n]: distance (infinite for no hit, NaN if the grid cannot answer) and unit normal towards the
+        feeler's origin. Returns also the number of feelers that the grid cannot answer."""
         results = np.empty((4, len(reach)), np.float32)
         return results, grid_rays.cast_feelers(self.tables, _contiguous(*place, *direction, reach), results)
 
     def feel_askers(
         self, positions: Arrays, asking: NDArray[np.bool_], directions: Arrays, results: Arrays, threads: int = 1
     ) -> int:
-        """As `feelers`, for those of n positions that are `asking`. `positions`: x y z and the distance free of faces;
-        `directions`: x y z of any length, and the reach. Writes `results` (hit, distance, normal x y z) for rows that touch
-        something or that the grid cannot resolve."""
+        """Write the hits of `cast_feelers` for the positions, of n, that are `asking`. Returns the number of feelers that the
+        grid cannot resolve.
+
+        - `positions`: x y z, and a distance within which there is no face
+        - `directions`: x y z of any length, and the reach
+        - `results`: hit, distance and normal (x y z); written for rows that hit or that the grid cannot resolve"""
         work = partial(grid_rays.feel_askers, self.tables, positions, asking, directions, results)
         return sum(parallel.in_parts(work, len(asking), threads))
 
     # ---- nearest faces
 
     def signed_distances(self, place: PointColumns, threads: int = 1) -> tuple[Float32Array, int]:
-        """Return the signed distance (mm) to the faces and the unit direction out, float32[4,n]. It is negative behind the
-        nearest face and NaN where the grid cannot tell. Also returns how many rows are NaN."""
+        """Return the signed distance (mm) to the faces and the unit direction out, float32[4,n], and the number of rows that are
+        NaN.
+
+        The distance is negative behind the nearest face, and NaN if the grid cannot tell."""
         results = np.empty((4, len(place[0])), np.float32)
         work = partial(nearest_faces.signed_distances, self.tables, _contiguous(*place), results)
         return results, sum(parallel.in_parts(work, len(place[0]), threads, _RAYS_PER_THREAD))
 
     def nearest(self, points: Floats) -> tuple[Floats, Floats, Index]:
-        """Return the position nearest to each point [n,3], its squared distance and its face; FURTHER if no face is near enough
-        to tell."""
+        """Return the position nearest to each point [n,3], its squared distance and its face. The face is FACE_BEYOND_GRID if no
+        face is near enough to tell."""
         place, square, face = np.empty((len(points), 3)), np.empty(len(points)), np.empty(len(points), np.int64)
         nearest_faces.nearest_points(self.tables, points, place, square, face)
         return place, square, face
 
 
 def _contiguous(*columns: Float32Array) -> tuple[Float32Array, ...]:
-    """The same in one piece."""
+    """Return the columns as contiguous arrays."""
     return tuple([np.ascontiguousarray(each) for each in columns])
 
 
 def _list_cube_faces(corners: Floats, low: Floats, size: Index, width: float) -> stored_tables.Tables:
-    """Return the start of each cube's faces in a list, and that list of face numbers, for a grid of `size` cubes from its lowest
-    corner."""
+    """Return a list of the face numbers of all cubes, after the start of each cube's faces in it. The grid has `size` cubes from
+    its lowest corner."""
     count, keys = len(corners), [np.empty(0, np.int64)]
     for cell, face in triangle_cells((corners - low) / width, margin=_CUBE_MARGIN):
         cell = np.minimum(np.maximum(cell, 0), size - 1)
@@ -155,7 +169,7 @@ def _list_cube_faces(corners: Floats, low: Floats, size: Index, width: float) ->
 
 
 def _cube_width(corners: Floats) -> float | None:
-    """Return the edge of cubes (mm): about that of the faces, larger if there would be too many cubes or too many faces per
+    """Return the edge of cubes (mm): about that of the faces, but larger if there would be too many cubes, or too many faces per
     cube."""
     if not len(corners):
         return None
@@ -174,8 +188,10 @@ def _cube_width(corners: Floats) -> float | None:
 
 
 def _face_bounds(corners: Floats, normals: Floats) -> Float32Array:
-    """Return planes (unit normal and -distance from the origin) and bounding balls (centre, in the plane, and radius) of faces,
-    float32[m,8]."""
+    """Return planes and bounding balls of faces, float32[m,8].
+
+    A plane is the unit normal and minus its distance from the origin. A ball is its centre, which lies in the plane, and its
+    radius."""
     plane = np.concatenate([normals, -dot(normals, corners[:, 0])[:, None]], axis=1)
     middle = (corners[:, 0] + corners[:, 1] + corners[:, 2]) / 3.0
     away = corners - middle[:, None]

@@ -1,4 +1,4 @@
-"""The command line: one file per command, each with flags, a call into the pipeline, printing and an exit code."""
+"""The command line. Each command has one file, which defines its flags, calls the pipeline, prints, and sets the exit code."""
 
 from antdsl.child_processes import isolate
 
@@ -44,10 +44,10 @@ from antdsl.cli.printing.messages import close_streams, guard_streams, print_res
 
 
 class GroupedHelp(TyperGroup):
-    """A group of commands that lists them under the headings (`rich_help_panel`) that they name. No line is cut."""
+    """A group of commands. Its help lists them under headings (`rich_help_panel`), and no line of the help is truncated."""
 
     def format_commands(self, ctx: Any, formatter: Any) -> None:
-        """Write the commands of each heading."""
+        """Write the commands below each heading."""
         width = max(map(len, self.commands))
         rows: dict[str, list[tuple[str, str]]] = {}
         for name, command in self.commands.items():
@@ -63,7 +63,7 @@ def _first_sentence(command: Any) -> str:
 
 
 class CommandEntry(NamedTuple):
-    """A command: its name, its function, the heading that the help lists it under, and an example of its use."""
+    """A command: its name, its function, the heading above it in the help, and an example of its use."""
 
     name: str
     function: Callable[..., None]
@@ -138,7 +138,7 @@ def _root(
 
 
 def main() -> None:
-    """Run a command and exit with its code; no user mistake ends in a traceback."""
+    """Run a command and exit with its code. No user error ends in a traceback."""
     _restart_with_safe_path()
     guard_streams()
     code = _deliver(_run())
@@ -148,8 +148,8 @@ def main() -> None:
 
 
 def _restart_with_safe_path() -> None:
-    """Restart Python with its safe-path flag under `python -E`: its children ignore the environment variable that excludes the
-    working directory."""
+    """Restart Python with its safe-path flag if it runs as `python -E`. Children of `python -E` ignore the environment variable
+    that excludes the working directory from the search path."""
     if sys.flags.ignore_environment and not sys.flags.safe_path:
         command = [sys.executable, "-P", *sys.orig_argv[1:]]
         if os.name == "posix":
@@ -160,7 +160,8 @@ def _restart_with_safe_path() -> None:
 
 
 def _deliver(code: int) -> int:
-    """Flush buffered output and return the exit code, which reports the loss if a part of the result could not be written."""
+    """Flush buffered output and return the exit code. If a part of the result could not be written, the exit code reports the
+    loss."""
     try:
         loss = close_streams()
     except KeyboardInterrupt:  # the work is done, and nothing reads the rest
@@ -179,7 +180,7 @@ def _run() -> int:
 
 
 def _require_text(words: list[str]) -> None:
-    """Reject file names that are not UTF-8 before any work: names go into manifests, tables and stages, which are UTF-8."""
+    """Reject file names that are not UTF-8 before any work. Manifests, tables and stages contain file names and are UTF-8."""
     for word in words:
         try:
             word.encode()
@@ -192,7 +193,8 @@ def _require_text(words: list[str]) -> None:
 
 
 def _require_order(words: list[str]) -> None:
-    """Raise Stop if `--trust-usd` comes after the command: it belongs to all commands, so it must precede the command."""
+    """Raise CommandError if `--trust-usd` follows the command. The flag belongs to all commands, so it must precede the
+    command."""
     own = words[: words.index("--")] if "--" in words else words
     if "--trust-usd" in own and not own[0].startswith("-"):
         rest = [word for word in words if word != "--trust-usd"]

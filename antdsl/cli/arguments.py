@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 
 def parse_pairs(words: Iterable[str], flag: str) -> dict[str, str]:
-    """Return `NAME=VALUE` words as a mapping; raise a usage error for any other word."""
+    """Return `NAME=VALUE` words as a mapping. Raises BadParameter for any other word."""
     mapping = {}
     for word in words:
         name, sign, value = word.partition("=")
@@ -31,12 +31,12 @@ STDIN_PATH = Path("-")
 
 
 def read_standard_input() -> bytes:
-    """Read a program from standard input, truncated at the size limit of files."""
+    """Return a program from standard input, truncated at the size limit of files."""
     return sys.stdin.buffer.read(limits.MAX_PROGRAM_BYTES + 1)
 
 
 def parse_grants(words: Iterable[str]) -> dict[str, Path]:
-    """Return `--root NAME=DIR` words as a mapping; the folders must exist."""
+    """Return `--root NAME=DIR` words as a mapping. The folders must exist."""
     folders = {}
     for name, folder in parse_pairs(words, "--root").items():
         path = Path(folder)
@@ -49,7 +49,7 @@ def parse_grants(words: Iterable[str]) -> dict[str, Path]:
 
 
 def require_scene(path: Path, hint: str = "SCENE") -> None:
-    """Raise BadParameter if a scene is needed and the path is a program or a folder. The message names a scene of the folder."""
+    """Raise BadParameter if the path is a program or a folder and not a scene. The message names a scene of the folder."""
     if path.suffix == ".ant":
         raise typer.BadParameter(f"`{path}` is a program; name a scene that uses it, such as scene.yaml", param_hint=hint)
     if path.is_dir():
@@ -62,7 +62,7 @@ def require_scene(path: Path, hint: str = "SCENE") -> None:
 
 
 def parse_frame_range(text: str | None, flag: str = "--frames") -> FrameRange | None:
-    """`A..B` as a FrameRange, or None for None."""
+    """Return `A..B` as a FrameRange; None for None."""
     if text is None:
         return None
     from antdsl.scene.quantities import QuantityError
@@ -93,8 +93,8 @@ def parse_number_set(text: str | None, flag: str) -> frozenset[int] | None:
 
 
 def parse_shutter(text: str | None, flag: str = "--shutter") -> tuple[float, float] | None:
-    """Return the opening and closing time of a shutter from `A..B`, in frames relative to the frame. Both lie from -1 to 1, at
-    most one frame apart. None for None."""
+    """Return the opening and closing time of a shutter from `A..B`, in frames relative to the current frame. Both lie from -1 to
+    1 and are at most one frame apart. Return None for None."""
     if text is None:
         return None
     from antdsl.scene.quantities import QuantityError, parse_number_range

@@ -1,4 +1,4 @@
-"""Checks of output paths before the work begins. Results must be writable, so that hours of work are not lost. They must not
+"""Checks of output paths before the work begins. Results must be writable, so that hours of work are not lost, and must not
 overwrite any input."""
 
 from __future__ import annotations
@@ -18,8 +18,8 @@ from antdsl.whole import new_sibling, write_atomically
 
 
 def require_writable_file(path: Path | None, flag: str) -> None:
-    """Exit with a message about `flag` if no file can be written at a path; None is fine. The check leaves no file behind and
-    does not change existing ones."""
+    """Exit with a message about `flag` if no file can be written at a path. None is accepted. The check leaves no file behind and
+    does not change existing files."""
     if path is None or is_standard_output(path) or _is_same_file(path, Path(os.devnull)):
         return
     if path.is_dir():
@@ -32,21 +32,21 @@ def require_writable_file(path: Path | None, flag: str) -> None:
 
 
 def is_standard_output(path: Path | None) -> bool:
-    """Whether this means standard output."""
+    """Return whether a path means standard output."""
     return path is not None and str(path) in ("-", "/dev/stdout")
 
 
 @contextmanager
 def redirect_messages(*paths: Path | None) -> Iterator[TextIO]:
-    """Redirect prints to standard error if one of these results goes to standard output. Yields the standard output, for
-    `put`."""
+    """Redirect prints to standard error if one of these results goes to standard output. Yield the standard output, for
+    `write_result`."""
     output = sys.stdout
     with redirect_stdout(sys.stderr) if any(map(is_standard_output, paths)) else nullcontext():
         yield output
 
 
 def write_result(path: Path | None, data: bytes, output: TextIO) -> None:
-    """Write a result to the requested place: a file (atomically), standard output, or nowhere."""
+    """Write a result to a file (atomically), to `output` if `path` means standard output, or nowhere if it is None."""
     if path is None or _is_same_file(path, Path(os.devnull)):
         return
     if not is_standard_output(path):
@@ -58,8 +58,8 @@ def write_result(path: Path | None, data: bytes, output: TextIO) -> None:
 
 
 def default_path(base: Path, *names: str, flag: str = "--out") -> Path:
-    """Return the default output path below `base`, where the user names none with `flag`. Exit if one of `names` is a link: it
-    could lead anywhere, and only the user may choose that."""
+    """Return the default output path below `base`, for use if the user gives no `flag`. Exit if one of `names` is a link: a link
+    could lead anywhere, and only the user may choose such a path."""
     from antdsl.whole import first_link
 
     link = first_link(base, *names)
@@ -70,7 +70,8 @@ def default_path(base: Path, *names: str, flag: str = "--out") -> Path:
 
 
 def require_writable_folder(path: Path | None, flag: str, *names: str) -> None:
-    """Make the same check for files of some names in a folder that is created if missing."""
+    """Exit with a message about `flag` if files with these names cannot be written in a folder. The folder is created if it is
+    missing."""
     if path is None:
         return
     existing_parent = next(each for each in (path.absolute(), *path.absolute().parents) if os.path.lexists(each))
@@ -88,8 +89,12 @@ def require_writable_folder(path: Path | None, flag: str, *names: str) -> None:
 def protect_inputs(
     files: Mapping[str, Path | None], folders: Mapping[str, tuple[Path | None, Iterable[str]]] | None = None
 ) -> Iterator[list[Path]]:
-    """Exit if a result, by its flag, would overwrite another result or an input. Inputs are files that are read meanwhile, files
-    in the yielded list, and files that come with antdsl. `folders`: output folders with the names that are written there."""
+    """Exit if a result would overwrite another result or an input. Inputs are the files that are read inside the context, the
+    files in the yielded list, and the files that come with antdsl.
+
+    `files`: the output files, by their flags.
+    `folders`: the output folders by their flags, with the names of files that are written there.
+    """
     from antdsl.resources import behaviours_folder
     from antdsl.scene.paths import record_sought
 
@@ -135,7 +140,7 @@ def _is_same_destination(one: Path, other: Path) -> bool:
 
 
 def _first_name_below(path: Path, folder: Path) -> str | None:
-    """Return the first path component below a folder on the way to a path; None if the path is not below it."""
+    """Return the first path component below `folder` on the path to `path`, or None if `path` is not below `folder`."""
     real_path, start = Path(os.path.realpath(path)), os.path.realpath(folder)
     return real_path.relative_to(start).parts[0] if real_path != Path(start) and real_path.is_relative_to(start) else None
 

@@ -1,5 +1,5 @@
-"""Exit codes, the one exception that ends a command with words instead of a traceback, and failures of the disk and of memory:
-what could not be done, with which file, and how to continue."""
+"""Exit codes, the one exception that ends a command with a message instead of a traceback, and failures of the disk and of
+memory. A message about a failure names the operation, the file, and how to continue."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ class ExitCode(IntEnum):
 
 
 class CommandError(Exception):
-    """Ends the command: `message` goes to standard error, then `hint` if there is one."""
+    """Ends the command. `message` goes to standard error, then `hint` if there is one."""
 
     def __init__(self, code: ExitCode, message: str = "", hint: str = "") -> None:
         super().__init__(message)
@@ -60,7 +60,7 @@ _PROCESS_STARTING_MODULES = frozenset(
 
 
 def is_out_of_memory(problem: BaseException | None) -> bool:
-    """Return whether an error, or one of its causes, means that the system refused memory, a thread or a process."""
+    """Return whether an error, or one of its causes, means that the system refused to provide memory, a thread or a process."""
     visited: set[int] = set()
     while problem is not None and id(problem) not in visited:
         visited.add(id(problem))
@@ -80,7 +80,7 @@ def _mentions(words: str, parts: tuple[str, ...]) -> bool:
 
 
 def _cannot_start_process(problem: OSError) -> bool:
-    """Return whether the system refused memory, or refused a process for lack of it."""
+    """Return whether the system refused to provide memory, or a process for lack of memory."""
     if problem.errno != EAGAIN:
         return problem.errno == ENOMEM
     place = problem.__traceback__
@@ -91,7 +91,7 @@ def _cannot_start_process(problem: OSError) -> bool:
 
 @contextmanager
 def report_failures(what: str, again: str = RETRY_ADVICE) -> Iterator[None]:
-    """End the command with exit code 3 if the disk or memory fails. `what`: the operation that failed; `again`: how to
+    """End the command with exit code 3 if the disk or memory fails. `what`: the operation that failed. `again`: how to
     continue."""
     try:
         yield
@@ -106,8 +106,8 @@ def report_failures(what: str, again: str = RETRY_ADVICE) -> Iterator[None]:
 
 @contextmanager
 def explain_cache_errors(cache: Path | None = None, again: str = "to compute damaged frames again") -> Iterator[None]:
-    """End the command with advice when a cache cannot be read or written. `again`: introduces the command that computes damaged
-    frames of `cache` again."""
+    """End the command with advice if a cache cannot be read or written. `again`: the introduction to the command that computes
+    damaged frames of `cache` again."""
     try:
         yield
     except Exception as why:
@@ -122,8 +122,8 @@ def explain_cache_errors(cache: Path | None = None, again: str = "to compute dam
 
 
 def _cache_advice(why: Exception) -> tuple[ExitCode, str]:
-    """Return the exit code for an error of a cache, and what to do about it; BUG for any other error. Damaged frames have no
-    advice here: it names the command that made them."""
+    """Return the exit code for an error of a cache, and advice; the code is BUG for any other error. Damaged frames have no
+    advice here: the caller adds the command that computed them."""
     from antdsl.outputs.cache.cache_reader import CacheError
     from antdsl.outputs.cache.cache_writer import DifferentHashes, DifferentInputs, ForeignFolder, PathBlocked
     from antdsl.outputs.cache.lock import FolderLocked
@@ -149,14 +149,14 @@ def _cache_advice(why: Exception) -> tuple[ExitCode, str]:
 
 
 def as_machine_failure(problem: Exception) -> OSError | MemoryError | None:
-    """Return the error as one of the disk or of memory, whichever library raised it; None if it is neither."""
+    """Return an error of any library as a disk or memory error; None if it is neither."""
     if is_out_of_memory(problem):
         return MemoryError()
     return problem if isinstance(problem, OSError) else None
 
 
 def failure_error(problem: OSError | MemoryError, what: str = "", again: str = RETRY_ADVICE) -> CommandError:
-    """Return the exception that ends a command after a failure of the disk or of memory."""
+    """Return the exception that ends a command after a disk or memory failure."""
     if isinstance(problem, MemoryError):
         words = "error: out of memory; use fewer agents, larger cells or a lighter mesh"
         return CommandError(ExitCode.INPUT_OUTPUT, words, f"once there is more, {again}")
@@ -170,8 +170,9 @@ def failure_error(problem: OSError | MemoryError, what: str = "", again: str = R
 
 
 def limit_threads() -> None:
-    """Limit threads if the address space of this process is limited. NumPy's linear algebra library, not loaded yet, reserves
-    memory for each thread and ends the process when it gets none. Raises Stop if the limit is too low even for one thread."""
+    """Limit threads if the address space of this process is limited. The linear algebra library of NumPy, not loaded yet,
+    reserves memory for each thread, and ends the process if it gets none. Raises CommandError if the limit is too low even for
+    one thread."""
     from antdsl.numerics.host import address_space
 
     most = address_space()
@@ -193,5 +194,5 @@ def _has_working_directory() -> bool:
 
 
 def recovery_advice(problem: OSError) -> str:
-    """Return what to do before a command continues: the start of a sentence."""
+    """Return the user's next action before the command can continue, as the start of a sentence."""
     return _ADVICE_BY_ERRNO.get(problem.errno or 0, "once that is mended,")

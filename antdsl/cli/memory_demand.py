@@ -1,4 +1,5 @@
-"""Checks memory before a run: an estimate from counts, compared with what is available, before anything is allocated."""
+"""Checks memory before a run. The demand is estimated from counts and compared with the available memory before anything is
+allocated."""
 
 from __future__ import annotations
 
@@ -20,7 +21,7 @@ _MAX_LISTED_THINGS = 3  # things that a message names
 
 
 def estimate_work(shot: Shot) -> list[WorkEstimate]:
-    """Return the allocations that the world of a shot and its crowd need."""
+    """Return the estimated allocations of a shot's world and crowd."""
     from antdsl.plan.registers import bytes_by_purpose
     from antdsl.program.model import Constant
     from antdsl.runtime.binding.world_work import world_work
@@ -36,8 +37,8 @@ def estimate_work(shot: Shot) -> list[WorkEstimate]:
 
 
 def require_memory(shots: Sequence[Shot], at_once: int = 1, runs: int = 1) -> None:
-    """End the command if the `at_once` largest runs need more than 80 % of the available memory; each shot is run `runs` times.
-    Stop names the largest allocations, at the scene's place of the largest."""
+    """End the command if the `at_once` largest runs need more than 80 % of the available memory. Each shot is run `runs` times.
+    The message names the largest allocations; its location is where the scene causes the largest one."""
     from antdsl.numerics.host import available_memory
 
     available = available_memory()
@@ -58,7 +59,7 @@ def require_memory(shots: Sequence[Shot], at_once: int = 1, runs: int = 1) -> No
 
 
 def _work_span(shot: Shot, work: WorkEstimate) -> Span:
-    """Return the place in the scene, or in its program, that causes an allocation."""
+    """Return the location in the scene, or in its program, that causes an allocation."""
     kind, _, name = work.thing.partition(" ")
     if kind == "field":
         return shot.program.fields[name].span
@@ -66,7 +67,7 @@ def _work_span(shot: Shot, work: WorkEstimate) -> Span:
 
 
 def size_text(bytes: int) -> str:
-    """So many bytes in the largest unit that fits."""
+    """Return a number of bytes as text, in the largest unit that fits."""
     from antdsl import limits
 
     for unit, words in ((limits.GIB, "GiB"), (limits.MIB, "MiB"), (limits.KIB, "KiB")):

@@ -1,7 +1,8 @@
-"""Chooses where the tasks of a command run: in processes of this machine, or on a Dask cluster, a new or an existing one; and
-stops a command that takes long.
+"""Chooses where the tasks of a command run: in processes of this machine, or on a new or existing Dask cluster. Also ends a
+command on Ctrl-C or SIGTERM.
 
-Workers of a cluster read a cache from a shared folder, or receive its files."""
+Workers of a cluster read a cache from a shared folder, or receive its files.
+"""
 
 from __future__ import annotations
 
@@ -46,7 +47,7 @@ _INSTALL_HINT = "pip install 'antdsl[cluster]'"
 
 
 def require_scheduler(address: str | None, tls: Path | None, no_tls: bool) -> None:
-    """Check that the scheduler arguments are consistent, before anything is created; wrong ones end the command."""
+    """Check that the scheduler arguments are consistent before anything is created. Raises BadParameter if they are not."""
     if address is not None:
         _certificate_folder(address, tls, no_tls)
     elif tls is not None or no_tls:
@@ -60,9 +61,9 @@ def require_scheduler(address: str | None, tls: Path | None, no_tls: bool) -> No
 def open_engine(
     where: SchedulerAddress, workers: int, threads: int, files: Iterable[Path], visible_file: VisibleFile | None = None
 ) -> Iterator[Engine]:
-    """Yield what runs the tasks of a command: `workers` processes with `threads` threads each, or the cluster at an address. Its
-    workers have received the files, or see `visible_file` at its path. Problems end the command; raises WorkersLost where no
-    scheduler answers."""
+    """Yield the engine that runs the tasks of a command: `workers` processes with `threads` threads each, or the cluster at an
+    address. Cluster workers have received the files, or see `visible_file` at its path. Problems end the command. Raises
+    WorkersLost if no scheduler answers."""
     address, tls, no_tls = where
     if not address:
         from antdsl.executors import Processes
@@ -125,8 +126,8 @@ def _certificate_folder(address: str, tls: Path | None, no_tls: bool) -> Path | 
 
 
 def _require_certificates(folder: Path) -> None:
-    """Raise BadParameter unless the files of a folder are certificates, with the key of the second. Dask would only report that
-    no scheduler answers."""
+    """Raise BadParameter unless the files of a folder are certificates, with the key of the second. Without this check, Dask
+    would only report that no scheduler answers."""
     import ssl
 
     from antdsl.executors.tasks import TLS_FILES
@@ -155,17 +156,17 @@ def _is_loopback(host: str) -> bool:
 
 
 class TerminationSignal(KeyboardInterrupt):
-    """SIGTERM: treated like Ctrl-C, but with a separate exit code."""
+    """SIGTERM was received. Handled like Ctrl-C, but with a separate exit code."""
 
 
 def stop_exit_code(why: BaseException) -> ExitCode:
-    """The exit code of a command that was stopped by Ctrl-C or by SIGTERM."""
+    """Return the exit code of a command that was stopped by Ctrl-C or by SIGTERM."""
     return ExitCode.TERMINATED if isinstance(why, TerminationSignal) else ExitCode.INTERRUPTED
 
 
 @contextmanager
 def raise_on_sigterm() -> Iterator[None]:
-    """Raise an exception on SIGTERM too, as on Ctrl-C, while the context is open."""
+    """Raise TerminationSignal on SIGTERM while the context is open, as Ctrl-C raises KeyboardInterrupt."""
 
     def stop(number: int, frame: object) -> None:
         raise TerminationSignal if number == signal.SIGTERM else KeyboardInterrupt
@@ -181,9 +182,12 @@ def raise_on_sigterm() -> Iterator[None]:
 def run_cache_tasks(
     where: SchedulerAddress, cache: Path, to: Path, tasks: Callable[[Path, Destination], Iterable[Task]]
 ) -> Iterator[TaskOutcome]:
-    """Yield the result of each task on the cluster `where`, once its files are in the folder `to`. `where`: address,
-    certificates, and whether it may run without them. `tasks` is called with the complete cache, its links resolved, and the
-    destination of files. If a task fails, the command ends after all have run; it also ends if the scheduler is lost."""
+    """Yield the result of each task on a cluster, after its files are in the folder `to`. If a task fails, the command ends after
+    all tasks have run. It also ends if the scheduler is lost.
+
+    `where`: address, certificates, and whether the scheduler may run without certificates.
+    `tasks`: is called with the path of the cache, its links resolved, and the destination of files.
+    """
     from antdsl.bounded import real_path
     from antdsl.executors import WorkersLost, run_tasks
     from antdsl.executors.input_bundle import VisibleFile

@@ -1,4 +1,4 @@
-"""Several scenes, or one on a cluster: each is simulated into a separate cache, as tasks."""
+"""Simulates several scenes, or one scene on a cluster. Each scene is a task that writes its own cache."""
 
 from __future__ import annotations
 
@@ -32,9 +32,14 @@ def run_shots(
     quiet: bool,
     any_memory: bool,
 ) -> None:
-    """Simulate scenes in parallel. `out`: the folder for all caches. `options`: as in `shots.caches.task`. `where`: the
-    scheduler, its certificates, and whether it may run without them. `any_memory`: start however much memory they need.
-    `threads`: of each scene, 0 to share out the cores."""
+    """Simulate scenes in parallel.
+
+    `out`: the folder for all caches.
+    `options`: as in `shots.caches.cache_task`.
+    `threads`: threads per scene; 0 divides the cores among the scenes.
+    `where`: the scheduler, its certificates, and whether it may run without certificates.
+    `any_memory`: start even if the runs need too much memory.
+    """
     from antdsl.cli.printing.reports import exit_on_errors
     from antdsl.diagnostics import Report
     from antdsl.executors import WorkersLost, run_tasks
@@ -113,7 +118,7 @@ def run_shots(
 
 
 def _cache_folders(scenes: Sequence[Path], out: Path | None) -> list[Path]:
-    """The folder of each cache."""
+    """Return the folder of each scene's cache."""
     one = len(scenes) == 1 and out is not None
     folders = [
         out if one and out else default_path(out, scene.stem) if out else default_path(scene.resolve().parent, "out", scene.stem)

@@ -1,4 +1,5 @@
-"""From the arguments of `antdsl sweep` to its runs: the request, or the earlier request of a folder, checked before any run."""
+"""Converts the arguments of `antdsl sweep` to runs. The request comes from the command line, or from an earlier sweep of the same
+folder. It is checked before any run."""
 
 from __future__ import annotations
 
@@ -18,7 +19,7 @@ if TYPE_CHECKING:
 
 
 def nothing() -> list[str]:
-    """That no scene is named."""
+    """Raise BadParameter: no scene is named."""
     raise typer.BadParameter("name a scene, or continue a sweep: `--resume --out DIR`", param_hint="SCENE")
 
 
@@ -39,8 +40,8 @@ _STUDY_OPTIONS = {
 
 
 def load_request(context: typer.Context, out: Path | None) -> SweepRequest:
-    """Return the request of the earlier sweep in a folder, which allows no further options. Raises BadParameter for wrong use,
-    Stop if there is no sweep."""
+    """Return the request of the earlier sweep in a folder. Raises BadParameter if other options that define the runs are given,
+    CommandError if the folder has no sweep."""
     from antdsl.sweep.study import NoSweep, read_request
 
     for name, words in _STUDY_OPTIONS.items():
@@ -56,7 +57,7 @@ def load_request(context: typer.Context, out: Path | None) -> SweepRequest:
 
 
 def build_study(request: SweepRequest) -> tuple[Study, list[Job], Report]:
-    """Return the points of the design, and all their runs; wrong arguments end the command with a usage error."""
+    """Return the points of the design, all their runs, and a report. Wrong arguments end the command with a usage error."""
     from antdsl.cli.arguments import parse_frame_range, parse_grants, parse_pairs
     from antdsl.sweep import jobs, make_variations
     from antdsl.sweep.designs import choose_design
@@ -90,7 +91,8 @@ def build_study(request: SweepRequest) -> tuple[Study, list[Job], Report]:
 
 
 def open_scene_shots(study: Study, request: SweepRequest) -> list[Shot]:
-    """Return each scene of a sweep, opened with its own values; the runs differ in values only, not in things."""
+    """Return the shot of each scene of a sweep, opened with the scene's own values. The runs of a scene differ only in values,
+    not in things."""
     from antdsl.cli.arguments import parse_grants
     from antdsl.pipeline import RunChoices, open_scene
 
@@ -107,7 +109,8 @@ def _require_sound(report: Report) -> None:
 
 
 def parse_widths(request: SweepRequest) -> list[WidthGoal]:
-    """Return the widths of `NAME=WIDTH` words, if there are enough seeds for any."""
+    """Return the goals that `NAME=WIDTH` words define. Raises BadParameter for an invalid width, or if there are too few seeds
+    for any goal."""
     from antdsl.cli.arguments import parse_pairs
     from antdsl.scene.quantities import QuantityError, parse_number, split_quantity
     from antdsl.sweep.stopping import WidthGoal, least_runs

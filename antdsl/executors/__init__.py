@@ -1,13 +1,14 @@
-"""Tasks in other processes. Input: an iterable of tasks, each a function of antdsl and its JSON, under a key made of all that the
-answer depends on. Output: the answers as they arrive, in any order.
+"""Runs tasks in other processes. The input is an iterable of tasks. A task is a function of antdsl and its JSON argument, under a
+key made of everything that the answer depends on. The output is the answers as they arrive, in any order.
 
-An `Engine` runs tasks. There are two: `processes.py` starts processes of this machine (the standard library's pool). `cluster.py`
-uses Dask, and `cluster_worker.py` runs on its workers; neither is imported before a cluster is requested. `input_bundle` packs
-files for transport.
+An `Engine` runs tasks. There are two engines: `processes.py` starts processes of this machine (the standard library's pool).
+`cluster.py` uses Dask, and `cluster_worker.py` runs on its workers. Neither of these is imported before a cluster is requested.
+`input_bundle` packs files for transport.
 
 `run_tasks` submits a few tasks at a time and reads the iterable only as far as needed. So the code that creates tasks can read
-answers before it creates more. It fetches the files that tasks write on other machines, and runs tasks again that were lost. The
-caller stores the answers: a task may run twice where a process is lost, but is answered once."""
+answers before it creates more. `run_tasks` fetches the files that tasks write on other machines, and runs lost tasks again. The
+caller stores the answers. If a process is lost, its task may run twice, but is answered once.
+"""
 
 from antdsl.executors.processes import Processes
 from antdsl.executors.tasks import (

@@ -1,7 +1,8 @@
-"""Tasks on a Dask cluster: a local one that ends with the command, or an existing one.
+"""Runs tasks on a Dask cluster: a local one that ends with the command, or an existing one.
 
-Dask runs a task again if its worker is lost, so each task runs at least once. Message formats are Dask's. Our payloads are our
-functions by name, JSON, and the bytes of the project's files."""
+Dask runs a task again if its worker is lost, so each task runs at least once. Message formats are Dask's. The payloads of antdsl
+are its own functions by name, JSON, and the bytes of the project's files.
+"""
 
 from __future__ import annotations
 
@@ -41,16 +42,20 @@ _SENTENCE_LENGTH = 2000  # characters of one sentence of a worker
 
 
 def load_security(folder: Path) -> Security:
-    """Return mutual TLS by the files of a folder: peers without a certificate of the same authority are rejected."""
+    """Return mutual TLS with the certificate files of a folder. Peers without a certificate of the same authority are
+    rejected."""
     ca, cert, key = (str(folder / name) for name in TLS_FILES)
     return Security(require_encryption=True, tls_ca_file=ca, tls_client_cert=cert, tls_client_key=key)
 
 
 @contextmanager
 def local_cluster(workers: int, threads: int) -> Iterator[tuple[str, Security]]:
-    """Start a scheduler and worker processes on the loopback interface, with new certificates held only in memory; yield the
-    address. There is no dashboard, and workers have no memory limit. Dask still starts an HTTP server without pages in the
-    scheduler and in each worker. It listens on every interface unless an address is set."""
+    """Start a scheduler and worker processes on the loopback interface. Yield the address and the certificates, which are new and
+    only in memory.
+
+    There is no dashboard, and workers have no memory limit. Dask still starts an HTTP server without pages in the scheduler and
+    in each worker. Without an explicit address, that server would listen on every interface.
+    """
     isolate()
     nothing: dict[str, list[str]] = {f"distributed.{role}.http.routes": [] for role in _ROLES}
     nothing |= {f"distributed.{role}.preload": [] for role in (*_ROLES, "client")}  # modules that a configuration file names
@@ -74,8 +79,9 @@ def local_cluster(workers: int, threads: int) -> Iterator[tuple[str, Security]]:
 def connect(
     address: str, security: Security | None, files: Iterable[Path], visible_file: VisibleFile | None = None
 ) -> Iterator[Cluster]:
-    """Connect to a cluster. Its workers have received the files, or all see one file (`visible_file`) and are assumed to see the
-    others. Raises WorkersLost where no scheduler answers, TaskRefused where it has no fit worker or the files are too large."""
+    """Yield a connection to a cluster. Its workers have received the files, or they all see `visible_file` and are assumed to see
+    the other files. Raises WorkersLost if no scheduler answers. Raises TaskRefused if no worker is suitable or the files are too
+    large."""
     for name in [name for name in logging.root.manager.loggerDict if name.startswith("distributed")]:
         logging.getLogger(name).setLevel(logging.CRITICAL)  # what there is to tell we tell
     with ExitStack() as stack:
@@ -111,7 +117,7 @@ class Cluster(Engine):
         self._in_vain = 0  # times that all tasks were resubmitted since the last answer
 
     def send_files(self) -> None:
-        """Send the files to the existing workers, and to those that join later."""
+        """Send the files to all workers, also to those that join later."""
         client = self._client
         client.subscribe_topic(self.name, lambda event: self._events.put(event[1]))
         worker_identities = client.run(worker_identity, on_error="return")
@@ -136,7 +142,7 @@ class Cluster(Engine):
 
     @property
     def task_capacity(self) -> int:
-        """Return two tasks for each worker, so that no worker waits for its next task."""
+        """Return two tasks per worker, so that no worker waits for its next task."""
         return 2 * max(len(self._present), 1)
 
     def start(self) -> None:
@@ -171,7 +177,7 @@ class Cluster(Engine):
         return messages
 
     def _read_events(self) -> None:
-        """Read what workers have said."""
+        """Read the messages of workers: frames of tasks, and whether a worker can run tasks."""
         with suppress(Empty):
             while True:
                 said = self._events.get_nowait()
@@ -184,8 +190,9 @@ class Cluster(Engine):
                     self._messages.append("".join(s if s.isprintable() else " " for s in message))
 
     def _check_workers(self) -> None:
-        """Check from time to time which workers are available. If none was available and one is now, all tasks are cancelled, so
-        that they are submitted again. Dask assigns waiting tasks when a worker joins, which is before it has the files."""
+        """Check from time to time which workers are available. If none was available before and one is now, cancel all tasks, so
+        that they are submitted again. Dask assigns waiting tasks when a worker joins, which is before the worker has the files.
+        """
         finished_futures = [future for future in self._keys if future.done()]
         if not all(future.cancelled() for future in finished_futures):
             self._in_vain = 0

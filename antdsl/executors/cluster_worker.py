@@ -1,9 +1,10 @@
-"""The part that runs on a worker of a Dask cluster: it receives a project's files, reports whether it can run tasks, and runs
+"""The part that runs on a worker of a Dask cluster. It receives a project's files, reports whether it can run tasks, and runs
 them.
 
-A worker that has the files and the same antdsl sources offers a resource named after both; a task needs one unit of it. So a
-worker with other sources, or without space for the files, never gets a task, also if it joins later. A worker runs one task at a
-time."""
+A worker that has the files and the same antdsl sources offers a resource named after both. A task needs one unit of this
+resource. So a worker with other sources, or without space for the files, never gets a task, even if it joins later. A worker runs
+one task at a time.
+"""
 
 from __future__ import annotations
 
@@ -30,7 +31,8 @@ PART_BYTES = 8 * MIB  # of a file that is fetched, at a time
 
 
 class Project(WorkerPlugin):  # type: ignore[misc]
-    """The files of a project, as every worker of a cluster receives them. The bytes of the files are the only user data in it."""
+    """The files of a project, as every worker of a cluster receives them. The bytes of the files are the only user data in this
+    object."""
 
     def __init__(self, bundle: FileBundle, sources: str, visible_file: VisibleFile | None) -> None:
         self.name = f"antdsl-{visible_file.digest if visible_file is not None else bundle.digest}-{sources}"
@@ -38,7 +40,7 @@ class Project(WorkerPlugin):  # type: ignore[misc]
         self.worker: Worker | None = None
 
     async def setup(self, worker: Any) -> None:
-        """Install the files when a worker starts, or when the project reaches a running worker."""
+        """Install the files. Called when a worker starts, or when the project reaches a running worker."""
         if self.sources != sources():
             worker.log_event(self.name, {"refused": explain_mismatch(worker.address, worker_identity(), self.sources)})
             return
@@ -67,7 +69,7 @@ _one_at_a_time = threading.Lock()
 
 
 def _unpack_bundle(bundle: FileBundle, folder: Path) -> None:
-    """Put the files where tasks look for them, unless an earlier command did."""
+    """Unpack the files to the folder where tasks look for them, unless an earlier command did."""
     with _one_at_a_time:
         complete_mark = folder / "whole"  # is there once all the others are
         if complete_mark.is_file():
@@ -79,17 +81,17 @@ def _unpack_bundle(bundle: FileBundle, folder: Path) -> None:
 
 
 def worker_identity() -> dict[str, str]:
-    """What a worker has."""
+    """Return the versions and the host name of this worker."""
     return {"antdsl": __version__, "sources": sources(), "host": platform.node()}
 
 
 def sees_file(visible_file: VisibleFile) -> bool:
-    """Return whether a worker sees a file of the requester."""
+    """Return whether this worker sees a file of the requester."""
     return visible_file.is_visible()
 
 
 def explain_mismatch(address: str, has: Mapping[str, str], expected_sources: str) -> str:
-    """Why a worker is given nothing."""
+    """Return the message that a worker with other sources gets no tasks."""
     return (
         f"worker {address} on {has['host']} has antdsl {has['antdsl']} with other sources ({has['sources'][:8]}, "
         f"here {expected_sources[:8]}), so it is given nothing: install there what is installed here"
@@ -97,7 +99,8 @@ def explain_mismatch(address: str, has: Mapping[str, str], expected_sources: str
 
 
 def perform_on_worker(work: Work, text: str, name: str, key: str, attempt: int) -> str:
-    """Run a task on this worker. `name`: the project's name; `attempt`: the number of earlier attempts."""
+    """Run a task on this worker, and return its answer as JSON. `text`: its argument as JSON. `name`: the project's name.
+    `attempt`: the number of earlier attempts."""
     dask_worker = get_worker()
     project = dask_worker.plugins.get(name)
     if project is None or project.worker is None:
@@ -113,7 +116,7 @@ def perform_on_worker(work: Work, text: str, name: str, key: str, attempt: int) 
 
 
 def read_part(name: str, file: str, start: int) -> bytes:
-    """Return bytes of a file that a task wrote on this worker, from an offset on."""
+    """Return a part of a file that a task wrote on this worker. `start`: the offset of the part in bytes."""
     folder = Path(get_worker().local_directory) / name / "made"
     path = (folder / file).resolve()
     if not path.is_relative_to(folder.resolve()):

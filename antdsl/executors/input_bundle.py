@@ -1,4 +1,4 @@
-"""Input bundles: files under their original paths, with a hash. The files of a project are sent to other machines in one."""
+"""Input bundles: files under their original paths, with a hash. A bundle transports the files of a project to other machines."""
 
 from __future__ import annotations
 
@@ -15,13 +15,15 @@ from antdsl.limits import MAX_BUNDLE_BYTES
 
 @dataclass(frozen=True, slots=True)
 class FileBundle:
-    """`files`: the contents by path, relative to the folder into which they are unpacked; `digest`: their hash."""
+    """Files to transport. `files`: the contents by path, relative to the folder into which they are unpacked. `digest`: their
+    hash."""
 
     files: Mapping[str, bytes]
     digest: str
 
     def unpack(self, folder: Path) -> None:
-        """Write the files below a folder. Raises TaskRefused if they do not match the hash, or one would be outside."""
+        """Write the files below a folder. Raises TaskRefused if they do not match the hash, or if a path leads out of the
+        folder."""
         if digest_files(self.files) != self.digest:
             raise TaskRefused("the files of the project did not arrive as they were sent")
         for name, content in self.files.items():
@@ -35,14 +37,14 @@ class FileBundle:
 
 @dataclass(frozen=True, slots=True)
 class VisibleFile:
-    """A file that identifies machines with the same folders: its path, and a hash of its content."""
+    """A file that identifies machines with the same folders. `digest`: a hash of its content."""
 
     path: str
     digest: str
 
     @classmethod
     def of(cls, path: Path) -> VisibleFile:
-        """Raises OSError if there is no such file."""
+        """Return the visible file for a path. Raises OSError if there is no such file."""
         absolute_path = os.path.abspath(path)
         return cls(absolute_path, digest_files({"": read_bounded(absolute_path, MAX_BUNDLE_BYTES)}))
 
@@ -55,8 +57,8 @@ class VisibleFile:
 
 
 def pack(paths: Iterable[Path]) -> FileBundle:
-    """Return an input bundle of regular files. Raises TaskRefused if they are more than `MAX_BUNDLE_BYTES` together, OSError
-    if one cannot be read."""
+    """Return an input bundle of regular files. Raises TaskRefused if their total size exceeds `MAX_BUNDLE_BYTES`, OSError if one
+    cannot be read."""
     files: dict[str, bytes] = {}
     left = MAX_BUNDLE_BYTES
     for path in sorted({Path(os.path.abspath(path)) for path in paths}):

@@ -1,4 +1,5 @@
-"""Processes of this machine: each starts from scratch, imports everything once and runs one task after the other."""
+"""Runs tasks in processes of this machine. Each process starts from scratch, imports everything once, and runs one task after the
+other."""
 
 from __future__ import annotations
 
@@ -87,7 +88,7 @@ _frames: MutableSequence[int] = []
 
 
 def _start_process(threads: int, frames: MutableSequence[int]) -> None:
-    """The first thing that a process does."""
+    """Initialise a process of the pool: its environment, signals, and the thread that ends it with its parent."""
     global _worker, _frames
     _worker, _frames = Worker(threads), frames
     if not sys.warnoptions:
@@ -99,7 +100,7 @@ def _start_process(threads: int, frames: MutableSequence[int]) -> None:
 
 
 def _end_with_parent() -> None:
-    """End this process when its parent ends. Otherwise the processes of a killed pool owner would wait for tasks for ever."""
+    """End this process when its parent ends. Otherwise the processes of a killed pool owner would wait for tasks forever."""
     parent = multiprocessing.parent_process()
     if parent is not None:
         parent.join()

@@ -1,4 +1,4 @@
-"""Submits tasks to an engine and yields their results as they arrive; tasks that were lost run again."""
+"""Submits tasks to an engine and yields their results as they arrive. Lost tasks run again."""
 
 from __future__ import annotations
 
@@ -25,19 +25,25 @@ Answer = dict[str, Any]
 
 
 class TaskRefused(Exception):
-    """A task that cannot be done; the message is for its requester. It is not tried again."""
+    """A task cannot be carried out. The message is for the requester. The task is not tried again."""
 
 
 class WorkersLost(Exception):
-    """Nothing is left that can run tasks; the message is for their requester."""
+    """No process or worker is left to run tasks. The message is for the requester."""
 
 
 @dataclass(slots=True)
 class Worker:
-    """The environment of a task. `threads`: how many it may use. `report_frame`: called with frames. `cached_values`: objects by
-    name that last from one task of the process to the next. `notes`: messages about deviations from the request, sent with the
-    answer. `local_path`: maps a path of the requester to this machine. `scratch`: a folder for fetched files, None where all
-    machines see the same folders. `name`: of the process, empty on the requester's machine."""
+    """The environment of a task.
+
+    `threads`: the number of threads that the task may use.
+    `report_frame`: is called with the current frame.
+    `cached_values`: objects by name that stay in the process for later tasks.
+    `notes`: messages about deviations from the request, sent with the answer.
+    `local_path`: maps a path of the requester to this machine.
+    `scratch`: a folder for files that the requester fetches; None if all machines see the same folders.
+    `name`: of the process; empty on the requester's machine.
+    """
 
     threads: int
     report_frame: Callable[[int], None] = lambda frame: None
@@ -53,8 +59,14 @@ Work = Callable[[dict[str, Any], Worker], Answer]
 
 @dataclass(frozen=True, slots=True)
 class Task:
-    """`work`: a function at module level of antdsl; `document`: its argument, as JSON values; `key`: a unique name of the
-    task. An answer with `files` (path, size, digest), `worker` and `made` tells which files are to be fetched."""
+    """A task.
+
+    `key`: its unique name.
+    `work`: a function at module level of antdsl.
+    `document`: the argument of `work`, as JSON values.
+
+    If an answer has `files` (path, size, digest), `worker` and `made`, these files must be fetched.
+    """
 
     key: str
     work: Work
@@ -63,7 +75,7 @@ class Task:
 
 @dataclass(frozen=True, slots=True)
 class TaskOutcome:
-    """The result of a task: an answer, or the error message."""
+    """The outcome of a task: an answer, or an error message."""
 
     task: Task
     answer: Answer | None
@@ -72,20 +84,20 @@ class TaskOutcome:
 
 
 class Engine:
-    """Runs tasks. A future that is cancelled is of a lost task, which is submitted again; one that has BrokenExecutor has lost
-    its process, perhaps by its own fault."""
+    """Runs tasks. The future of a lost task is cancelled, and the task is submitted again. A future with BrokenExecutor has lost
+    its process, possibly through its own task."""
 
     @property
     def task_capacity(self) -> int:
-        """Return how many tasks to have running."""
+        """Return the number of tasks that should run at the same time."""
         raise NotImplementedError
 
     def start(self) -> None:
-        """Begin, or begin again after a stop. Raises WorkersLost."""
+        """Start the engine, or start it again after a stop. Raises WorkersLost."""
         raise NotImplementedError
 
     def submit(self, task: Task) -> Future[str]:
-        """Submit a task; fewer than `task_capacity` are running. Raises WorkersLost."""
+        """Submit a task. Call this only while fewer than `task_capacity` tasks run. Raises WorkersLost."""
         raise NotImplementedError
 
     def stop(self) -> None:
@@ -101,22 +113,22 @@ class Engine:
         return ()
 
     def break_reason(self) -> str:
-        """Return what ended the processes, once they are broken."""
+        """Return the reason why the processes ended. Call this only after they have broken."""
         raise NotImplementedError
 
     def describe_failure(self, why: BaseException) -> str:
-        """Return the message for a task that ended with an exception. Raises it if it is a mistake of antdsl."""
+        """Return the message for a task that ended with an exception. Raises the exception if it is an error of antdsl itself."""
         if isinstance(why, TaskRefused | MemoryError | OSError):
             return str(why) or "out of memory"
         raise why
 
     def fetch(self, worker: str, file: str, size: int) -> Iterator[bytes]:
-        """Yield the parts of a file that a task wrote on a worker. Raises WorkersLost if it is missing or ends before its
-        size."""
+        """Yield the parts of a file that a task wrote on a worker. Raises WorkersLost if the file is missing or shorter than
+        `size`."""
         raise NotImplementedError
 
     def forget(self, worker: str, folder: str) -> None:
-        """Have a worker remove what a task wrote."""
+        """Make a worker remove the files that a task wrote."""
 
 
 def run_tasks(
@@ -126,12 +138,15 @@ def run_tasks(
     noted: Callable[[str], None] = lambda sentence: None,
     folder_of: Callable[[Task], Path] = lambda task: Path(),
 ) -> Iterator[TaskOutcome]:
-    """Run tasks and yield the outcome of each as it is known, once its files are in `folder_of(task)`. `report_frame` is called
-    from time to time with the frame that a task has reached, `noted` with messages about workers. `tasks` is read one at a time,
-    whenever another one can start.
+    """Run tasks and yield the outcome of each as soon as it is known and its files are in `folder_of(task)`.
 
-    Where a process is lost, the cause is unknown: all running tasks are run again, one by one. A task that breaks the engine when
-    it runs alone is given up. Raises WorkersLost where the engine cannot start again."""
+    `tasks`: is read one at a time, whenever another task can start.
+    `report_frame`: is called from time to time with the current frame of a task.
+    `noted`: is called with messages about workers.
+
+    If a process is lost, the cause is unknown, so all running tasks run again, one by one. A task that breaks the engine while it
+    runs alone is given up. Raises WorkersLost if the engine cannot start again.
+    """
     waiting, suspects, lost = iter(tasks), deque[Task](), deque[Task]()
     running: dict[Future[str], Task] = {}
     attempts: dict[str, int] = {}
@@ -188,8 +203,8 @@ def _is_broken(future: Future[str]) -> bool:
 def _fetch_outcome(
     task: Task, future: Future[str], engine: Engine, folder_of: Callable[[Task], Path], attempts: dict[str, int]
 ) -> TaskOutcome | None:
-    """Return the outcome of a task that has ended, after its files were fetched; None if they are lost and it is tried again.
-    `attempts`: the failed fetches by key of a task."""
+    """Return the outcome of a task that has ended, after its files were fetched. Return None if the files are lost and the task
+    is tried again. `attempts`: the numbers of failed fetches, by the keys of tasks."""
     why = future.exception()
     if why is not None:
         return TaskOutcome(task, None, engine.describe_failure(why))
@@ -207,7 +222,7 @@ def _fetch_outcome(
 
 
 def _fetch_files(answer: Answer, engine: Engine, folder: Path) -> None:
-    """Move the files of an answer to a folder, each atomically, and have the worker remove its own."""
+    """Move the files of an answer to a folder, each atomically. Then make the worker remove its copies."""
     root, left = folder.resolve(), MAX_TASK_OUTPUT_BYTES
     for name, size, digest in answer["files"]:
         path, left = (root / name).resolve(), left - size
@@ -225,7 +240,8 @@ def _fetch_files(answer: Answer, engine: Engine, folder: Path) -> None:
 
 
 def perform(work: Work, text: str, worker: Worker, say_frame: Callable[[int], None] = lambda frame: None) -> str:
-    """Do a task where it runs: JSON in, JSON out. `say_frame` is called from time to time with the current frame."""
+    """Run a task in the current process. `text`: its argument as JSON. Returns its answer as JSON. `say_frame`: is called from
+    time to time with the current frame."""
     said = time.monotonic()
 
     def report_frame(frame: int) -> None:
@@ -245,7 +261,7 @@ def perform(work: Work, text: str, worker: Worker, say_frame: Callable[[int], No
 
 @contextmanager
 def refuse_task(*kinds: type[Exception]) -> Iterator[None]:
-    """Turn exceptions of these kinds into TaskRefused with the same message."""
+    """Raise TaskRefused in place of exceptions of these kinds, with the same message."""
     try:
         yield
     except kinds as why:

@@ -1,4 +1,4 @@
-"""The cell of each agent's voxel and side, as one pass over the agents."""
+"""A kernel that finds the cell of each agent's voxel and side."""
 
 from typing import NamedTuple
 
@@ -12,7 +12,7 @@ _PREFETCH_GROUP_SIZE = 64  # points with cells prefetched together
 
 @inlined
 def _axis_index(place: F64, cell: F64, low: I64, size: I64) -> I64:
-    """The number of a voxel along one axis of the box, -1 outside."""
+    """Return the index of the voxel at a coordinate along one axis of the box, -1 outside the box."""
     step = np.floor(place / cell + 0.5) - np.float64(low)
     if step >= 0.0 and step < np.float64(size):
         return np.int64(step)
@@ -21,7 +21,7 @@ def _axis_index(place: F64, cell: F64, low: I64, size: I64) -> I64:
 
 @inlined
 def _find_cell(direct: Array1[I32], listed: BOOL, keys: Array1[I64], shift: I64, start: Array1[I32], key: I64) -> I64:
-    """The cell of a key, -1 for none."""
+    """Return the cell of a key, -1 if no cell has the key."""
     if listed:
         return np.int64(direct[key])
     a = lower_bound(keys, key, np.int64(start[key >> shift]), np.int64(start[(key >> shift) + 1]))
@@ -29,9 +29,14 @@ def _find_cell(direct: Array1[I32], listed: BOOL, keys: Array1[I64], shift: I64,
 
 
 class CellIndex(NamedTuple):
-    """The cells of a box of voxels: voxel width, lowest voxel of the box and voxel counts. Cells are in `direct` by key. If that
-    is empty, they are found by binary search in the `keys` of their block. Blocks begin at `start` [blocks + 1], with 2**shift
-    keys each."""
+    """The cells of a box of voxels, by key. A non-empty table `direct` gives the cell of each key; otherwise `keys` is searched.
+
+    `cell`: voxel width (mm).
+    `low`, `size`: lowest voxel of the box, and its number of voxels along each axis.
+    `direct`: the cell of every key, or empty.
+    `keys`: ascending keys of the cells, searched by bisection within one block.
+    `shift`: each block covers 2**shift keys.
+    `start` [blocks + 1]: where each block begins in `keys`."""
 
     cell: F64
     low: Array1[I64]
@@ -53,11 +58,12 @@ def locate_cells(
     begin: I64,
     end: I64,
 ) -> I64:
-    """Write the cell of the voxel and side of points `begin` to `end` (exclusive) into `cells` [n]; return how many have none,
-    which get -1.
+    """Write the cell of each point from `begin` to before `end` into `cells` [n], and return how many points have no cell.
 
-    `points`: x, y, z [n] mm. `known` and `known_cells` [n]: previous keys, -1 outside the box, and previous cells; both are
-    updated."""
+    Points without a cell get -1.
+    `points`: x, y, z [n] mm.
+    `known` [n]: key of each point at the previous call, -1 outside the box; updated.
+    `known_cells` [n]: cell of each point at the previous call; updated."""
     cell, box, size, direct, keys, shift, start = index
     listed = direct.size > 0
     point_keys, moved, others = (

@@ -1,4 +1,4 @@
-"""The cells of pheromone: the voxels that surfaces touch, one cell for each direction that the surface faces there."""
+"""The cells of pheromone: voxels that surfaces touch, with one cell per voxel for each direction that the surface faces in it."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ _POINTS_PER_CHUNK = 1 << 15
 
 class FieldTooFine(ValueError):
     """A field would need more cells than `limits.MAX_FIELD_CELLS`, or (`in_a_row`) more along an axis than can be numbered.
-    Nothing was allocated."""
+    It is raised before anything is allocated."""
 
     def __init__(self, needed: int, cap: int, in_a_row: bool = False) -> None:
         super().__init__(f"about {needed:,} cells are needed, but only {cap:,} are allowed; increase `cell`")
@@ -48,10 +48,10 @@ class CellLinks:
 
 
 class SurfaceCells:
-    """Cells of size `cell` (mm) over surfaces, each (vertices float64[n,3], faces int32[m,3]).
+    """Cells of edge length `cell` (mm) over surfaces, each (vertices float64[n,3], faces int32[m,3]).
 
-    A cell is a voxel, with its centre on a lattice through the origin, and a side: the axis direction nearest to the surface's
-    normal. So a thin plate has two sides. Cells are numbered by position, then side, independent of the order of the faces.
+    A cell is a voxel with a side. Voxel centres are on a lattice through the origin. The side is the axis direction nearest to
+    the surface's normal, so a thin plate has two sides. Cells are numbered by position, then by side, for any order of faces.
     Raises FieldTooFine before any large allocation."""
 
     def __init__(self, surfaces: Sequence[MeshArrays], cell: float, cap: int = limits.MAX_FIELD_CELLS) -> None:
@@ -89,7 +89,7 @@ class SurfaceCells:
         self._tables: dict[int, Cells] = {}
 
     def _gather(self, corners: Floats, scaled: Floats, normal: Floats, cap: int) -> stored_tables.Tables:
-        """Return keys, positions and normals of all cells, from the part of each triangle in each voxel that it touches."""
+        """Return keys, positions and normals of all cells, computed from the part of each triangle that lies in each voxel."""
         side = facing_sides(normal)
         keys, sums = np.empty(0, np.int64), np.empty((0, 7))
         waiting: list[tuple[NDArray[np.int64], Floats]] = []
@@ -112,7 +112,7 @@ class SurfaceCells:
 
     @property
     def side(self) -> NDArray[np.int64]:
-        """Return the direction that each cell faces, numbered as by `facing`."""
+        """Return the direction that each cell faces, numbered as by `facing_sides`."""
         return self._keys % 6
 
     def _key(self, voxel: NDArray[np.int64], side: NDArray[np.int8]) -> NDArray[np.int64]:
@@ -120,7 +120,7 @@ class SurfaceCells:
         return key
 
     def _list_starts(self) -> NDArray[np.int32] | None:
-        """The first cell of every voxel of the box, if the box is small enough for a table."""
+        """Return the first cell of every voxel of the box, or None if the box is too large for a table."""
         count = int(self._size[0]) * int(self._size[1]) * int(self._size[2])
         if count > _MAX_DENSE_VOXELS:
             return None
@@ -130,11 +130,12 @@ class SurfaceCells:
 
     @cached_property
     def _most_per_voxel(self) -> int:
-        """Cells in the fullest voxel."""
+        """Return the number of cells in the fullest voxel."""
         return int(np.unique(self._voxels, return_counts=True)[1].max(initial=0))
 
     def _cell_range(self, voxel: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-        """Return the first cell and the number of cells in voxels [n,3], relative to the box's corner; none outside the box."""
+        """Return the first cell and the number of cells of voxels [n,3], relative to the box's corner. Voxels outside the box
+        have 0 cells."""
         within = ((voxel >= 0) & (voxel < self._size)).all(axis=1)
         flat = np.where(within, (voxel[:, 0] * self._size[1] + voxel[:, 1]) * self._size[2] + voxel[:, 2], 0)
         if self._start_table is not None:
@@ -144,19 +145,20 @@ class SurfaceCells:
         return first, np.where(within, last - first, 0)
 
     def _cells_in(self, voxel: NDArray[np.int64]) -> Iterator[tuple[NDArray[np.int64], NDArray[np.bool_]]]:
-        """Yield the cells of voxels [n,3], one per voxel at a time, and whether there is one."""
+        """Yield pairs of arrays for voxels [n,3]: the k-th cell of each voxel, and whether the voxel has a k-th cell."""
         first, count = self._cell_range(voxel)
         for step in range(self._most_per_voxel):
             yield np.minimum(first + step, len(self) - 1), step < count
 
     def lookup(self, points: Floats, normals: Floats) -> Cells:
-        """Return the cell of each point [n,3] on a face with a normal [n,3] (the face's own, not the agent's side).
-
-        If there is none, return the nearest of the 27 voxels around it that does not have the opposite side; else -1."""
+        """Return the cell of each point [n,3] on a face with normal [n,3]. The normal is that of the face, not of the agent's
+        side.
+        Without a cell there, return the nearest cell in the 27 voxels around the point that has not the opposite side, else
+        -1."""
         return self.lookup_sides(points, facing_sides(np.asarray(normals).reshape(-1, 3)))
 
     def lookup_sides(self, points: Floats, side: NDArray[np.int8]) -> Cells:
-        """As `lookup`, for faces with sides int8[n] as from `facing`."""
+        """Return cells as `lookup` does, for faces with sides int8[n] as numbered by `facing_sides`."""
         return self.lookup_again(points, side, None)[0]
 
     def lookup_again(
@@ -167,9 +169,9 @@ class SurfaceCells:
         out: Cells | None = None,
         threads: int = 1,
     ) -> tuple[Cells, KnownCells | None]:
-        """As `lookup_sides`, with the results for the same number of points before: only points in another voxel or on another
-        side are looked up. `out`: int32[n] for the result. Also returns the state for the next call; None if keys are
-        unordered."""
+        """Return cells as `lookup_sides` does, and the state for the next call (None if keys are unordered).
+        Only points with a changed voxel or side are searched. `out`: int32[n] for the result.
+        `previous_cells`: the state that the previous call returned for the same number of points."""
         points = np.asarray(points, np.float64).reshape(-1, 3)
         cell = np.empty(len(points), np.int32) if out is None or len(out) != len(points) else out
         if not len(self):
@@ -191,8 +193,8 @@ class SurfaceCells:
     def _locate_cells(
         self, points: Floats, side: NDArray[np.int8], previous_cells: KnownCells | None, cell: Cells, threads: int
     ) -> tuple[int, KnownCells]:
-        """Write the cell of each point's voxel and side, -1 for none; return how many have none, and the state for the next
-        call."""
+        """Write the cell of each point's voxel and side, -1 for none. Return the number of points without a cell, and the
+        state for the next call."""
         known = previous_cells
         if known is None or known.of is not self or len(known.key) != len(points):
             known = KnownCells(self, np.full(len(points), -1), np.full(len(points), -1, np.int32))
@@ -203,7 +205,7 @@ class SurfaceCells:
         return sum(parallel.in_parts(work, len(points), threads, parallel.MIN_LIGHT_ITEMS_PER_THREAD)), known
 
     def _search_cells(self, points: Floats, side: NDArray[np.int8], cell: Cells) -> int:
-        """Do the same for unordered keys; return how many points have none."""
+        """Write the cell of each point's voxel and side, for unordered keys; return how many points have no cell."""
         key = np.empty(len(points), np.int64)
         within = np.empty(len(points), np.bool_)
         for a in range(0, len(points), _POINTS_PER_CHUNK):
@@ -214,11 +216,11 @@ class SurfaceCells:
 
     @property
     def _has_kernel_lookup(self) -> bool:
-        """Return whether keys ascend with cell numbers, or each key is listed, so that a kernel can find them."""
+        """Return whether a kernel can find cells: keys ascend with the cell numbers, or a table lists every key."""
         return True
 
     def _keys_at(self, points: Floats, side: NDArray[np.int8], key: NDArray[np.int64], within: NDArray[np.bool_]) -> None:
-        """Write the key of each point's voxel and side, and whether that lies within the box."""
+        """Write the key of each point's voxel and side to `key`, and whether the voxel is in the box to `within`."""
         for axis in range(3):
             step = np.floor(points[:, axis] / self.cell + 0.5)
             step -= self._low[axis]
@@ -234,7 +236,7 @@ class SurfaceCells:
         key += side
 
     def _find_cells(self, key: NDArray[np.int64], within: NDArray[np.bool_]) -> Cells:
-        """The cell of each key that lies within the box, -1 for none."""
+        """Return the cell of each key, -1 if there is none or if `within` is false."""
         if self._direct is not None:
             return np.where(within, self._direct.take(np.where(within, key, 0)), np.int32(-1))
         cell = np.full(len(key), -1, np.int32)
@@ -252,7 +254,7 @@ class SurfaceCells:
 
     @cached_property
     def _direct(self) -> Cells | None:
-        """The cell of every voxel and side, -1 for none, if the box is small enough for a table."""
+        """Return the cell of every voxel and side, -1 for none; None if the box is too large for a table."""
         count = 6 * int(self._size[0]) * int(self._size[1]) * int(self._size[2])
         if count > _MAX_DENSE_VOXELS:
             return None
@@ -275,10 +277,9 @@ class SurfaceCells:
     def _neighbour_pairs(
         self, cells: NDArray[np.int64], column: Callable[[int, int], int]
     ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-        """Return pairs of one of some cells, numbered from 0, and a compatible cell in the voxels around it; sorted by both.
-
-        In the column of voxels at offset (x, y), voxels up to `column(x, y)` above and below count; -1: none. Cells of a column
-        have consecutive numbers."""
+        """Return pairs (index in `cells`, neighbour cell) of compatible cells in nearby voxels, sorted by both.
+        `column(x, y)`: how far up and down voxels count in the column at offset (x, y); -1: none. A column's cells have
+            consecutive numbers."""
         voxels = self._voxels[cells]
         z, rest = voxels % self._size[2], voxels // self._size[2]
         x, y = rest // self._size[1], rest % self._size[1]
@@ -299,24 +300,24 @@ class SurfaceCells:
         return own.take(compatible_pairs), other.take(compatible_pairs)
 
     def _first_cell(self, voxel: NDArray[np.int64]) -> NDArray[np.int64]:
-        """Return the number of cells in voxels before these, by voxel number in the box."""
+        """Return, for each voxel number in the box, how many cells lie in voxels with smaller numbers."""
         if self._start_table is not None:
             return self._start_table.take(voxel).astype(np.int64)
         return self._voxels.searchsorted(voxel).astype(np.int64)
 
     @cached_property
     def links(self) -> CellLinks:
-        """Return which cells share a voxel or a face of their voxels, and do not face opposite directions."""
+        """Return the pairs of cells that share a voxel or a face of their voxels, and do not face opposite directions."""
         return self._link_cells(1)
 
     @cached_property
     def diagonals(self) -> CellLinks:
-        """Return which cells share only an edge of their voxels, and do not face opposite directions."""
+        """Return the pairs of cells that share only an edge of their voxels, and do not face opposite directions."""
         return self._link_cells(2)
 
     def _link_cells(self, steps: int) -> CellLinks:
-        """Return pairs of cells in voxels at most one step apart along each axis, and at most `steps` along all together. With 2,
-        exactly 2."""
+        """Return pairs of cells in voxels at most one step apart along each axis, and at most `steps` in total (with 2:
+        exactly 2)."""
         counts, cells = [np.zeros(1, np.int64)], [np.empty(0, np.int32)]
         for a in range(0, len(self), _POINTS_PER_CHUNK):
             chosen = np.arange(a, min(a + _POINTS_PER_CHUNK, len(self)))
@@ -328,7 +329,7 @@ class SurfaceCells:
         return CellLinks(np.cumsum(np.concatenate(counts)), np.concatenate(cells))
 
     def _voxel_steps(self, one: NDArray[np.int64], two: NDArray[np.int64]) -> NDArray[np.int64]:
-        """Return the number of voxels between cells, summed over all axes."""
+        """Return the number of voxel steps between the cells of each pair, summed over all axes."""
         steps = np.zeros(len(one), np.int64)
         voxels = [self._voxels.take(cells) for cells in (one, two)]
         for size in (self._size[2], self._size[1]):
@@ -339,12 +340,13 @@ class SurfaceCells:
 
     @property
     def block(self) -> Cells:
-        """Return, for each cell, the nearest 16 cells of its 3³ block, itself included, int32[n,16], ascending; padded with
+        """Return the 16 nearest cells in the 3³ voxels around each cell, itself included: int32[n,16], ascending, padded with
         `len(self)`."""
         return self.nearest(NEAREST_CELLS)
 
     def nearest(self, k: int) -> Cells:
-        """For each cell the nearest `k` of its 3³ block, itself included, by (distance, cell), int32[n,k], ascending."""
+        """Return the `k` nearest cells in the 3³ voxels around each cell, itself included, as int32[n,k], ascending.
+        Candidates are ranked by (distance, cell)."""
         if k not in self._tables:
             inputs = (self._keys, self._size, self.position, float(k))
             work = partial(self._nearest_table, k)
@@ -355,7 +357,7 @@ class SurfaceCells:
         return {"nearest": self._nearest(np.arange(len(self)), k)}
 
     def _nearest(self, cells: NDArray[np.int64], k: int) -> Cells:
-        """Rows of `nearest` for some cells."""
+        """Return the rows of `nearest` for `cells`."""
         table = np.full((len(cells), k), len(self), np.int32)
         for a in range(0, len(cells), _POINTS_PER_CHUNK):
             chosen = cells[a : a + _POINTS_PER_CHUNK]
@@ -381,8 +383,9 @@ class SurfaceCells:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class KnownCells:
-    """Lookup results of points: `of` which cells; the `key` of each point's voxel and side (-1 outside the box); and the `cell`
-    there, -1 for none."""
+    """Results of a cell lookup, for reuse: the cells `of` which, and for each point the `key` of its voxel and side, and the
+    `cell`.
+    `key` is -1 outside the box, `cell` is -1 if there is none."""
 
     of: SurfaceCells
     key: NDArray[np.int64]
@@ -390,6 +393,6 @@ class KnownCells:
 
 
 def are_compatible(a: NDArray[np.int64], b: NDArray[np.int64]) -> NDArray[np.bool_]:
-    """Return whether sides are not opposite, so that an agent can walk from one to the other within one cell."""
+    """Return whether two sides are not opposite. An agent can walk between compatible sides within one cell."""
     other: NDArray[np.bool_] = (a ^ 1) != b
     return other

@@ -1,6 +1,7 @@
-"""Points on triangles at which fields and flows are computed: each face is cut into n · n equal triangles, n a power of two.
+"""Points on triangles at which fields and flows are computed. Each face is divided into n · n equal triangles, n a power of two.
 
-Also decides how fine the points of a flow are. A footing finds the points around it by one table look-up, without a search."""
+This module also chooses the resolution of a flow's points. The points around a footing are found by one table look-up, without
+a search."""
 
 from __future__ import annotations
 
@@ -25,7 +26,7 @@ _MAX_CUTS_PER_EDGE = 1024  # along one edge
 
 
 class LatticeTooFine(ValueError):
-    """The lattice needs more points than allowed; `needed` is the approximate count."""
+    """The lattice would need more points than allowed; `needed` is the approximate count."""
 
     def __init__(self, needed: int) -> None:
         super().__init__(f"about {needed:,} points")
@@ -33,12 +34,13 @@ class LatticeTooFine(ValueError):
 
 
 def count_slots(cuts: Index) -> int:
-    """Return the number of slots of faces with `cuts` cuts along an edge."""
+    """Return the number of slots (points) of faces that have `cuts` pieces along an edge."""
     return int(((cuts + 1) * (cuts + 2) // 2).sum())
 
 
 def count_cuts(longest: Floats, cell: float | Floats) -> Index:
-    """Return powers of two that cut edges of these lengths (mm) into pieces of at most `cell`; 1 where `cell` is infinite."""
+    """Return how many pieces edges of these lengths (mm) need so that each is at most `cell` long. The counts are powers of two;
+    1 where `cell` is infinite."""
     with np.errstate(divide="ignore"):
         pieces = np.clip(longest / cell, 1.0, _MAX_CUTS_PER_EDGE)
     cuts: Index = np.left_shift(1, np.frexp(pieces * (1 - 1e-9))[1].astype(np.int64))
@@ -47,8 +49,10 @@ def count_cuts(longest: Floats, cell: float | Floats) -> Index:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FaceLattice:
-    """Points on faces. Face f has `cuts[f]` pieces along an edge and (cuts + 1)(cuts + 2) / 2 slots from `start[f]` on. Rows go
-    towards the third corner; slots in a row go towards the second."""
+    """Points on faces, called slots. Face f has `cuts[f]` pieces along an edge, and (cuts + 1)(cuts + 2) / 2 slots from
+    `start[f]` on.
+
+    Rows of slots follow each other towards the third corner. Slots within a row go towards the second corner."""
 
     cuts: Index
     start: Index
@@ -62,7 +66,7 @@ class FaceLattice:
         return count_slots(self.cuts)
 
     def locate(self, face: Index, b1: Floats, b2: Floats) -> tuple[Index, Floats]:
-        """Return the three slots around each position (3, n), and their weights (3, n)."""
+        """Return the three slots around each position in a face (3, n), and their barycentric weights (3, n)."""
         n, start = self.cuts.take(face), self.start.take(face)
         u, v = b1 * n, b2 * n
         j = np.clip(v.astype(np.int64), 0, n - 1)
@@ -76,11 +80,11 @@ class FaceLattice:
         return slots, weights
 
     def faces(self) -> Index:
-        """The face of each slot."""
+        """Return the face of each slot."""
         return np.repeat(np.arange(len(self.cuts)), (self.cuts + 1) * (self.cuts + 2) // 2)
 
     def weights(self) -> tuple[Floats, Floats]:
-        """Weights of the face's second and third corner, for each slot."""
+        """Return the barycentric weights of the face's second and third corner, for each slot."""
         b1, b2 = np.empty(len(self)), np.empty(len(self))
         for n, chosen, i, j in self._groups():
             at = self.start[chosen][:, None] + np.arange(len(i))
@@ -88,7 +92,7 @@ class FaceLattice:
         return b1, b2
 
     def triangles(self) -> tuple[Index, Index]:
-        """Return the small triangles: three slots each (t, 3), with the winding of their face, and their face (t,)."""
+        """Return the small triangles as slots (t, 3), with the winding of their face, and the face of each (t,)."""
         parts, owners = [np.empty((0, 3), np.int64)], [np.empty(0, np.int64)]
         for n, chosen, i, j in self._groups():
             own = np.arange(len(i))
@@ -103,7 +107,7 @@ class FaceLattice:
         return np.concatenate(parts), np.concatenate(owners)
 
     def _groups(self) -> list[tuple[int, Index, Index, Index]]:
-        """Return, for each number of cuts n, the faces with it, and the column i and row j of each of their slots."""
+        """Return, for each number of cuts n: n, the faces with n cuts, and the column i and row j of each of their slots."""
         groups = []
         for n in np.unique(self.cuts).tolist():
             j = np.repeat(np.arange(n + 1), np.arange(n + 1, 0, -1))
@@ -113,7 +117,8 @@ class FaceLattice:
 
 
 def weld_points(positions: Floats, owner: NDArray[np.integer]) -> tuple[Index, int]:
-    """Return a number for each position (n, 3), equal for equal positions of one owner, and the count of numbers."""
+    """Return a number for each position (n, 3), equal for equal positions of one owner. Also return how many numbers there
+    are."""
     if not len(positions):
         return np.empty(0, np.int64), 0
     low = positions.min(axis=0)
@@ -129,7 +134,7 @@ def weld_points(positions: Floats, owner: NDArray[np.integer]) -> tuple[Index, i
 
 
 def cell_size(flow: SpreadFlow | BorderFlow | SolvedFlow, extent: float) -> float:
-    """Return the edge (mm) of a flow's cells: its own `cell`, or a default for a ground of that extent (mm)."""
+    """Return the edge length (mm) of a flow's cells: its own `cell`, or a default for a ground of size `extent` (mm)."""
     if flow.cell is not None:
         return flow.cell
     if isinstance(flow, BorderFlow):
@@ -141,9 +146,10 @@ def cell_size(flow: SpreadFlow | BorderFlow | SolvedFlow, extent: float) -> floa
 
 
 def edge_pieces(flow: SpreadFlow | BorderFlow | SolvedFlow, longest: Floats, extent: float) -> Index:
-    """Return how many pieces the edges of each face are cut into. `longest` (n): the longest edge (mm) of each face, 0 where the
-    flow is not needed. A default cell is enlarged if there would be too many points. Raises LatticeTooFine if the scene's cell is
-    too small."""
+    """Return how many pieces the edges of each face are divided into.
+
+    `longest` (n): the longest edge (mm) of each face, 0 where the flow is not needed. A default cell is enlarged if there
+        would be too many points. Raises LatticeTooFine if the cell that the scene sets is too small."""
     cell = cell_size(flow, extent)
     while True:
         cuts = count_cuts(longest, cell)

@@ -1,5 +1,6 @@
-"""Flows and maps on surfaces, read by agents through their footing: vectors along the face, and painted numbers. Also flows
-around a curve or points, which are defined everywhere."""
+"""Flows and maps on surfaces. A flow is a vector along the face, a map is a painted number; agents read both at their footing.
+
+Flows around a curve or points are also here; they are defined everywhere."""
 
 from __future__ import annotations
 
@@ -26,8 +27,8 @@ _MIN_LAID_COSINE = 0.5  # cosine below which a vector that is laid down loses le
 
 
 def lay_on_faces(v: Floats, axis1: Floats, axis2: Floats) -> tuple[Floats, Floats]:
-    """Return the parts c, s of vectors (n, 3) along faces with these axes (3, n). Up to 60 degrees off the face the length is
-    preserved."""
+    """Return the components c, s of vectors (n, 3) along the two axes (3, n) of their faces. Vectors up to 60 degrees off the
+    face retain their length."""
     c, s = (axis1 * v.T).sum(axis=0), (axis2 * v.T).sum(axis=0)
     flat = np.sqrt(c * c + s * s)
     length = np.sqrt((v * v).sum(axis=1))
@@ -44,7 +45,9 @@ def lay_across_up(v: Floats, up: Floats) -> Floats:
 
 
 def falloff(distance: Floats, radius: float | None, word: str) -> Floats:
-    """Return the strength at a distance: 1 at the source, 0 at `radius` and beyond."""
+    """Return the strength at a distance (mm): 1 at the source, 0 beyond `radius`; 1 everywhere if `radius` is None.
+
+    `word`: the decrease in between: `none`, `linear`, or anything else for a smooth one."""
     if radius is None:
         return np.ones_like(distance)
     t = np.minimum(distance / radius, 1.0)
@@ -56,10 +59,12 @@ def falloff(distance: Floats, radius: float | None, word: str) -> Floats:
 
 @dataclass(slots=True, eq=False)
 class SurfaceFlow:
-    """A flow in the slots of a lattice over the ground's faces: its components `c`, `s` along the axes of each face.
+    """A flow at the slots of a lattice over the ground's faces.
 
-    `source` evaluates it anywhere, for agents that stand on none of the faces; without it the flow is zero there. `renew` updates
-    it after things moved."""
+    `c`, `s`: components along the two axes of each face.
+    `source`: evaluates the flow at any position, for agents on other ground. Without a source, the flow is zero on other
+        ground.
+    `renew`: updates the flow after things have moved."""
 
     lattice: FaceLattice
     c: Floats
@@ -68,13 +73,15 @@ class SurfaceFlow:
     renew: Callable[[World], None] | None = None
 
     def along_face(self, face: Index, b1: Floats, b2: Floats) -> tuple[Floats, Floats]:
-        """Its parts at places of faces."""
+        """Return the flow's components along the face axes, at points given by face and barycentric weights."""
         slots, weights = self.lattice.locate(face, b1, b2)
         return (self.c.take(slots) * weights).sum(axis=0), (self.s.take(slots) * weights).sum(axis=0)
 
     def at(self, meshes: MeshSurfaces | None, footing: Footing, place: Floats, up: Floats) -> VectorColumns:
-        """Return vectors at the agents' positions, as float32 x, y, z. `meshes` is the ground's part with faces, or None; `place`
-        and `up` (n, 3) are for agents on no face."""
+        """Return the flow at the agents' positions, as float32 x, y, z.
+
+        `meshes`: the part of the ground that consists of meshes, or None.
+        `place`, `up` (n, 3): position and up of each agent, used for agents that stand on no face."""
         vectors, known = np.zeros((3, len(place))), np.zeros(len(place), bool)
         if meshes is not None:
             face, known = meshes.on_faces(footing)
@@ -86,36 +93,36 @@ class SurfaceFlow:
         return tuple(np.ascontiguousarray(part, np.float32) for part in vectors)  # type: ignore[return-value]
 
     def reaches(self, meshes: MeshSurfaces | None, footing: Footing, place: Floats, up: Floats) -> NDArray[np.bool_]:
-        """Return whether the flow leads agents on from their positions, bool[n]: whether it is non-zero there. Arguments as of
-        `at`."""
+        """Return whether the flow is non-zero at each agent's position, bool[n]. Arguments as for `at`."""
         x, y, z = self.at(meshes, footing, place, up)
         is_flowing: NDArray[np.bool_] = (x != 0) | (y != 0) | (z != 0)
         return is_flowing
 
     def show(self, arrays: dict[str, NDArray[Any]]) -> None:
-        """Make `state` return these arrays without applying them: for a copy that is only displayed."""
+        """Make `state` return `arrays` without applying them. This is for a copy that is only displayed."""
 
     def begin(self, world: World) -> None:
-        """Update the flow before each step; a flow that is computed once does nothing."""
+        """Update the flow before a step. Does nothing for a flow that is computed only once."""
         if self.renew is not None:
             self.renew(world)
 
     def state(self) -> dict[str, NDArray[Any]]:
-        """Return the arrays that a continued run needs, by name; none where the frame alone determines the flow."""
+        """Return the arrays, by name, that a continued run needs. The result is empty if the frame alone determines the flow."""
         return {}
 
     def restore(self, arrays: dict[str, NDArray[Any]]) -> None:
-        """Be as `state` said it was."""
+        """Restore the state that `state` returned."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PaintedMap:
-    """Painted numbers: one per corner of each face of the ground, (3, faces); 0 on unpainted surfaces."""
+    """A painted number for each corner of each face of the ground, (3, faces); 0 on unpainted surfaces."""
 
     corners: Floats
 
     def at(self, meshes: MeshSurfaces, footing: Footing) -> NDArray[np.float32]:
-        """The numbers where agents stand, float32[n]; 0 for those that stand on no face. `meshes` as for a flow."""
+        """Return the numbers at the agents' footings, float32[n]; 0 for agents that stand on no face. `meshes`: as in
+        `SurfaceFlow.at`."""
         face, known = meshes.on_faces(footing)
         a, b, c = (corner.take(face) for corner in self.corners)
         return np.where(known, a * (1 - footing.b1 - footing.b2) + b * footing.b1 + c * footing.b2, 0.0).astype(np.float32)
@@ -125,7 +132,10 @@ class PaintedMap:
 
 
 def nearest_on_target(target: FlowTarget, positions: Floats) -> tuple[Floats, Floats, Floats]:
-    """Return distance (n,), nearest position (n, 3) and unit tangent (n, 3; zero for single points) of a target."""
+    """Return, for each position, the distance (n,) from a target, the nearest point of the target (n, 3) and its unit tangent
+    (n, 3).
+
+    Lengths are in mm. The tangent is zero for targets that are single points."""
     if target.line:
         closest = SampledCurve(target.positions, _CURVE_SPACING_MM).closest(*positions.T)
         columns = (closest.px, closest.py, closest.pz, closest.tx, closest.ty, closest.tz)
@@ -138,7 +148,8 @@ def nearest_on_target(target: FlowTarget, positions: Floats) -> tuple[Floats, Fl
 
 
 def make_spread_source(flow: SpreadFlow, target: FlowTarget) -> VectorSource:
-    """Return the vectors of a flow around a target, which is already in the world's axes and origin."""
+    """Return a function that gives the vectors of a flow around a target. The target is in the world's axes and relative to its
+    origin."""
 
     def vectors(positions: Floats) -> Floats:
         distance, point, along = nearest_on_target(target, positions)

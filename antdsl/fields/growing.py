@@ -1,4 +1,4 @@
-"""Cells on ground that can be dug: dug ground gets separate cells, behind those that were there from the start."""
+"""Cells on ground that can be dug. Newly dug ground gets additional cells, numbered after the initial ones."""
 
 from __future__ import annotations
 
@@ -23,8 +23,10 @@ Numbers = tuple[Array1[I64], Array1[I64]]  # voxels and keys of cells
 
 
 class GrowingCells(SurfaceCells):
-    """`SurfaceCells` that `grow`. Cells never change their number. The initial cells come first, by position, then side. Added
-    cells follow, step by step. Then come unused cells as reserve; no query returns them."""
+    """`SurfaceCells` that can `grow`. A cell never changes its number.
+
+    The initial cells come first, ordered by position, then side. Added cells follow, step by step. Unused reserve cells come
+    last; no query returns them."""
 
     def __init__(self, surfaces: Sequence[MeshArrays], cell: float, cap: int = limits.MAX_FIELD_CELLS) -> None:
         super().__init__(surfaces, cell, cap)
@@ -35,12 +37,13 @@ class GrowingCells(SurfaceCells):
 
     @property
     def added(self) -> dict[str, NDArray[np.generic]]:
-        """What was added since the start, for `add`."""
+        """Return the keys and positions of all cells added since the start, as arguments for `add`."""
         new = slice(self.at_start, self.used)
         return {"keys": self._keys[new], "places": np.concatenate([self.position[new], self.normal[new]], axis=1)}
 
     def grow(self, points: Floats, normals: Floats) -> NDArray[np.int64]:
-        """Add cells for points [n,3] of new surface with unit normals [n,3] where there are none yet; return their numbers."""
+        """Add cells for points [n,3] of new surface with unit normals [n,3], where no cell exists yet. Return the numbers of the
+        new cells."""
         voxel = np.floor(points / self.cell + 0.5).astype(np.int64) - self._low
         within = ((voxel >= 0) & (voxel < self._size)).all(axis=1)
         points, normals, voxel = points[within], normals[within], voxel[within]
@@ -51,7 +54,7 @@ class GrowingCells(SurfaceCells):
         return self.add(keys, np.concatenate([sums[:, :3] / sums[:, 6:], normal], axis=1))
 
     def add(self, keys: NDArray[np.int64], positions: Floats) -> NDArray[np.int64]:
-        """Add cells with these keys, which must be new, and places [n,6]: position and normal. Return their numbers."""
+        """Add cells with new keys and rows `positions` [n,6] of position and normal. Return their numbers."""
         count = min(len(keys), max(self._cap - self.used, 0))
         if not count:
             return np.empty(0, np.int64)
@@ -111,7 +114,8 @@ class GrowingCells(SurfaceCells):
     def _neighbour_pairs(
         self, cells: NDArray[np.int64], column: Callable[[int, int], int]
     ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-        """As for fixed cells, with all voxels and sides in one pass: few cells are added in a step."""
+        """Return pairs as `SurfaceCells._neighbour_pairs` does, but with all voxels and sides in one pass, since a step adds few
+        cells."""
         at = self._voxels[cells]
         voxel = np.stack([at // (self._size[1] * self._size[2]), at // self._size[2] % self._size[1], at % self._size[2]])
         block = [offset for offset in BLOCK_OFFSETS if abs(offset[2]) <= column(*offset[:2])]
@@ -140,7 +144,7 @@ class GrowingCells(SurfaceCells):
 
 @inlined
 def _squared_distance(position: Array2[F64], at: I64, x: F64, y: F64, z: F64) -> F64:
-    """The square of a cell's distance from a place."""
+    """Return the squared distance (mm²) of a cell's position from a point."""
     dx, dy, dz = position[at, 0] - x, position[at, 1] - y, position[at, 2] - z
     return (dx * dx + dy * dy) + dz * dz
 
@@ -150,7 +154,9 @@ def nearest(
     direct: Array1[I32], numbers: Numbers, size: Array1[I64], position: Array2[F64], cells: Array1[I64], k: I64, none: I64,
     table: Array2[I32],
 ) -> None:  # fmt: skip
-    """Fill the rows `cells` of `table` with the nearest `k` cells of their 3³ block, ascending; `none` where there are fewer."""
+    """Fill the rows `cells` of `table` with the `k` nearest cells in the 3³ voxels around each cell, ascending by number.
+
+    Missing cells are `none`."""
     gaps, candidates = scratch(_MAX_NEIGHBOUR_CELLS, F64), scratch(_MAX_NEIGHBOUR_CELLS, I64)
     voxels, keys = numbers
     across = size[1] * size[2]
@@ -189,7 +195,7 @@ def nearby(
     direct: Array1[I32], size: Array1[I64], position: Array2[F64], points: Array2[F64], voxel: Array2[I64], side: Array1[I64],
     best: Array1[I64],
 ) -> None:  # fmt: skip
-    """Fill `best` with the nearest cell of a compatible side in the 27 voxels around each point, -1 for none."""
+    """Write to `best` the nearest cell of a compatible side in the 27 voxels around each point, -1 for none."""
     for n in range(best.size):
         least = np.inf
         best[n] = -1

@@ -1,4 +1,4 @@
-"""Ascending integers: lookup of a number, and sums over groups."""
+"""Ascending integers: finding a number in them, and sums over groups."""
 
 from __future__ import annotations
 
@@ -14,8 +14,10 @@ _MAX_BLOCKS = 8_000_000  # at most, that tell about where a number is
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BlockIndex:
-    """Ascending numbers cut into blocks of 2**shift: where each begins, and the binary search steps needed in the fullest
-    block."""
+    """Ascending numbers, divided into blocks that cover 2**shift values each.
+
+    `start`: where each block begins.
+    `halvings`: how many bisection steps the fullest block needs."""
 
     shift: int
     start: NDArray[np.int32]
@@ -23,14 +25,14 @@ class BlockIndex:
 
     @staticmethod
     def of(numbers: NDArray[np.int64], end: int) -> BlockIndex:
-        """For numbers from 0 to before `end`."""
+        """Return the index of ascending numbers from 0 to before `end`."""
         shift = max(0, int(end // min(_MAX_BLOCKS, 4 * len(numbers) + 1)).bit_length())
         start = np.zeros((end >> shift) + 2, np.int32)
         np.cumsum(np.bincount(numbers >> shift, minlength=len(start) - 1), out=start[1:])
         return BlockIndex(shift, start, int(np.diff(start).max(initial=0)).bit_length())
 
     def place(self, numbers: NDArray[np.int64], targets: NDArray[np.int64]) -> NDArray[np.int64]:
-        """Return for each queried number how many of the numbers are less. Queries are from 0 to before the end."""
+        """Return, for each of `targets`, how many of the numbers are smaller. Targets are from 0 to before the end."""
         block = targets >> self.shift
         low, high = self.start.take(block).astype(np.int64), self.start.take(block + 1).astype(np.int64)
         for _ in range(self.halvings):
@@ -45,13 +47,13 @@ NO_CELLS = np.empty(0, np.int32)
 
 
 def ranks_in_groups(counts: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Return 0, 1, … within each of consecutive groups with these counts."""
+    """Return the rank 0, 1, … of each element within its group, for consecutive groups of these sizes."""
     ranks: NDArray[np.int64] = np.arange(int(counts.sum())) - np.repeat(np.cumsum(counts) - counts, counts)
     return ranks
 
 
 def sum_by_key(keys: NDArray[np.int64], parts: Floats) -> tuple[NDArray[np.int64], Floats]:
-    """Distinct keys, ascending, with the sums of their parts."""
+    """Return the distinct keys, ascending, and the sum of `parts` for each key."""
     order = np.argsort(keys, kind="stable")
     keys, parts = keys[order], parts[order]
     if not len(keys):

@@ -1,5 +1,5 @@
-"""The cheapest path over triangles to a goal: shortest paths in a graph, then straightened across the triangles; and the
-direction of the path at every point."""
+"""The cheapest path over triangles to a goal, and its direction at every point. Paths are shortest paths in a graph, then
+straightened across the triangles."""
 
 from __future__ import annotations
 
@@ -19,8 +19,10 @@ _CONVERGENCE_TOLERANCE = 0.01  # of an edge: what a pass changes less than is le
 
 @dataclass(frozen=True, slots=True, eq=False)
 class WalkableSurface:
-    """Points (n, 3) and triangles (t, 3) of them; `open` (t,) says which can be crossed. `links` (k, 2) are adjacent points of
-    different surfaces."""
+    """Triangles (t, 3) between points (n, 3), on which paths are computed.
+
+    `open` (t,): whether a path can cross each triangle.
+    `links` (k, 2): adjacent points of different surfaces."""
 
     points: Floats
     triangles: Index
@@ -29,12 +31,16 @@ class WalkableSurface:
 
 
 def path_costs(land: WalkableSurface, cost: Floats, start: Index, first: Floats) -> Floats:
-    """Return the least cost of a path from each point to the goal, inf where there is none.
+    """Return the least cost of a path from each point to the goal, inf if there is no path.
 
-    `cost` (t,): the cost of a mm within each triangle. `start`: the points at the goal; `first`: the remaining cost from there.
-    Dijkstra's shortest paths along edges, over all points, are an upper bound. Then each point is computed again in their order
-    from the edges across from it. The wave front is straight within a triangle (R. Kimmel and J. A. Sethian, Computing geodesic
-    paths on manifolds, PNAS 95, 1998, p. 8432). Their update for obtuse corners is replaced by the edges' bound."""
+    `cost` (t,): the cost per mm within each triangle.
+    `start`: the points at the goal.
+    `first`: the remaining cost from each of these points.
+
+    Dijkstra's shortest paths along edges give an upper bound for all points. In order of that bound, the cost of each point is
+    then recomputed from the opposite edges of its triangles. The wave front is straight within a triangle (R. Kimmel and J. A.
+    Sethian, Computing geodesic paths on manifolds, PNAS 95, 1998, p. 8432). For obtuse corners, the bound along edges replaces
+    their update."""
     bound = _edge_costs(land, cost, start, first)
     halves = _make_corner_edges(land, cost)
     enough = _CONVERGENCE_TOLERANCE * float(np.median(halves.length)) if len(halves.length) else 0.0
@@ -49,8 +55,9 @@ def path_costs(land: WalkableSurface, cost: Floats, start: Index, first: Floats)
 
 
 def directions(land: WalkableSurface, bound: Floats) -> Floats:
-    """Return unit directions of descent of `bound` at each point (n, 3): the mean of the surrounding triangles, weighted by area.
-    Zero where there is no path, and at the goal."""
+    """Return the unit direction of descent of `bound` at each point (n, 3): the mean over its triangles, weighted by area.
+
+    It is zero at the goal and where there is no path."""
     corners, values = land.points[land.triangles], bound[land.triangles]
     known = land.open & np.isfinite(values).all(axis=1)
     corners, values, triangles = corners[known], values[known], land.triangles[known]
@@ -77,7 +84,7 @@ def _unit(v: Floats) -> Floats:
 
 
 def _edge_costs(land: WalkableSurface, cost: Floats, start: Index, first: Floats) -> Floats:
-    """Return the cost of the shortest paths along the edges of the open triangles and the links."""
+    """Return the cost of the shortest path from each point to the goal, along edges of open triangles and along links."""
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import dijkstra
 
@@ -123,8 +130,12 @@ def _relax_links(land: WalkableSurface, cost: Floats, bound: Floats) -> None:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _CornerEdges:
-    """For each corner of each open triangle: its point, the ends of the opposite edge, that edge's length, the foot of the height
-    on it, the height, and the cost per mm."""
+    """One entry for each corner of each open triangle.
+
+    `corner`: its point. `one`, `two`: the ends of the opposite edge. `length`: the length (mm) of that edge.
+    `foot`: where the perpendicular from the corner meets that edge.
+    `height`: the length (mm) of the perpendicular.
+    `cost`: the cost per mm."""
 
     corner: Index
     one: Index
@@ -151,7 +162,7 @@ def _make_corner_edges(land: WalkableSurface, cost: Floats) -> _CornerEdges:
 
 
 def _straighten_costs(bound: Floats, halves: _CornerEdges) -> None:
-    """Lower `bound` in ascending order of its value: band by band of points, each from the opposite edges."""
+    """Lower `bound` where a straight path across a triangle is cheaper. Points are processed in bands of ascending cost."""
     reached = np.isfinite(bound)
     rank = np.empty(len(bound), np.int64)
     rank[np.argsort(bound, kind="stable")] = np.arange(len(bound))
@@ -174,7 +185,7 @@ def _straighten_costs(bound: Floats, halves: _CornerEdges) -> None:
 
 
 def _corner_costs(bound: Floats, h: _CornerEdges) -> Floats:
-    """Return the cost of a corner by the best straight path from the opposite edge."""
+    """Return the cost of each corner by the best straight path from the opposite edge."""
     from_one, rise = bound[h.one], (bound[h.two] - bound[h.one]) / h.length
     share = np.clip(rise / h.cost, -1 + 1e-12, 1 - 1e-12)
     left = np.clip(h.foot - share * h.height / np.sqrt(1 - share * share), 0.0, h.length)

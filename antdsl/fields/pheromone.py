@@ -1,4 +1,5 @@
-"""Pheromone on surfaces: it is deposited in cells, evaporates, diffuses and is smelled. Deposits add exactly, in any order."""
+"""Pheromone on surfaces: it is deposited in cells, evaporates, diffuses and is smelled. Deposits are added exactly, so their
+order does not matter."""
 
 from __future__ import annotations
 
@@ -28,10 +29,11 @@ _SYMMETRIC_ENTRIES = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
 class PheromoneField:
     """Amounts of one pheromone in the cells of surfaces.
 
-    `combine` says what several deposits in one cell and step do: `add`, or take the greatest (`max`). `limit` is the largest
-    amount of a cell. `values` float64[cells] is the state at the start of a step. Deposits are added at its end, or with
-    `deposits_first` before diffusion and evaporation. Diffusion is between cells that share a face, with `stencil` 8 also between
-    those that share an edge."""
+    `combine`: `add` sums the deposits of a step in a cell; `max` takes the greatest.
+    `limit`: the largest amount of a cell.
+    `values` float64[cells]: the amounts at the start of a step.
+    `stencil`: with 4, cells that share a face exchange pheromone; with 8, also cells that share an edge.
+    `deposits_first`: deposits are added before diffusion and evaporation, otherwise at the end of the step."""
 
     def __init__(
         self,
@@ -53,31 +55,32 @@ class PheromoneField:
 
     @property
     def values(self) -> NDArray[np.float64]:
-        """The amount in each cell; write into it to restore a state."""
+        """Return the amount in each cell. Write into the array to restore a state."""
         return self._padded[:-1]
 
     @property
     def held(self) -> NDArray[np.float64]:
-        """The amount in each cell, followed by a 0 that stands for no cell."""
+        """Return the amount in each cell, followed by a 0 that stands for "no cell"."""
         return self._padded
 
     @property
     def seen_places(self) -> NDArray[np.float32]:
-        """Positions of cells as agents see them: x, y, z and 0 in each row, float32[cells + 1, 4]. The last row is for no
-        cell."""
+        """Return the cell positions that agents sense: rows x, y, z, 0 in float32[cells + 1, 4]. The last row stands for "no
+        cell"."""
         return self._seen
 
     @property
     def pending(self) -> NDArray[np.int64]:
-        """Deposits that were not added yet, in each cell, in units; call `touch` after writing here."""
+        """Return the deposits in each cell that are not added yet, in units of `DEPOSIT_UNIT`. Call `mark_pending` after
+        writing into the array."""
         return self._pending
 
     def mark_pending(self) -> None:
-        """There are deposits that have not landed."""
+        """Record that deposits were written which the field has not added yet."""
         self._touched = True
 
     def grow(self, new: NDArray[np.int64]) -> None:
-        """Make room for cells that were added."""
+        """Extend the arrays for cells that were added."""
         self.version += 1
         added_count = len(self.cells) - len(self.values)
         if added_count:
@@ -92,20 +95,20 @@ class PheromoneField:
 
     @property
     def added(self) -> dict[str, NDArray[Any]]:
-        """The cells added since the start, for `grow_again`; empty if cells cannot be added."""
+        """Return the cells added since the start, as arguments for `grow_again`. The result is empty if cells cannot be added."""
         return self.cells.added if isinstance(self.cells, GrowingCells) else {}
 
     def grow_again(self, keys: NDArray[np.int64], positions: NDArray[np.float64]) -> None:
-        """Add the cells that `added` reported, where they are missing; other fields may share them."""
+        """Add those cells reported by `added` that are missing. Other fields may share the cells and have added them already."""
         assert isinstance(self.cells, GrowingCells)
         known = self.cells.used - self.cells.at_start
         self.cells.add(keys[known:], positions[known:])
         self.grow(np.arange(self.cells.at_start, self.cells.used))
 
     def deposit(self, cells: Cells, amounts: Floats) -> int:
-        """Deposit amounts in cells (-1 = nowhere), added by `step`. Returns how many were rejected or cut.
+        """Deposit amounts in cells (-1: nowhere); `step` adds them. Return how many amounts were rejected or reduced.
 
-        NaN is rejected; amounts above LARGEST_DEPOSIT are cut to it. With `combine` max only amounts above 0 count."""
+        NaN is rejected. Amounts above `MAX_DEPOSIT` are reduced to it. With `combine` max, only amounts above 0 count."""
         cells, amounts = np.asarray(cells), np.asarray(amounts, np.float64)
         good = np.isfinite(amounts)
         wrong = int(np.count_nonzero(~good | (np.abs(amounts) > MAX_DEPOSIT)))
@@ -117,15 +120,14 @@ class PheromoneField:
         return wrong
 
     def set_remaining(self, cells: NDArray[np.integer[Any]], amounts: NDArray[np.float64]) -> None:
-        """Set the amount that is left in each of these cells when the field steps, because agents took the rest. Cells are
-        distinct."""
+        """Set the amount of each of these distinct cells after agents took from it. It takes effect when the field steps."""
         self._left.append((cells, amounts))
 
     def step(self, keep: float, diffusion: float, dt: float, threads: int = 1) -> None:
-        """Make one step of `dt` s: remove what agents took, diffuse by `diffusion` (mm²/s), multiply by `keep`, then add the
-        deposits; or add them before diffusion.
+        """Advance by `dt` s: remove what agents took, diffuse by `diffusion` (mm²/s), multiply by `keep`, then add deposits.
 
-        Raises ValueError, with the largest stable value, if `diffusion` is unstable for the cell size."""
+        With `deposits_first`, deposits are added before diffusion. Raises ValueError with the largest stable value if
+        `diffusion` is unstable for the cell size."""
         values = self.values
         for cells, amounts in self._left:
             values[cells] = amounts
@@ -136,7 +138,7 @@ class PheromoneField:
         self._run_step_kernels(float(np.float32(keep)), diffusion * dt / self.cells.cell**2, threads)
 
     def _run_step_kernels(self, keep: float, spread: float, threads: int) -> None:
-        """The rest of a step by kernels."""
+        """Diffuse, evaporate and add deposits with kernels."""
 
         def step(*how: Any) -> None:
             parallel.in_parts(
@@ -153,19 +155,20 @@ class PheromoneField:
 
     @cached_property
     def _laplacian(self) -> _DiffusionFlow:
-        """The flow into each cell for a unit of diffusion, as a sparse matrix with columns that sum to 0.
+        """Return the flow into each cell per unit of diffusion, as a sparse matrix with columns that sum to 0.
 
-        Between two cells flows 4 / max(4, links of either) of their difference. This is the five-point stencil on a plane, and
-        nowhere more than four links' worth in all. So stability depends on the size of a cell alone. A stencil of 8 has two
-        thirds of that, and a sixth of as much between cells at each other's edges. On a plane this is the nine-point Laplacian
-        (4, 1) / 6, with the same error in all directions (Patra and Karttunen, Stencils with isotropic discretization error for
-        differential operators, Numerical Methods for Partial Differential Equations 22, 2006)."""
+        Between two linked cells flows 4 / max(4, links of either cell) of their difference. On a plane this is the five-point
+        stencil. No cell exchanges more than four links would, so stability depends only on the cell size.
+
+        A stencil of 8 uses two thirds of this flow, and a sixth of it between cells that share an edge. On a plane this is the
+        nine-point Laplacian (4, 1) / 6, with the same error in all directions (Patra and Karttunen, Stencils with isotropic
+        discretization error for differential operators, Numerical Methods for Partial Differential Equations 22, 2006)."""
         if self.stencil == 4:
             return _DiffusionFlow(self._flow_along(self.cells.links, 1.0))
         return _DiffusionFlow(self._flow_along(self.cells.links, 2 / 3) + self._flow_along(self.cells.diagonals, 1 / 6))
 
     def _flow_along(self, links: CellLinks, share: float) -> Any:
-        """Return the flow between linked cells as a sparse matrix: `share` times 4 / max(4, links of either)."""
+        """Return the flow between linked cells as a sparse matrix: `share` times 4 / max(4, links of either cell)."""
         from scipy.sparse import csr_array
 
         count = np.diff(links.start)
@@ -174,15 +177,14 @@ class PheromoneField:
         return csr_array((weight, links.cell, links.start), shape=(len(self.cells), len(self.cells)))
 
     def sample(self, cells: Cells) -> Floats:
-        """What cells hold, float32[n]; 0 for -1."""
+        """Return the amounts in cells, float32[n]; 0 for cell -1."""
         return self._padded.take(np.where(np.asarray(cells) < 0, len(self.cells), cells)).astype(np.float32)
 
     def strongest(self, cells: Cells, k: int = NEAREST_CELLS) -> tuple[Floats, Floats, Floats, Floats]:
-        """Return the largest amount in one of the nearest `k` cells of the 3³ block, and that cell's position (x, y, z in mm),
-        float32[n].
+        """Return the largest amount in the `k` nearest cells of the 3³ block, and the position of its cell.
 
-        The first of equal cells counts. If all are 0 the value is 0 and the position is that of the agent's cell; (0, 0, 0) for
-        -1."""
+        Results are amount, x, y, z (mm), float32[n] each. Of cells with equal amounts, the first counts. If all amounts are 0,
+        the position is that of the agent's cell. For cell -1 the position is (0, 0, 0)."""
         own = np.asarray(cells).astype(np.int32, copy=False)
         best, value = np.empty(own.size, np.int64), np.empty(own.size)
         find_strongest(own, self._block(k), self._padded, best, value)
@@ -190,14 +192,16 @@ class PheromoneField:
         return value.astype(np.float32), x, y, z
 
     def cells_asking(self, k: int) -> tuple[NDArray[np.int64], Cells]:
-        """Return for each cell those that have it among their nearest `k`, of cells that do not grow. They are rows of a table:
-        cell a's are `cell[start[a]:start[a+1]]`, ascending."""
+        """Return, for each cell a, the cells that have a among their nearest `k`: `cell[start[a]:start[a+1]]`, ascending.
+
+        The two results are `start` and `cell`. The cells must not be able to grow."""
         if k not in self._askers:
             self._askers[k] = _cells_asking(self._block(k), len(self.cells))
         return self._askers[k]
 
     def gradient(self, cells: Cells, k: int = NEAREST_CELLS) -> tuple[Floats, Floats, Floats]:
-        """Return direction and strength of the gradient along the surface, per mm: least squares over the nearest `k` cells."""
+        """Return direction and strength (per mm) of the gradient along the surface: a least-squares fit over the nearest `k`
+        cells."""
         own = np.asarray(cells, np.int64)
         known = (own >= 0) & (len(self.cells) > 0)
         own = np.where(known, own, 0)
@@ -229,19 +233,19 @@ class PheromoneField:
 
     @cached_property
     def _seen(self) -> NDArray[np.float32]:
-        """Positions as agents sense them: `_places` in float32, with each cell contiguous."""
+        """Return cell positions as agents sense them: `_places` in float32, one contiguous row for each cell."""
         single_positions = np.zeros((len(self.cells) + 1, 4), np.float32)
         single_positions[:, :3] = self._places.T
         return single_positions
 
     @cached_property
     def _places(self) -> NDArray[np.float64]:
-        """Positions of cells, float64[3, cells + 1], the last one for no cell."""
+        """Return the cell positions, float64[3, cells + 1]. The last column stands for "no cell"."""
         return np.ascontiguousarray(np.concatenate([self.cells.position.T, np.zeros((3, 1))], axis=1))
 
 
 def _cells_asking(block: Cells, cells: int) -> tuple[NDArray[np.int64], Cells]:
-    """As `PheromoneField.cells_asking`, of a table of blocks [cells, k]."""
+    """Return the same as `PheromoneField.cells_asking`, for a table of blocks [cells, k]."""
     flat = block.ravel()
     start = np.zeros(cells + 2, np.int64)
     np.cumsum(np.bincount(flat, minlength=cells + 1), out=start[1:])
@@ -258,7 +262,7 @@ class _DiffusionFlow:
         self._change = np.empty(0)
 
     def of(self, held: NDArray[np.float64], threads: int) -> NDArray[np.float64]:
-        """Return the flow into each cell, in an array that the next call overwrites. `held` may have more entries behind the
+        """Return the flow into each cell, in an array that the next call overwrites. `held` may have extra entries after the
         cells."""
         if not len(self._change):
             self._change = np.empty(len(self._out))
@@ -268,7 +272,7 @@ class _DiffusionFlow:
 
 
 def _solve_symmetric(m: NDArray[np.float64], v: NDArray[np.float64]) -> tuple[NDArray[np.float64], ...]:
-    """x of M x = v for symmetric 3×3 M given as (xx, yy, zz, xy, xz, yz), by cofactors."""
+    """Return the solution x of M x = v by cofactors. M is symmetric 3×3, given as (xx, yy, zz, xy, xz, yz)."""
     xx, yy, zz, xy, xz, yz = m
     c00, c01, c02 = yy * zz - yz * yz, xz * yz - xy * zz, xy * yz - xz * yy
     c11, c12, c22 = xx * zz - xz * xz, xy * xz - xx * yz, xx * yy - xy * xy
@@ -292,8 +296,10 @@ def flow_into_cells(
     begin: I64,
     end: I64,
 ) -> None:
-    """Write the inflow less the outflow of each cell from `begin` to before `end`. The share `data` of the amounts of its linked
-    cells `cell[start[n]:start[n+1]]` flows in. The share `out` of the cell's amount flows out."""
+    """Write the net inflow of each cell from `begin` to before `end` into `change`.
+
+    `cell[start[n]:start[n+1]]`: the cells linked to cell n. `data`: the share of each linked cell's amount that flows in.
+    `out`: the share of the cell's own amount that flows out."""
     for n in range(begin, end):
         total = 0.0
         for k in range(start[n], start[n + 1]):
@@ -315,9 +321,12 @@ def step_cells(
     begin: I64,
     end: I64,
 ) -> None:
-    """Advance cells from `begin` to before `end` by a step. `spread` of the `change` is added (an empty array: none), and the
-    share `keep` stays. Then deposits `pending`, in units, are added (`lands` 1) or are the least amount (2). Amounts are at most
-    `limit`; those below `least` become 0. Landed deposits in `pending` are 0 afterwards."""
+    """Advance the cells from `begin` to before `end` by one step.
+
+    Adds `spread` times `change` (none if the array is empty), multiplies by `keep`, then applies the deposits `pending`.
+    `pending`: deposits in multiples of `unit`; set to 0 once applied.
+    `lands`: 1 adds deposits; 2 uses them as the least amount of the cell.
+    `limit`: the largest amount. Amounts below `least` become 0."""
     spreads = change.size > 0
     for n in independent(begin, end):
         value = held[n]
@@ -339,9 +348,10 @@ def step_cells(
 
 @kernel
 def find_strongest(own: Array1[I32], block: Array2[I32], held: Array1[F64], best: Array1[I64], value: Array1[F64]) -> None:
-    """For cells [n] (-1: none), write the first cell in their row of `block` [cells, k] with the largest amount, and that amount.
+    """Write the largest amount in each row of `block` [cells, k] to `value`, and the first cell that has it to `best`.
 
-    `held` [cells + 1] has 0 for no cell; if all are 0, `best` is the cell itself and `value` 0."""
+    `own` [n]: the agents' cells, -1 for none. `held` [cells + 1]: amounts, with a final 0 for "no cell". If all amounts are 0,
+        `best` is the agent's own cell and `value` is 0."""
     none = held.size - 1
     for n in range(own.size):
         cell = own[n]

@@ -1,4 +1,4 @@
-"""Cells around which a scent is as strong as a number, updated from step to step by the few cells where that has changed."""
+"""The cells near which a scent is at least as strong as a threshold. Each step updates only cells where this has changed."""
 
 from __future__ import annotations
 
@@ -17,8 +17,9 @@ _CELLS_PER_CHUNK = 512  # cells that are compared before those that differ are w
 
 
 class CellsAboveThreshold:
-    """Tells for which cells of a field one of the nearest `k` cells of their block has at least `least`, in float32. It says yes
-    for all cells if `least` is not above 0, if cells grow, or if there are too many cells."""
+    """For each cell of a field: whether one of the `k` nearest cells of its block has an amount of at least `least` (float32).
+
+    The answer is true for all cells if `least` is not above 0, if cells can grow, or if there are too many cells."""
 
     def __init__(self, field: PheromoneField, least: np.float32, k: int) -> None:
         self._of, self._k = (field, field.version, least), k
@@ -29,13 +30,14 @@ class CellsAboveThreshold:
         self._changed = np.empty(len(self._holds), np.int64)
 
     def of(self, field: PheromoneField, least: np.float32) -> bool:
-        """Return whether this object is for a field, with its current cells, and a strength."""
+        """Return whether this object is valid for a field with its current cells and for the threshold `least`."""
         known, version, strength = self._of
         return known is field and version == field.version and strength == least
 
     def now(self, threads: int = 1) -> NDArray[np.uint8]:
-        """Return uint8[cells + 1], above 0 for cells around which the present amounts of the field reach it. The last one is for
-        no cell. The next call overwrites it."""
+        """Return uint8[cells + 1], above 0 for cells near which the current amounts reach the threshold.
+
+        The last entry stands for "no cell". The next call overwrites the array."""
         if not self._all:
             changed = self._find_changed(threads)
             if len(changed):
@@ -43,7 +45,7 @@ class CellsAboveThreshold:
         return self._count
 
     def _find_changed(self, threads: int) -> NDArray[np.int64]:
-        """Return the cells that crossed the threshold since the last call, in either direction."""
+        """Return the cells with an amount that crossed the threshold since the last call, in either direction."""
         (field, _, least), holds = self._of, self._holds
         work = partial(find_changed, field.held, least, holds, self._changed)
         return parallel.join_parts(
@@ -55,8 +57,9 @@ class CellsAboveThreshold:
 def find_changed(
     held: Array1[F64], least: F32, holds: Array1[BOOL], changed: Array1[I64], begin: I64, end: I64
 ) -> tuple[I64, I64]:
-    """Write the cells `begin` to `end` (exclusive) for which `holds` is out of date into `changed`, from `begin` on. `holds` says
-    whether the amount, in float32, is at least `least`. Return `begin`, and their count."""
+    """Write the cells from `begin` to before `end` with an outdated flag in `holds` into `changed`, from index `begin` on.
+
+    `holds`: whether each cell's amount, in float32, is at least `least`. Returns `begin` and the number of cells written."""
     other, count = scratch(_CELLS_PER_CHUNK, I32), 0
     for low in range(begin, end, 512):
         high = min(low + _CELLS_PER_CHUNK, end)
@@ -71,8 +74,9 @@ def find_changed(
 
 @kernel
 def update_counts(changed: Array1[I64], start: Array1[I64], cell: Array1[I32], holds: Array1[BOOL], count: Array1[U8]) -> None:
-    """Flip `holds` for the cells `changed`. Update `count` of the cells with each of them in their block, listed from its `start`
-    on in `cell`."""
+    """Flip `holds` for the cells `changed`, and update `count` of all cells with a changed cell in their block.
+
+    `cell` from index `start[a]` on: the cells with cell a in their block."""
     for n in range(changed.size):
         a = changed[n]
         change = -1 if holds[a] else 1

@@ -1,4 +1,4 @@
-"""A flow along the cheapest path to a goal: over slopes, around obstacles and crowds, and by painted costs."""
+"""A flow along the cheapest path to a goal. The cost of a path depends on slopes, obstacles, crowds and painted costs."""
 
 from __future__ import annotations
 
@@ -26,10 +26,12 @@ _CROWD_SMOOTHING_PASSES = 2  # how many points far a crowd is felt beyond the gr
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CrossableGround:
-    """A lattice over some faces of the ground, as land to cross.
+    """A lattice over some faces of the ground, as a surface for paths.
 
-    `point` is the point of each slot, `axis1`, `axis2` (3, slots) the axes of its face, `areas` (t,) those of the land's
-    triangles. `faces` says which faces of the ground are included."""
+    `point`: the point of each slot.
+    `axis1`, `axis2` (3, slots): the axes of each slot's face.
+    `areas` (t,): the areas (mm²) of the triangles of `land`.
+    `faces`: which faces of the ground are included."""
 
     lattice: FaceLattice
     land: WalkableSurface
@@ -42,9 +44,9 @@ class CrossableGround:
 
 @dataclass(slots=True, eq=False)
 class PathFlow(SurfaceFlow):
-    """The flow downhill of the remaining cost of the path to the goal.
+    """A flow along the cheapest path to the goal: downhill in the remaining path cost.
 
-    Where a crowd counts or something moves, `begin` updates it when due; points and lattice stay the same."""
+    If the flow avoids crowds, or something moves, `begin` updates it when due. Points and lattice stay the same."""
 
     grounds: CrossableGround | None = None
     cost: Floats | None = None  # (t,) of a mm, without agents
@@ -72,8 +74,8 @@ class PathFlow(SurfaceFlow):
         self.s *= g.faces[g.lattice.faces()]
 
     def reaches(self, meshes: MeshSurfaces | None, footing: Footing, place: Floats, up: Floats) -> NDArray[np.bool_]:
-        """Return whether a path leads to the goal from the lattice point nearest to each agent, bool[n]; false off the flow's
-        faces."""
+        """Return whether a path leads to the goal from the lattice point nearest to each agent, bool[n]. It is false off the
+        flow's faces."""
         g = self.grounds
         if meshes is None or g is None or self.reached is None:
             return np.zeros(len(place), bool)
@@ -87,7 +89,7 @@ class PathFlow(SurfaceFlow):
         return nearest
 
     def _crowd_shares(self, crowd: NDArray[np.int64]) -> Floats:
-        """Return the share of each triangle that agents cover, smoothed slightly beyond them."""
+        """Return the share of each triangle that agents cover, smoothed over the adjacent triangles."""
         g = self.grounds
         assert g is not None
         point_areas = self._sum_to_points(np.repeat(g.areas / 3, 3))
@@ -114,7 +116,9 @@ class PathFlow(SurfaceFlow):
         self.update_flow()
 
     def measure_coverage(self, world: World) -> NDArray[np.int64]:
-        """Return the ground area that agents of all species cover, summed at the lattice point nearest to each agent."""
+        """Return the ground area that agents of all species cover, summed at the lattice point nearest to each agent.
+
+        Areas are whole multiples of 1 / _COVERAGE_PARTS_PER_MM2 mm²."""
         g, meshes = self.grounds, world.ground.meshes
         assert g is not None and meshes is not None
         coverage = np.zeros(len(g.land.points), np.int64)
@@ -144,5 +148,5 @@ class PathFlow(SurfaceFlow):
 
 
 def least_cost(price: Floats) -> Floats:
-    """Costs of a mm, none of them free."""
+    """Return the costs per mm, each raised to a least cost above 0."""
     return np.maximum(price, _MIN_COST_PER_MM)

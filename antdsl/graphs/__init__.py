@@ -1,6 +1,6 @@
-"""State machines as pictures. Program → charts → SVG, PNG, Mermaid or DOT; a layout is made where a picture needs one.
+"""Draws state machines: Program → charts → SVG, PNG, Mermaid or DOT. A layout is made only for SVG and PNG.
 
-`charts(program)`, `lay_out(charts)` and the values of `model` serve callers that draw in another way, or draw live."""
+`charts(program)`, `lay_out(charts)` and the values of `model` are for callers that draw in another format, or draw live."""
 
 from __future__ import annotations
 

@@ -16,7 +16,7 @@ _GREY = (0.45, 0.46, 0.48)
 
 
 def charts(program: Program) -> tuple[Chart, ...]:
-    """A chart for each machine of each species, in the order of the text. Species without states have none."""
+    """Return a chart for each machine of each species, in the order of the text. Species without states have none."""
     all_charts = []
     for species in program.species.values():
         for machine in species.machines:
@@ -43,8 +43,8 @@ def _is_from_any(change: Transition) -> bool:
 
 
 def _changes_from_any(machine: Machine) -> list[tuple[Transition, tuple[str, ...]]]:
-    """Return each change `from any` once, with the names of the states it excludes. Its target is not listed as excluded: a
-    change never leads into the current state."""
+    """Return each transition `from any` once, with the names of its excepted states. Its target is not listed, although it never
+    leads into the current state."""
     changes: dict[str, Transition] = {}
     where: dict[str, set[int]] = {}
     for state in machine.states:
@@ -59,7 +59,7 @@ def _changes_from_any(machine: Machine) -> list[tuple[Transition, tuple[str, ...
 
 
 class _Sketch:
-    """Boxes and arrows as they come up."""
+    """Collects the boxes and arrows of a chart."""
 
     def __init__(self, machine: Machine) -> None:
         self.boxes: dict[str, Box] = {}
@@ -80,7 +80,7 @@ class _Sketch:
         return key
 
     def add_change(self, source: str, change: Transition, name: str, number: str) -> None:
-        """Add a change from a box; `number` is its order of evaluation, if there are several."""
+        """Add a transition from a box. `number`: its position in the order of evaluation, if the box has several."""
         words, details = number + _condition_words(change), _details(change.span)
         if change.choices:
             target = self._add_extra_box("choice", change.key, "", details)
@@ -116,7 +116,7 @@ def _interrupt_words(change: Transition) -> str:
 
 
 def _condition_words(change: Transition) -> str:
-    """Return a change's condition as in the source: condition, required duration, and the claim that it takes."""
+    """Return a transition's condition as in the source: condition, required duration, and the take."""
     parts = [
         _interrupt_words(change),
         _source_text(change.condition.span) if change.condition is not None else "",
@@ -128,12 +128,12 @@ def _condition_words(change: Transition) -> str:
 
 
 def _source_text(span: Span) -> str:
-    """A stretch of the text on one line, without comments."""
+    """Return the text of a span on one line, without comments."""
     return " ".join(re.sub(r"#[^\n]*", "", span.text).split())
 
 
 def _source_place(span: Span) -> str:
-    """Return file and line. The file is only its name, so that equal text gives an equal picture in any folder."""
+    """Return file name and line. The folder is left out, so that equal programs give equal pictures in any folder."""
     return f"{PurePath(span.source.path).name}:{span.source.line_column(span.start)[0]}"
 
 

@@ -1,4 +1,5 @@
-"""Charts as DOT, the text that Graphviz and many other programs read. It needs no layout: the program that reads it makes one."""
+"""Charts as DOT, the text format of Graphviz and many other programs. It has no layout: the program that reads the text makes
+one."""
 
 from __future__ import annotations
 
@@ -9,7 +10,7 @@ from antdsl.graphs.model import RGB, Arrow, Box, Chart
 
 
 def dot(charts: Sequence[Chart]) -> str:
-    """The whole text, one cluster for each chart. The same charts give the same text."""
+    """Return the complete text, with one cluster for each chart. The same charts give the same text."""
     lines = [
         "digraph antdsl {",
         '  graph [rankdir=TB, fontname="Helvetica", nodesep=0.4, ranksep=0.5];',
@@ -47,5 +48,5 @@ def _arrow(arrow: Arrow, colour: RGB) -> str:
 
 
 def _text(text: str) -> str:
-    """Return the text in quotes; inside them, Graphviz gives only backslashes a special meaning."""
+    """Return the text in quotes. Within quotes, Graphviz gives a special meaning to backslashes only."""
     return '"' + text.replace("\\", "\\\\").replace('"', '\\"').replace("\n", "\\n") + '"'

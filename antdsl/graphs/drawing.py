@@ -24,7 +24,7 @@ HEAD = 8.0  # length of an arrow's head
 
 @dataclass(frozen=True, slots=True)
 class Rectangle:
-    """`radius` of the corners; `fill` or `edge` may be none."""
+    """A rectangle. `radius`: the radius of its corners. `fill`, `edge`: colours; None for no fill or no edge."""
 
     left: float
     top: float
@@ -40,7 +40,7 @@ class Rectangle:
 
 @dataclass(frozen=True, slots=True)
 class Line:
-    """A line through points, with corners already rounded; `closed` and filled it is an arrow's head."""
+    """A line through points, with corners already rounded. If it is closed, it is the filled head of an arrow."""
 
     points: tuple[Point, ...]
     colour: RGB
@@ -101,18 +101,19 @@ def _chart_shapes(chart: PlacedChart) -> Iterator[Shape]:
 
 
 def line_colours(chart: Chart) -> tuple[RGB, ...]:
-    """Return a colour for each arrow: that of its source state, dark enough to be visible; interrupts have a separate colour."""
+    """Return the colour of each arrow. It is the colour of the source state, dark enough to be visible; interrupts have a
+    separate colour."""
     colours = {box.key: darken(box.colour) for box in chart.boxes}
     return tuple(INTERRUPT if arrow.interrupt else colours[arrow.source] for arrow in chart.arrows)
 
 
 def hex_colour(colour: RGB) -> str:
-    """`#rrggbb`."""
+    """Return a colour as `#rrggbb`."""
     return "#" + "".join(f"{round(part * 255):02x}" for part in colour)
 
 
 def _line_shapes(arrow: PlacedArrow, colour: RGB) -> Iterator[Shape]:
-    """Yield the shapes of a line, with a white rim below so that it crosses other lines like a bridge."""
+    """Yield the shapes of a line. A white rim below it separates it from lines that it crosses."""
     thick = THICK if arrow.arrow.interrupt else THIN
     head, end = _arrow_head(arrow.points[-2], arrow.points[-1], HEAD + thick)
     path = _round_corners((*arrow.points[:-1], end))
@@ -122,7 +123,7 @@ def _line_shapes(arrow: PlacedArrow, colour: RGB) -> Iterator[Shape]:
 
 
 def _arrow_head(previous_point: Point, tip: Point, long: float) -> tuple[tuple[Point, ...], Point]:
-    """Return the three corners of an arrow's head, and the point where the line meets it."""
+    """Return the three corners of an arrow's head, and the point at which the line ends. `long`: the length of the head, px."""
     far = hypot(tip[0] - previous_point[0], tip[1] - previous_point[1]) or 1.0
     x, y = (tip[0] - previous_point[0]) / far, (tip[1] - previous_point[1]) / far
     back = (tip[0] - x * long, tip[1] - y * long)
@@ -131,7 +132,7 @@ def _arrow_head(previous_point: Point, tip: Point, long: float) -> tuple[tuple[P
 
 
 def _round_corners(points: Sequence[Point]) -> tuple[Point, ...]:
-    """Return the same path with round corners, six points each."""
+    """Return the path with rounded corners of six points each."""
     curve = [points[0]]
     for previous_point, corner, next_point in zip(points, points[1:], points[2:], strict=False):
         into, out = _step_toward(corner, previous_point), _step_toward(corner, next_point)
@@ -183,19 +184,19 @@ def _centred_words(text: str, centre: Point, size: int, colour: RGB) -> Words:
 
 
 def ink_on(colour: RGB) -> RGB:
-    """Black or white, whichever is read more easily on the colour."""
+    """Return black or white, whichever is easier to read on the colour."""
     return INK if _luminance(colour) > 0.3 else WHITE
 
 
 def _luminance(colour: RGB) -> float:
-    """Relative luminance, 0..1, as WCAG 2 defines it."""
+    """Return the relative luminance as defined by WCAG 2, from 0 to 1."""
     red, green, blue = ((c / 12.92 if c <= 0.04045 else ((c + 0.055) / 1.055) ** 2.4) for c in colour)
     return 0.2126 * red + 0.7152 * green + 0.0722 * blue
 
 
 def darken(colour: RGB, most: float = 0.22) -> RGB:
-    """Return the colour, darkened if necessary so that a thin line of it on white is visible: luminance at most `most`. For
-    words, a contrast of 7 : 1 is 0.1."""
+    """Return the colour, darkened to a luminance of at most `most`. The default makes a thin line visible on white. For words,
+    0.1 gives a contrast of 7 : 1."""
     while _luminance(colour) > most:
         colour = (colour[0] * 0.92, colour[1] * 0.92, colour[2] * 0.92)
     return colour

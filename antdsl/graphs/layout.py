@@ -1,10 +1,11 @@
-"""Charts → positions: states in layers, arrows with right angles, no label on top of anything.
+"""Charts → positions: states in layers, arrows with right angles, and labels that cover no boxes.
 
-The library graphlay makes the layout, a layered one (Sugiyama, Tagawa, Toda 1981). It leaves space for labels and gives the same
-positions on every machine. A label is on its own arrow or next to it, clear of boxes, of other labels, and of lines if possible.
+The library graphlay makes a layered layout (Sugiyama, Tagawa, Toda 1981). It leaves space for labels and gives the same positions
+on every machine. A label is on its own arrow or next to it. It is clear of boxes, of other labels and, if possible, of lines.
 
-Every arrow has possible positions for its label. The arrows with the fewest choose first, and then all choose again in turn
-until no arrow finds a better one (a local search in the discrete placement of labels, Christensen, Marks, Shieber 1995)."""
+Every arrow has candidate positions for its label. The arrows with the fewest candidates choose first. Then all arrows choose
+again in turn, until no arrow finds a better position. This is a local search in discrete label placement (Christensen, Marks,
+Shieber 1995)."""
 
 from __future__ import annotations
 
@@ -56,7 +57,8 @@ _WIDE = 4  # from here on they are made only where words would stand on words or
 
 
 def lay_out(charts: Sequence[Chart]) -> tuple[tuple[PlacedChart, ...], Report]:
-    """Return the placed charts, each laid out alone, and a report. It has an error when the library is not installed."""
+    """Return the placed charts, each laid out separately, and a report. The report has an error if the library is not
+    installed."""
     report = Report()
     try:
         import graphlay  # noqa: F401
@@ -72,8 +74,10 @@ def lay_out(charts: Sequence[Chart]) -> tuple[tuple[PlacedChart, ...], Report]:
 
 
 def _place_chart(chart: Chart) -> PlacedChart:
-    """Return the narrowest layout in which no words hide a line; else, of those not too wide, the one with the fewest hidden
-    lines."""
+    """Return the first layout, from narrow to wide spacing, in which no words touch or hide anything.
+
+    If there is none, return the layout with the fewest touching words and, of these, the fewest hidden lines. Wide spacings are
+    tried only if words touch in all others."""
     best: tuple[int, int, int] | None = None
     best_chart: PlacedChart | None = None
     for number, spacing in enumerate(_SPACINGS):
@@ -111,7 +115,7 @@ def _try_spacing(chart: Chart, spacing: dict[str, float]) -> tuple[PlacedChart, 
 
 
 def box_size(box: Box) -> tuple[float, float]:
-    """Width and height of a box, px."""
+    """Return width and height of a box, px."""
     if box.kind in ("start", "choice"):
         return 14.0, 14.0
     if box.kind != "state":
@@ -121,7 +125,7 @@ def box_size(box: Box) -> tuple[float, float]:
 
 
 def fold_words(arrow: Arrow) -> tuple[str, ...]:
-    """The words of an arrow in short lines."""
+    """Return the words of an arrow, wrapped to short lines."""
     short_lines: list[str] = []
     for line in arrow.lines:
         lines = textwrap.wrap(line, FOLD, break_on_hyphens=False) or [""]
@@ -134,7 +138,7 @@ def _extent(lines: tuple[str, ...]) -> tuple[float, float]:
 
 
 def _shift_to_zero(chart: Chart, boxes: list[tuple[Box, PlacedBox]], arrows: list[PlacedArrow]) -> PlacedChart:
-    """Return the chart moved so that all of it, with a margin, begins at (0, 0)."""
+    """Return the chart, moved so that its top left corner, including a margin, is at (0, 0)."""
     all_boxes = [place for _, place in boxes] + [arrow.words for arrow in arrows if arrow.words is not None]
     xs = [x for a in arrows for x, _ in a.points] + [p.left for p in all_boxes] + [p.left + p.width for p in all_boxes]
     ys = [y for a in arrows for _, y in a.points] + [p.top for p in all_boxes] + [p.top + p.height for p in all_boxes]
@@ -144,8 +148,9 @@ def _shift_to_zero(chart: Chart, boxes: list[tuple[Box, PlacedBox]], arrows: lis
 
 @dataclass(frozen=True, slots=True)
 class WordPlacement:
-    """A place for each arrow's words, None for no words. `touching`: how many touch boxes or other words. `crossed`: how many
-    lines and heads are hidden by words."""
+    """A position for each arrow's words; None for an arrow without words.
+    - `touching`: the number of words that touch boxes or other words.
+    - `crossed`: the number of lines and arrow heads that words hide."""
 
     word_boxes: tuple[PlacedBox | None, ...]
     touching: int
@@ -154,8 +159,10 @@ class WordPlacement:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Spots:
-    """Candidate positions for words of one size: centres [n, 2], px; the cost of each, independent of other words [n]; lines
-    hidden [n]."""
+    """Candidate positions for words of one size.
+    - `centres`: positions [n, 2], px.
+    - `costs`: the cost of each position, independent of other words [n].
+    - `hidden`: the number of lines that words at each position hide [n]."""
 
     size: Size
     centres: Array
@@ -168,7 +175,8 @@ class _Spots:
 
 
 def place_words(boxes: Sequence[PlacedBox], routes: Sequence[Route], sizes: Sequence[Size | None]) -> WordPlacement:
-    """Return positions for the words on arrows, from the arrows' paths (mostly vertical and horizontal) and the words' sizes."""
+    """Return positions for the words on arrows. `routes`: the arrows' paths, mostly vertical and horizontal. `sizes`: the sizes
+    of the words, px."""
     spots = {number: _find_spots(number, boxes, routes, size) for number, size in enumerate(sizes) if size}
     order = sorted(spots, key=lambda n: (int((spots[n].costs < _CROSSING).sum()), n))
     chosen: dict[int, int] = {}
@@ -202,7 +210,7 @@ def _find_spots(number: int, boxes: Sequence[PlacedBox], routes: Sequence[Route]
 
 
 def _route_spots(route: Route, size: Size) -> tuple[Array, Array]:
-    """Return centres [n, 2] and their individual costs [n]."""
+    """Return candidate positions along a path: centres [n, 2] in px, and the cost of each [n]."""
     centres: list[Point] = []
     costs: list[float] = []
     length = sum(dist(a, b) for a, b in pairwise(route)) or 1.0
@@ -223,7 +231,7 @@ def _route_spots(route: Route, size: Size) -> tuple[Array, Array]:
 
 
 def _count_overlaps(centres: Array, size: Size, others: Sequence[PlacedBox]) -> Array:
-    """How many of the others each place touches, int [n]."""
+    """Return how many of the boxes `others` the words touch at each position, int [n]."""
     if not others:
         return np.zeros(len(centres), int)
     middles = np.array([other.centre for other in others])
@@ -232,7 +240,7 @@ def _count_overlaps(centres: Array, size: Size, others: Sequence[PlacedBox]) -> 
 
 
 def _count_crossings(centres: Array, size: Size, parts: Sequence[tuple[Point, Point]]) -> Array:
-    """Return how many straight parts of other lines cross each position, int [n]."""
+    """Return how many of the straight parts of other lines cross the words at each position, int [n]."""
     if not parts:
         return np.zeros(len(centres), int)
     ends, half = np.array(parts), np.array(size) / 2 + 1

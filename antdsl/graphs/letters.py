@@ -1,4 +1,4 @@
-"""Widths of words, in px. The same on every machine: a viewer with other letters fits them into the given width."""
+"""Widths of words, in px. They are equal on every machine: a viewer with another font fits the words into the stated width."""
 
 from __future__ import annotations
 
@@ -14,15 +14,16 @@ _OWN = frozenset("·…°“”")
 
 
 def width(text: str, size: int) -> float:
-    """Return the width of a line at a font size in px: measured where Pillow's font has the character, else estimated from its
-    kind."""
+    """Return the width of a line of text, px. `size`: the font size, px.
+
+    Characters of Pillow's font have measured widths. The width of any other character is estimated from its kind."""
     known = "".join(sign for sign in text if _built_in_has(sign))
     wide = sum(1.0 if east_asian_width(sign) in "WF" else 0.65 for sign in text if not _built_in_has(sign))
     return round(built_in_font(size).getlength(known) + wide * size, 2)
 
 
 def is_built_in(text: str) -> bool:
-    """Return whether Pillow's own font has every character of a text."""
+    """Return whether Pillow's built-in font has every character of a text."""
     return all(_built_in_has(sign) for sign in text)
 
 
@@ -32,7 +33,7 @@ def _built_in_has(sign: str) -> bool:
 
 @lru_cache(maxsize=32)
 def built_in_font(size: int) -> FreeTypeFont:
-    """Return Pillow's own font, of a size in px."""
+    """Return Pillow's built-in font. `size`: the font size, px."""
     from PIL import ImageFont
 
     return ImageFont.load_default(size)  # type: ignore[return-value]

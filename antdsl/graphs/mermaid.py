@@ -1,6 +1,6 @@
-"""Charts as Mermaid text, which GitHub, GitLab and many editors show as a picture inside Markdown. Needs no layout.
+"""Charts as Mermaid text, which GitHub, GitLab and many editors display as a picture inside Markdown. It needs no layout.
 
-A flow chart and not Mermaid's own state diagram: that one has neither thick lines for interrupts nor a colour for a line."""
+The text is a flow chart. Mermaid's own state diagram has neither thick lines for interrupts nor colours for lines."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _SHAPES = {
 
 
 def mermaid(charts: Sequence[Chart]) -> str:
-    """The whole text, one subgraph for each chart. The same charts give the same text."""
+    """Return the complete text, with one subgraph for each chart. The same charts give the same text."""
     lines = ["flowchart TB"]
     styles: list[str] = []
     links = 0

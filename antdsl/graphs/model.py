@@ -1,6 +1,7 @@
 """Values of a picture of a state machine: boxes and arrows in a chart, and their positions in a layout.
 
-Charts know no picture format and layouts no library: code that draws, stills or live, reads these values alone."""
+Charts do not depend on a picture format, and layouts not on a library. Code that draws, as a picture or live, reads only these
+values."""
 
 from __future__ import annotations
 
@@ -14,9 +15,13 @@ Kind = Literal["state", "start", "any", "previous", "choice"]
 
 @dataclass(frozen=True, slots=True)
 class Box:
-    """One box of a chart. `start`: the dot that points at the first state. `any`: the source of changes `from any`. `previous`:
-    the return to the previous state. `choice`: the fork of a `choose`. `key` is unique in its chart; `name` is the state's own;
-    `details` is the tooltip."""
+    """One box of a chart.
+
+    - `kind`: `start`: the dot that points at the first state. `any`: the source of transitions `from any`. `previous`: the return
+      to the previous state. `choice`: the fork of a `choose`. Any other box is a state.
+    - `key`: unique in its chart.
+    - `name`: the name of the state.
+    - `details`: the tooltip."""
 
     key: str
     kind: Kind
@@ -28,7 +33,7 @@ class Box:
 
 @dataclass(frozen=True, slots=True)
 class Arrow:
-    """The changes from one box to another, either all interrupts or none. `lines` has one condition each, in order of
+    """The transitions from one box to another, either all interrupts or none. `lines`: one condition each, in order of
     evaluation."""
 
     source: str
@@ -40,7 +45,7 @@ class Arrow:
 
 @dataclass(frozen=True, slots=True)
 class Chart:
-    """One machine of a species. `title` is `forager`, or `forager.mood` where a species has several machines."""
+    """One machine of a species. `title`: `forager`, or `forager.mood` if the species has several machines."""
 
     title: str
     boxes: tuple[Box, ...]
@@ -49,7 +54,7 @@ class Chart:
 
 @dataclass(frozen=True, slots=True)
 class PlacedBox:
-    """The position of something: its centre and its size, in px."""
+    """The position of a box or of words: its centre and its size, in px."""
 
     centre: Point
     width: float
@@ -66,7 +71,7 @@ class PlacedBox:
 
 @dataclass(frozen=True, slots=True)
 class PlacedArrow:
-    """An arrow's path: straight from point to point; the last point is the tip. `lines` are its words, wrapped."""
+    """An arrow's path, straight from point to point. The last point is the tip. `lines`: its words, wrapped."""
 
     arrow: Arrow
     points: tuple[Point, ...]
@@ -85,7 +90,7 @@ class PlacedChart:
     arrows: tuple[PlacedArrow, ...]
 
     def shifted_by(self, right: float, down: float) -> PlacedChart:
-        """The same so far to the right and down."""
+        """Return the chart, moved by `right` and `down` px."""
 
         def at(place: PlacedBox) -> PlacedBox:
             return replace(place, centre=(place.centre[0] + right, place.centre[1] + down))

@@ -1,4 +1,4 @@
-"""A drawing as a PNG at two pixels per px, for viewers without SVG: its SVG, rendered by the library resvg."""
+"""A drawing as a PNG at two pixels per px, for viewers without SVG. The library resvg renders the drawing's SVG."""
 
 from __future__ import annotations
 
@@ -15,8 +15,10 @@ MOST = 15_000_000  # pixels of a picture; a larger drawing gets fewer for a px
 
 
 def png(drawing: Drawing) -> bytes:
-    """Return the bytes of a file. Raises ImportError without resvg. The same drawing gives the same bytes with the same Pillow,
-    resvg and, for letters beyond ASCII, fonts of the machine."""
+    """Return the bytes of a PNG file. Raises ImportError without resvg.
+
+    The same drawing gives the same bytes with the same versions of Pillow and resvg. Characters beyond ASCII also depend on the
+    machine's fonts."""
     from resvg_py import svg_to_bytes
 
     font = built_in_font(16)

@@ -1,4 +1,4 @@
-"""A drawing as SVG text: words stay searchable, and a line's tooltip names its source."""
+"""A drawing as SVG text. Words in it can be searched, and the tooltip of a line names its source."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from antdsl.graphs.model import RGB
 
 
 def svg(drawing: Drawing, fonts: str = "Helvetica, Arial, sans-serif") -> str:
-    """Return the text of a file. `fonts`: the families of its letters. The same drawing gives the same text."""
+    """Return the text of an SVG file. `fonts`: the font families of its words. The same drawing gives the same text."""
     wide, high = _number(drawing.width), _number(drawing.height)
     lines = [
         f'<svg xmlns="http://www.w3.org/2000/svg" width="{wide}" height="{high}" viewBox="0 0 {wide} {high}"'

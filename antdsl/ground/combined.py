@@ -1,5 +1,7 @@
-"""Ground of meshes and solids together: an agent that meets a solid steps up onto it, and one that meets a mesh steps back down.
-Ground inside undug solid is closed, and open again where the solid is dug away."""
+"""Ground of meshes and solids together. An agent that meets a solid steps up onto it; an agent on a solid that meets a mesh steps
+down.
+
+Ground inside undug solid is closed. It is open again where the solid is dug away."""
 
 from __future__ import annotations
 
@@ -26,7 +28,7 @@ _EYE_HEIGHT_PER_BODY = 0.02  # of a body: how far above its way an agent looks f
 
 @dataclass(slots=True)
 class _WalkState:
-    """Agents during a walk: where they stand and face, and the remaining displacement (a vector). Each component of a vector is
+    """Agents during a walk: footings, orientations and remaining displacements (`left`). Each component of a vector is
     contiguous."""
 
     footing: Footing
@@ -42,7 +44,8 @@ class _WalkState:
 
 @dataclass(slots=True)
 class _SolidEntries:
-    """Agents that entered undug solid: their numbers, the solid, the part of their path at the entry, and the position."""
+    """Agents that entered undug solid: their numbers, the solid, the part of their path before the entry, and the position of the
+    entry."""
 
     who: Rows
     which: NDArray[np.intp]
@@ -51,7 +54,7 @@ class _SolidEntries:
 
 
 class CombinedGround:
-    """Meshes (None without any) and solids by name; names of solids come after those of meshes."""
+    """Meshes (None without any) and solids by name. The names of solids come after those of meshes."""
 
     def __init__(self, meshes: MeshSurfaces | None, solids: Mapping[str, Volume], up: Floats) -> None:
         self.meshes = meshes
@@ -63,13 +66,13 @@ class CombinedGround:
     # ---- asking
 
     def nowhere(self, n: int) -> Footing:
-        """Footings of n agents that stand on nothing yet."""
+        """Return footings for n agents that stand on nothing yet."""
         return Footing.nowhere(n).with_places()
 
     def place(self, points: Floats, up: Floats, on: Iterable[str] | None = None) -> tuple[Footing, NDArray[np.bool_]]:
         """Return footings below points [n,3]: the first hit of a ray from far above along -`up`, on the names in `on`, or on all.
 
-        No agent can stand on ground inside undug solid: there the footing is on the solid's surface above, with False in the
+        No agent can stand on ground inside undug solid. Such a footing is moved to the solid's surface above, with False in the
         second array."""
         points = np.asarray(points, np.float64).reshape(-1, 3)
         names = self.names if on is None else tuple(on)
@@ -103,8 +106,8 @@ class CombinedGround:
         return footing, is_placed
 
     def nearest(self, points: Floats, on: Iterable[str] | None = None) -> tuple[Footing, Floats]:
-        """Return footings at the nearest point of the meshes or solids, whichever is nearer, and the distance float64[n]; limited
-        to the names in `on`, if given."""
+        """Return footings at the nearest point of meshes and solids, and the distance float64[n]. `on` limits the search to these
+        names, if given."""
         points = np.asarray(points, np.float64).reshape(-1, 3)
         footing, distance = self.nowhere(len(points)), np.full(len(points), np.inf)
         names = self.names if on is None else tuple(on)
@@ -124,7 +127,7 @@ class CombinedGround:
         return footing, distance
 
     def position(self, footing: Footing) -> Floats:
-        """Return positions in the world, float64[n,3]; zero for footings nowhere."""
+        """Return positions in the world, float64[n,3]; zero for agents without a footing."""
         place = np.stack([footing.x, footing.y, footing.z], axis=1)
         rows = self._mesh_rows(footing)
         if rows.size and self.meshes is not None:
@@ -132,7 +135,7 @@ class CombinedGround:
         return place
 
     def normal(self, footing: Footing) -> Floats:
-        """Return unit normals, float64[n,3]: of faces by their winding, of solids outwards; zero for footings nowhere."""
+        """Return unit normals, float64[n,3]: of faces by their winding, of solids outwards; zero for agents without a footing."""
         normal = np.zeros((len(footing), 3))
         rows = self._mesh_rows(footing)
         if rows.size and self.meshes is not None:
@@ -151,7 +154,7 @@ class CombinedGround:
         return np.where(footing.mesh >= 0, facing_sides(self.normal(footing)), np.int8(0))
 
     def upright_normals(self, footing: Footing, up: Floats) -> Floats:
-        """Smooth unit normals float64[n,3]: on meshes on the side that `up` points to, on solids outwards."""
+        """Return smooth unit normals float64[n,3]: on meshes on the side that `up` points to, on solids outwards."""
         result = np.array(np.broadcast_to(np.asarray(up, np.float64), (len(footing), 3)))
         rows = self._mesh_rows(footing)
         if rows.size and self.meshes is not None:
@@ -174,7 +177,7 @@ class CombinedGround:
         threads: int = 1,
         straight: bool = False,
     ) -> GroundMove:
-        """As `MeshGround.move`, over meshes and solids."""
+        """Move agents over meshes and solids, as `MeshGround.move`."""
         n = len(footing)
         body = np.broadcast_to(np.asarray(body, np.float64), (n,))
         remaining = contiguous_columns(displacement)
@@ -204,8 +207,8 @@ class CombinedGround:
     # ---- parts of moving
 
     def _walk_stretch(self, walk: _WalkState, rows: Rows, body: Floats, threads: int, last: bool) -> Rows:
-        """Walk `rows` on their current mesh or solid. Those that meet another one stand on it afterwards, and are returned if
-        they have distance left."""
+        """Walk `rows` on their current mesh or solid. Agents that meet another one are then placed on it; return those with
+        distance left."""
         again = []
         on = walk.footing.mesh[rows]
         mesh = rows[on < self._count]
@@ -229,7 +232,7 @@ class CombinedGround:
 
     @staticmethod
     def _finish_walks(walk: _WalkState, rows: Rows, but: Rows, moved: GroundMove) -> None:
-        """Store the result for all of `rows` that have finished their walk; the others are `but`."""
+        """Store the results of all agents in `rows` that have finished their walk. The agents in `but` have not."""
         footing, vectors = moved.footing, [moved.position, moved.up, moved.heading, moved.direction]
         travelled, blocked = moved.travelled, moved.blocked
         if but.size:
@@ -248,8 +251,9 @@ class CombinedGround:
         walk.left[rows] = 0.0
 
     def _find_entries(self, end: Floats, start: Callable[[Rows], Floats], but: int = -1) -> _SolidEntries:
-        """Return the agents that enter undug solid, of any volume but number `but`, on the way from `start` (of some of them) to
-        `end`."""
+        """Return the agents that enter undug solid on the path to `end`.
+
+        `start` is a function that returns the start positions of some rows. Solid number `but` is ignored."""
         part, which = np.full(len(end), np.inf), np.zeros(len(end), np.intp)
         positions = np.zeros((len(end), 3))
         for k, volume in enumerate(self._volumes):
@@ -271,7 +275,7 @@ class CombinedGround:
     def _step_onto_solid(
         self, walk: _WalkState, rows: Rows, entries: _SolidEntries, moved: GroundMove, body: Floats, threads: int, last: bool
     ) -> Rows:
-        """Step those of `rows` that entered a solid onto it; return those with distance left."""
+        """Place the agents in `rows` that entered a solid on it; return those with distance left."""
         again = [np.empty(0, np.intp)]
         for k, volume in enumerate(self._volumes):
             mine = np.flatnonzero(entries.which == k)
@@ -335,8 +339,8 @@ class CombinedGround:
         return np.concatenate([again, down[rest > 0]])
 
     def _fall(self, walk: _WalkState, rows: Rows) -> None:
-        """Move agents with no solid left nearby down, along the scene's up axis, onto the ground below; else to the nearest
-        ground."""
+        """Move agents without a solid nearby down, along the scene's up axis, onto the ground below. If there is none, move them
+        to the nearest ground."""
         if not rows.size:
             return
         start = self.position(walk.footing.take(rows))
@@ -363,8 +367,8 @@ class CombinedGround:
     def _find_mesh_crossings(
         self, start: Floats, end: Floats, up: Floats, up_after: Floats, body: Floats, threads: int
     ) -> tuple[NDArray[np.bool_], Floats, Footing]:
-        """Return which agents have a mesh across their way, seen from a little above it. Return also the part of the way before
-        it, and the footing there."""
+        """Return which agents have a mesh across their path, as seen from slightly above the path. Return also the part of the
+        path before the mesh, and the footing at the mesh."""
         n = len(start)
         if self.meshes is None:
             return np.zeros(n, np.bool_), np.ones(n), Footing.nowhere(n)

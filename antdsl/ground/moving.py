@@ -1,6 +1,6 @@
-"""A ground of which some meshes move between steps: the topology stays, positions are set for each frame.
+"""A ground with meshes that move between steps. The topology stays; positions are set for each frame.
 
-Only moved parts are computed again, and their rays have separate scenes."""
+Only moved parts are computed again. Rays at moving meshes have a separate scene."""
 
 from __future__ import annotations
 
@@ -22,8 +22,8 @@ FaceAxes = tuple[Floats, Floats, Floats]
 
 
 class MovingGround(MeshGround):
-    """As `MeshGround`; the meshes named `moving` may be posed. `rest` holds the initial positions of all; field cells refer to
-    it."""
+    """A `MeshGround` in which the meshes named `moving` may be posed. `rest` has the initial positions of all meshes; field cells
+    refer to it."""
 
     def __init__(self, surfaces: Mapping[str, MeshArrays], moving: Iterable[str], by_rays: bool = False) -> None:
         self._moves = np.isin(list(surfaces), list(moving))
@@ -41,7 +41,7 @@ class MovingGround(MeshGround):
         self._scale = replace(self._scale, under=np.inf)
 
     def copy(self) -> MovingGround:
-        """One that can be posed apart from this one."""
+        """Return a copy that can be posed separately."""
         ground = copy(self)
         ground._vertices, ground._table = self._vertices.copy(), self._table.copy()
         ground._boxes = replace(self._boxes, bounds=self._boxes.bounds.copy())
@@ -71,13 +71,14 @@ class MovingGround(MeshGround):
         return np.flatnonzero(known & self._moves.take(np.where(known, mesh, 0)))
 
     def axes(self, footing: Footing) -> FaceAxes:
-        """Return the frames (3, n) of the faces that agents stand on: along the first edge, across it, and up by the winding."""
+        """Return the frames (3, n) of the faces that agents stand on: along the first edge, across it, and along the normal of
+        the winding."""
         face, _ = self._face_numbers(footing)
         t = self._table
         return t.axis1.take(face, axis=1), t.axis2.take(face, axis=1), t.normal.take(face, axis=1)
 
     def rest_axes(self, footing: Footing) -> FaceAxes:
-        """As `axes`, where the faces lay at rest."""
+        """Return the frames of the same faces in their rest positions, as `axes`."""
         face, _ = self._face_numbers(footing)
         t = self._rest
         return t.axis1.take(face, axis=1), t.axis2.take(face, axis=1), t.normal.take(face, axis=1)
@@ -97,7 +98,8 @@ class MovingGround(MeshGround):
         return np.where(self._moves.take(self._mesh), self._mesh + 1, 0).astype(np.int32)
 
     def _ray_scene(self, on: Iterable[str] | None) -> tuple[RayScene, Index]:
-        """Return rays against some surfaces, in separate scenes for static and moving ones, and the faces in these scenes."""
+        """Return ray scenes of some surfaces, separate for static and moving ones, and the ground's face numbers of their
+        faces."""
         chosen = self._surface_numbers(on)
         if chosen not in self._scenes:
             still = tuple(k for k in chosen if not self._moves[k])
@@ -114,13 +116,13 @@ class MovingGround(MeshGround):
 
 
 def _box_corners(vertices: Floats) -> tuple[Floats, Floats]:
-    """Lowest and highest corner (3,) of a box around vertices."""
+    """Return the lowest and highest corner (3,) of a box around vertices."""
     empty = not len(vertices)
     return (np.full(3, np.inf), np.full(3, -np.inf)) if empty else (vertices.min(axis=0), vertices.max(axis=0))
 
 
 def _face_boxes(vertices: Floats, faces: NDArray[np.int32]) -> tuple[Floats, Floats]:
-    """The same of each face, (n, 3)."""
+    """Return the lowest and highest corners of the boxes around faces, (n, 3) each."""
     a, b, c = (vertices.take(faces[:, k], axis=0) for k in range(3))
     return np.minimum(np.minimum(a, b), c), np.maximum(np.maximum(a, b), c)
 
@@ -166,8 +168,9 @@ class _RayScenePair:
 
 
 class _MovingClearances:
-    """As `Clearances`. Distances between static meshes are measured once. Agents near the box of a moving mesh, and agents on a
-    moving mesh near anything, always search."""
+    """Clearances as `PieceClearances`. Distances between static meshes are measured once.
+
+    Agents near the box of a moving mesh, and agents on a moving mesh near anything, always search."""
 
     def __init__(self, ground: MovingGround) -> None:
         self._ground = ground
@@ -187,7 +190,7 @@ class _MovingClearances:
         self._parts = None
 
     def parts_within(self, reach: float) -> FaceParts:
-        """Return clearances that resolve distances up to `reach` mm, at the current positions of the meshes."""
+        """Return clearances that distinguish distances up to `reach` mm, at the current positions of the meshes."""
         if self._parts is None or self._parts.reach < reach:
             self._parts = self._build_parts(1.5 * reach)
         return self._parts
@@ -202,7 +205,7 @@ class _MovingClearances:
         return FaceParts(reach, first, count, np.append(still.least, 0.0))
 
     def _faces_near_moving(self, reach: float) -> Index:
-        """Return the faces that may have a mesh within `reach`, where one of the two moves."""
+        """Return the faces that may have another mesh within `reach`, if one of the two meshes moves."""
         ground = self._ground
         wide = reach + 2 * self.noise
         for k, rows in enumerate(ground._rows.values()):

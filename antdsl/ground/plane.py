@@ -1,4 +1,4 @@
-"""Ground for a scene without surfaces: the infinite plane through the origin, perpendicular to the scene's up."""
+"""Ground for a scene without surfaces: the infinite plane through the origin, perpendicular to the scene's up axis."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from antdsl.numerics.kernel_vectors import AgentPose, Vec3, dot, minus, plus, ti
 
 
 class PlaneGround:
-    """The plane through the origin; `up` is its unit normal. All footings are found, and no agent is lost or blocked."""
+    """The plane through the origin; `up` is its unit normal. Every point has a footing, and no agent is lost or blocked."""
 
     names: tuple[str, ...] = ()
 
@@ -23,12 +23,12 @@ class PlaneGround:
 
     @property
     def up(self) -> Floats:
-        """Its unit normal float64[3]."""
+        """Return the plane's unit normal float64[3]."""
         return self._up
 
     @property
     def meshes(self) -> None:
-        """The part of the ground that is made of meshes: none."""
+        """Return None: no part of the ground consists of meshes."""
         return None
 
     def _flatten(self, vectors: Floats) -> Floats:
@@ -41,32 +41,32 @@ class PlaneGround:
         return along
 
     def nowhere(self, n: int) -> Footing:
-        """Footings of n agents at the origin."""
+        """Return footings for n agents at the origin."""
         return Footing.on_plane(np.zeros((n, 3)))
 
     def place(self, points: Floats, up: Floats, on: Iterable[str] | None = None) -> tuple[Footing, NDArray[np.bool_]]:
-        """Project points [n,3] onto the plane along the plane's own up; every point succeeds."""
+        """Project points [n,3] onto the plane along the plane's own normal; every point succeeds."""
         return Footing.on_plane(self._flatten(np.asarray(points, np.float64).reshape(-1, 3))), np.ones(len(points), np.bool_)
 
     def nearest(self, points: Floats, on: Iterable[str] | None = None) -> tuple[Footing, Floats]:
-        """As `place`, and the distance float64[n]."""
+        """Return the nearest footings on the plane to points [n,3], and the distance float64[n]."""
         points = np.asarray(points, np.float64).reshape(-1, 3)
         return Footing.on_plane(self._flatten(points)), np.abs(self._height(points))
 
     def position(self, footing: Footing) -> Floats:
-        """Places in the world, float64[n,3]."""
+        """Return positions in the world, float64[n,3]."""
         return footing.point
 
     def normal(self, footing: Footing) -> Floats:
-        """Up, float64[n,3]."""
+        """Return the plane's unit normal for each footing, float64[n,3]."""
         return np.broadcast_to(self._up, footing.point.shape)
 
     def sides(self, footing: Footing, threads: int = 1) -> NDArray[np.int8]:
-        """Return the axis direction nearest to up, int8[n], as `Ground.sides`."""
+        """Return the axis direction nearest to the plane's normal, int8[n], as `Ground.sides`."""
         return facing_sides(self.normal(footing))
 
     def upright_normals(self, footing: Footing, up: Floats) -> Floats:
-        """Up, whichever way agents stand."""
+        """Return the plane's normal, on whichever side agents stand."""
         return self.normal(footing)
 
     def move(
@@ -79,7 +79,7 @@ class PlaneGround:
         threads: int = 1,
         straight: bool = False,
     ) -> GroundMove:
-        """Walk straight on."""
+        """Move agents straight ahead on the plane."""
         n, none = len(displacement), np.zeros(len(displacement), np.bool_)
         point, ahead, direction, travelled = np.empty((n, 3)), np.empty((n, 3)), np.empty((n, 3)), np.empty(n)
         walk_all_straight(self._up, footing.point, displacement, heading, point, ahead, direction, travelled)
@@ -89,7 +89,7 @@ class PlaneGround:
 
 @inlined
 def walk_straight(up: Vec3, point: Vec3, displacement: Vec3, ahead: Vec3) -> tuple[AgentPose, F64]:
-    """Move one agent straight on; return its pose and the distance travelled."""
+    """Move one agent straight ahead; return its pose and the distance travelled."""
     step, look = minus(displacement, times(up, dot(displacement, up))), minus(ahead, times(up, dot(ahead, up)))
     far = np.sqrt(dot(step, step))
     direction = look

@@ -1,8 +1,9 @@
-"""The ground that agents stand and walk on, as the run time uses it. `Ground` is the common interface of a scene without surfaces
-(`Plane`), of meshes (`MeshGround`, `MovingGround`) and of meshes and solids (`CombinedGround`).
+"""The ground that agents stand and walk on, as the runtime uses it.
 
-A ground returns a `Footing` for positions, and every other method takes one: only the ground interprets its columns. A step takes
-a displacement and returns a `GroundMove`. Lengths are mm; vectors of n agents are float64[n,3]."""
+`Ground` is the common interface of a scene without surfaces (`PlaneGround`), of meshes (`MeshGround`, `MovingGround`), and of
+meshes and solids (`CombinedGround`). A ground returns a `Footing` for positions, and every other method takes one: only the
+ground interprets its columns. A step takes a displacement and returns a `GroundMove`. Lengths are in mm; vectors of n agents are
+float64[n,3]."""
 
 from __future__ import annotations
 
@@ -30,7 +31,7 @@ _MESH_DEFAULTS: dict[str, ColumnArray | float] = dict.fromkeys(
 
 
 def rows_of(array: NDArray[Any], rows: Rows) -> NDArray[Any]:
-    """Return some rows of an array; `take` is several times faster than indexing."""
+    """Return some rows of an array, by `take`, which is several times faster than indexing."""
     return array[rows] if rows.dtype == bool else array.take(rows, axis=0)
 
 
@@ -54,25 +55,25 @@ class Footing:
 
     @staticmethod
     def on_faces(mesh: Numbers, face: Numbers, b1: Floats, b2: Floats, over: Floats | None = None) -> Footing:
-        """Return footings on faces of meshes; none is over a border where `over` is not given."""
+        """Return footings on faces of meshes. Without `over`, no agent is stepping over a border."""
         over = np.zeros(len(face)) if over is None else over
         return Footing({"mesh": mesh, "face": face, "b1": b1, "b2": b2, "over": over})
 
     @staticmethod
     def on_solids(mesh: int | Numbers, place: Floats) -> Footing:
-        """Return footings at positions [n,3] on the surfaces of solids with number `mesh`, one or [n]."""
+        """Return footings at positions [n,3] on the surfaces of solids with number `mesh` (one, or [n])."""
         n = len(place)
         on = Footing.on_faces(np.full(n, mesh, np.int32), np.zeros(n, np.int32), *np.zeros((2, n)))
         return on._with_columns(np.ascontiguousarray(place.T))
 
     @staticmethod
     def on_plane(point: Floats) -> Footing:
-        """At points [n,3] of the plane."""
+        """Return footings at points [n,3] of the plane."""
         return Footing({"point": point, "mesh": np.zeros(len(point), np.int32)})
 
     @staticmethod
     def nowhere(n: int) -> Footing:
-        """Footings of agents that stand on no face of any mesh."""
+        """Return footings of agents that stand on no face of any mesh."""
         return Footing.on_faces(np.full(n, -1, np.int32), np.full(n, -1, np.int32), np.zeros(n), np.zeros(n))
 
     def with_places(self) -> Footing:
@@ -89,74 +90,74 @@ class Footing:
 
     @property
     def mesh(self) -> Numbers:
-        """The number of the surface or solid, int32[n]; -1 = nowhere."""
+        """Return the number of the surface or solid, int32[n]; -1 = nowhere."""
         return self.columns["mesh"]
 
     @property
     def face(self) -> Numbers:
-        """The number of the face in its mesh, int32[n]."""
+        """Return the number of the face in its mesh, int32[n]."""
         return self.columns["face"]
 
     @property
     def b1(self) -> Floats:
-        """The weight of the face's second corner, float64[n]."""
+        """Return the weight of the face's second corner, float64[n]."""
         return self.columns["b1"]
 
     @property
     def b2(self) -> Floats:
-        """The weight of the face's third corner, float64[n]."""
+        """Return the weight of the face's third corner, float64[n]."""
         return self.columns["b2"]
 
     @property
     def over(self) -> Floats:
-        """Distance of each agent off its face along the normal, float64[n]."""
+        """Return the distance of each agent off its face along the normal (mm), float64[n]."""
         return self.columns["over"]
 
     @property
     def point(self) -> Floats:
-        """The place on the plane, float64[n,3]."""
+        """Return the position on the plane, float64[n,3]."""
         return self.columns["point"]
 
     @property
     def x(self) -> Floats:
-        """The first coordinate of the place on a solid, float64[n]."""
+        """Return the first coordinate of the position on a solid, float64[n]."""
         return self.columns["x"]
 
     @property
     def y(self) -> Floats:
-        """The second coordinate of the place on a solid, float64[n]."""
+        """Return the second coordinate of the position on a solid, float64[n]."""
         return self.columns["y"]
 
     @property
     def z(self) -> Floats:
-        """The third coordinate of the place on a solid, float64[n]."""
+        """Return the third coordinate of the position on a solid, float64[n]."""
         return self.columns["z"]
 
     # ---- rows
 
     def take(self, rows: Rows | slice) -> Footing:
-        """The footings of some rows: copies, or views of a slice."""
+        """Return the footings of some rows: copies, or views for a slice."""
         if isinstance(rows, slice):
             return Footing({name: column[rows] for name, column in self.columns.items()})
         return Footing({name: rows_of(column, rows) for name, column in self.columns.items()})
 
     def take_on_meshes(self, rows: Rows) -> Footing:
-        """As `take`, for rows that stand on meshes, for a ground of meshes alone."""
+        """Return the footings of rows that stand on meshes, for a ground of meshes alone."""
         return Footing({name: rows_of(self.columns[name], rows) for name in _FACE_COLUMNS})
 
     def put(self, rows: Rows, other: Footing) -> None:
-        """Write other footings into rows: of the same kind of ground, or of its meshes alone."""
+        """Write other footings into rows. They are of the same kind of ground, or of its meshes alone."""
         columns = _MESH_DEFAULTS | other.columns
         for name, column in self.columns.items():
             column[rows] = columns[name]
 
     def copy(self) -> Footing:
-        """Return the same in separate arrays."""
+        """Return a copy with its own arrays."""
         return Footing({name: column.copy() for name, column in self.columns.items()})
 
     @staticmethod
     def concatenate(first: Footing, *others: Footing) -> Footing:
-        """Footings on one ground, one after another."""
+        """Return the footings on one ground as one table, in order."""
         return Footing(
             {name: np.concatenate([column, *(o.columns[name] for o in others)]) for name, column in first.columns.items()}
         )
@@ -169,12 +170,14 @@ class Footing:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class GroundMove:
-    """The result of a step. Vectors are float64[n,3], lengths mm.
+    """The result of a step. Vectors are float64[n,3], with contiguous components; lengths are in mm.
 
-    Each component of a vector is contiguous. `up` is the smooth normal on the agent's side, `heading` a unit vector perpendicular
-    to it. `direction` is the unit direction of travel at the end, in the face; multiply it by a speed to transport a velocity.
-    `travelled` is the distance walked. `blocked`: an open border ended the path, or it could not be walked to its end. `lost`:
-    there was no footing to walk from, or no surface near enough to stand on."""
+    - `up`: the smooth normal on the agent's side
+    - `heading`: a unit vector perpendicular to `up`
+    - `direction`: the unit direction of travel at the end, in the face; multiply it by a speed to transport a velocity
+    - `travelled`: the distance walked
+    - `blocked`: an open border ended the path, or the path could not be walked to its end
+    - `lost`: there was no footing to walk from, or no surface near enough to stand on"""
 
     footing: Footing
     position: Floats
@@ -186,16 +189,16 @@ class GroundMove:
     lost: Flags
 
     def columns(self) -> tuple[ColumnArray, ...]:
-        """All but the footing, in order."""
+        """Return all fields except the footing, in order."""
         return self.position, self.up, self.heading, self.direction, self.travelled, self.blocked, self.lost
 
     def take(self, rows: Rows) -> GroundMove:
-        """The results of some rows."""
+        """Return the results of some rows."""
         position, up, heading, direction, travelled, blocked, lost = (rows_of(column, rows) for column in self.columns())
         return GroundMove(self.footing.take(rows), position, up, heading, direction, travelled, blocked, lost)
 
     def put(self, rows: Rows, other: GroundMove) -> None:
-        """Put other results of the same ground into rows. Values that a ground has once for all agents (a plane's `up`) stay."""
+        """Write other results of the same ground into rows. Values that all agents of a ground share (a plane's `up`) stay."""
         self.footing.put(rows, other.footing)
         for column, values in zip(self.columns(), other.columns(), strict=True):
             if column.flags.writeable:
@@ -203,40 +206,43 @@ class GroundMove:
 
 
 class Ground(Protocol):
-    """The interface of what agents stand and walk on. Implemented by `plane.Plane`, `mesh.surface.MeshGround` (with meshes that
-    move: `moving.MovingGround`) and `combined.CombinedGround`."""
+    """The interface of grounds that agents stand and walk on. Implemented by `plane.PlaneGround`, `mesh.surface.MeshGround`,
+    `moving.MovingGround` (meshes that move) and `combined.CombinedGround`."""
 
     @property
     def names(self) -> tuple[str, ...]:
-        """The names of surfaces, then of solids, in the order of footings' numbers."""
+        """Return the names of surfaces, then of solids, in the order of the numbers in footings."""
 
     @property
     def meshes(self) -> MeshSurfaces | None:
-        """The part of the ground that is made of meshes."""
+        """Return the part of the ground that consists of meshes; None if there is none."""
 
     def nowhere(self, n: int) -> Footing:
-        """Footings of n agents that stand on nothing yet."""
+        """Return footings for n agents that stand on nothing yet."""
 
     def place(self, points: Floats, up: Floats, on: Iterable[str] | None = None) -> tuple[Footing, Flags]:
-        """Return footings below points [n,3]: the first hit of a ray from far above along -`up` ([3] or [n,3]), on the names in
-        `on`, all if None. If it hits nothing, the footing is the nearest point, with False in the second array, bool[n]. Raises
-        KeyError for an unknown name."""
+        """Return footings below points [n,3]: the first hit of a ray from far above along -`up` ([3] or [n,3]).
+
+        `on` names the surfaces and solids to hit; None means all. If the ray hits nothing, the footing is the nearest point, with
+        False in the second array, bool[n]. Raises KeyError for an unknown name."""
 
     def nearest(self, points: Floats, on: Iterable[str] | None = None) -> tuple[Footing, Floats]:
-        """Return footings at the nearest point of the surfaces and solids in `on`, all if None, to points [n,3], and the distance
-        float64[n]."""
+        """Return footings at the points of the surfaces and solids in `on` (None: all) that are nearest to points [n,3], and the
+        distance float64[n]."""
 
     def position(self, footing: Footing) -> Floats:
-        """Return positions in the world, float64[n,3]; zero for footings nowhere."""
+        """Return positions in the world, float64[n,3]; zero for agents without a footing."""
 
     def normal(self, footing: Footing) -> Floats:
-        """Return unit normals, float64[n,3], of faces by their winding, of solids outwards; zero for footings nowhere."""
+        """Return unit normals, float64[n,3]: of faces by their winding, of solids outwards; zero for agents without a footing."""
 
     def sides(self, footing: Footing, threads: int = 1) -> NDArray[np.int8]:
-        """Return the axis direction nearest to each normal, int8[n]: 0 +x, 1 -x, 2 +y, 3 -y, 4 +z, 5 -z; 0 for nowhere."""
+        """Return the axis direction nearest to each normal, int8[n]: 0 +x, 1 -x, 2 +y, 3 -y, 4 +z, 5 -z; 0 for agents without a
+        footing."""
 
     def upright_normals(self, footing: Footing, up: Floats) -> Floats:
-        """Smooth unit normals float64[n,3] on the side that `up` ([3] or [n,3]) points to; `up` itself for footings nowhere."""
+        """Return smooth unit normals float64[n,3] on the side that `up` ([3] or [n,3]) points to; `up` itself for agents without
+        a footing."""
 
     def move(
         self,
@@ -250,24 +256,25 @@ class Ground(Protocol):
     ) -> GroundMove:
         """Move every agent along the ground by a displacement [n,3], on the side that its `up` [n,3] points to.
 
-        `heading` [n,3] turns with the ground. `body` (mm, one or [n]) is the length of each agent. With `straight`, a path ends
-        at an open border; otherwise the agent continues along the border."""
+        - `heading` [n,3]: rotates with the ground
+        - `body`: the length of each agent (mm, one or [n])
+        - `straight`: a path ends at an open border; otherwise the agent continues along the border"""
 
 
 class MeshSurfaces(Ground, Protocol):
-    """The part of a ground that consists of meshes: the queries about faces for rays, flows, maps and fields."""
+    """The part of a ground that consists of meshes: queries about its faces for rays, flows, maps and fields."""
 
     @property
     def low(self) -> Floats:
-        """The lowest corner float64[3] of a box around all vertices."""
+        """Return the lowest corner float64[3] of a box around all vertices."""
 
     @property
     def high(self) -> Floats:
-        """The highest corner float64[3] of the same box."""
+        """Return the highest corner float64[3] of a box around all vertices."""
 
     @property
     def extent(self) -> float:
-        """Longest side of the box, mm. For moving meshes: the longest so far."""
+        """Return the longest side of the box around all vertices, mm. For moving meshes, it is the longest side so far."""
 
     @property
     def triangles(self) -> tuple[Floats, Numbers, Numbers, MeshTopology]:
@@ -282,14 +289,17 @@ class MeshSurfaces(Ground, Protocol):
         """Return world vectors (3, n) from their components along the two axes of their faces."""
 
     def trace_hits(self, origin: Floats, displacement: Floats, threads: int = 1) -> tuple[Flags, Floats, Footing]:
-        """Return which straight ways from `origin` [n,3] by `displacement` [n,3] hit a surface, the part of the way before it,
-        and the footing there."""
+        """Return which straight paths from `origin` [n,3] by `displacement` [n,3] hit a surface.
+
+        Return also the part of the path before the hit, and the footing at the hit."""
 
     def trace_normals(self, origin: Floats, displacement: Floats, threads: int = 1) -> tuple[Index, Floats, Floats]:
-        """Return the numbers, ascending, of straight ways from `origin` [n,3] by `displacement` [n,3] that hit a surface. Return
-        also the part of the way before it, and the face's unit normal (3, k), by its winding."""
+        """Return the numbers, ascending, of straight paths from `origin` [n,3] by `displacement` [n,3] that hit a surface.
+
+        Return also the part of the path before the hit, and the face's unit normal (3, k), by its winding."""
 
     def rows_near_rises(self, footing: Footing, place: Floats, reach: Floats, threads: int = 1) -> Index:
-        """Return the rows, ascending, of agents at positions [n,3] for which a surface may rise within `reach` [n] mm, if that is
-        over 0. It rises at an inner crease, another piece, or a mesh that moves. No such agent is missing, and the result for an
-        agent does not depend on the others."""
+        """Return the rows, ascending, of agents at positions [n,3] for which a surface may rise within `reach` [n] mm.
+
+        A surface rises at an inner crease, at another piece, or at a moving mesh. Agents with a `reach` of 0 or less are left
+        out. No other agent near a rise is missing. The result for an agent does not depend on the others."""

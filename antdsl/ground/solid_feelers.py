@@ -1,5 +1,5 @@
-"""Perception of solids by agents: rays that march through the signed distance field, the nearest wall, and a lower bound of its
-distance.
+"""Perception of solids by agents: rays through the signed distance field, the nearest wall, and a lower bound of the distance to
+it.
 
 The interface is that of `RayScene`, so a solid is perceived like an obstacle. Sphere tracing: J. C. Hart, The Visual Computer
 12(10), 1996, p. 527."""
@@ -29,14 +29,14 @@ _SAMPLE_BLOCK_NODES = 4  # edge, in nodes, of the blocks of which one place each
 
 
 class SolidFeelers:
-    """Feelers, nearby walls and clearances of one solid. Each call uses the current state of the solid."""
+    """Queries of one solid: feelers, nearby walls and clearances. Each call uses the current state of the solid."""
 
     def __init__(self, volume: Volume) -> None:
         self.volume = volume
         self._far: tuple[float, Any, Floats] | None = None  # of the volume dug so far: a tree of places on the surface
 
     def clearance(self, x: NDArray[Any], y: NDArray[Any], z: NDArray[Any], threads: int = 1) -> NDArray[np.float32]:
-        """Return a distance (mm, float32[n]) within which there is no surface around each point; 0 when one is near."""
+        """Return a distance (mm, float32[n]) from each point within which there is no surface; 0 near a surface."""
         place = np.stack([x, y, z], axis=1).astype(np.float64)
         parts = parallel.in_parts(lambda begin, end: self._clearance(place[begin:end]), len(place), threads)
         return parts[0] if len(parts) == 1 else np.concatenate(parts)
@@ -53,11 +53,11 @@ class SolidFeelers:
     def cast_feelers(
         self, positions: VectorComponents, directions: VectorComponents, reach: NDArray[Any] | float, threads: int = 1
     ) -> FeelerHits:
-        """Return the first hit within `reach` (mm, one or float[n]) of points (x y z) along unit directions (x y z), all 1-D
-        arrays of one length.
+        """Return the first hits of feelers from points (x y z) along unit directions (x y z), within `reach` (mm, one or
+        float[n]).
 
-        A ray hits where it enters the solid. A ray that starts inside, or along the surface under its agent, counts as free at
-        its start."""
+        All arrays are 1-D and of one length. A ray hits where it enters the solid. A ray that starts inside, or along the surface
+        under its agent, counts as free at its start."""
         origin, direction = (np.stack(list(v), axis=1).astype(np.float64) for v in (positions, directions))
         n = len(origin)
         far = np.broadcast_to(np.asarray(reach, np.float64), (n,))
@@ -86,14 +86,14 @@ class SolidFeelers:
         return FeelerHits(np.isfinite(t), t.astype(np.float32), *normal)
 
     def feel_batch(self, positions: Arrays, asks: Sequence[FeelerQuery], threads: int = 1) -> list[tuple[int, NDArray[np.intp]]]:
-        """Return all agents for all queries: each uses `feelers`."""
+        """Return, for each request, its number and all rows of its agents: all of them need `cast_feelers`."""
         return list_askers(asks)
 
     def nearest_within(
         self, x: NDArray[Any], y: NDArray[Any], z: NDArray[Any], reach: NDArray[Any] | float, threads: int = 1
     ) -> FeelerHits:
-        """Return the nearest surface within `reach` (mm, one or float[n]) of points, 1-D arrays: the distance (0 inside) and the
-        unit direction away from it."""
+        """Return the nearest surface within `reach` (mm, one or float[n]) of points (1-D arrays): the distance (0 inside), and
+        the unit direction from the surface to the point."""
         place = np.stack([x, y, z], axis=1).astype(np.float64)
         reach = np.broadcast_to(np.asarray(reach, np.float32), (len(place),))
         distance, slope = self.volume.sample_and_gradient(place)
@@ -108,8 +108,8 @@ class SolidFeelers:
         return FeelerHits(hit, t, *np.ascontiguousarray(normal.T))
 
     def _box_interval(self, origin: Floats, direction: Floats) -> tuple[Floats, Floats]:
-        """Return the lengths at which each ray enters and leaves the box that contains the solid. A ray that misses the box has
-        the exit before the entry."""
+        """Return the lengths at which each ray enters and leaves the box that contains the solid. For a ray that misses the box,
+        the exit is before the entry."""
         with np.errstate(all="ignore"):
             ends = [
                 (side - origin) / direction
@@ -118,7 +118,8 @@ class SolidFeelers:
         return np.fmax.reduce(np.fmin(*ends), axis=1), np.fmin.reduce(np.fmax(*ends), axis=1)
 
     def _find_entry(self, origin: Floats, direction: Floats, free: Floats, inside: Floats) -> Floats:
-        """Return the length, between two lengths, at which each ray enters the solid, exact to 1/256 of the step."""
+        """Return the length at which each ray enters the solid, between `free` (in air) and `inside`. It is exact to 1/256 of the
+        interval."""
         for _ in range(_ENTRY_BISECTIONS):
             middle = (free + inside) / 2
             solid = self.volume.sample(origin + middle[:, None] * direction) < -_ALLOWED_DEPTH_VOXELS * self.volume.voxel
@@ -126,14 +127,14 @@ class SolidFeelers:
         return free
 
     def _normals(self, place: Floats) -> NDArray[np.float32]:
-        """Unit normals (3, n) out of the solid."""
+        """Return unit normals (3, n) out of the solid."""
         slope = self.volume.gradient(place)
         size = np.sqrt((slope * slope).sum(axis=1))
         return np.ascontiguousarray((slope / np.maximum(size, np.float32(1e-12))[:, None]).T)
 
     def _nearest(self, place: Floats) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-        """Return the distance to the surface and the unit direction away from it for points beyond the band, accurate to a few
-        voxels."""
+        """Return the distance to the surface, and the unit direction from the surface, for points beyond the band. The result is
+        accurate to a few voxels."""
         from scipy.spatial import cKDTree
 
         removed = self.volume.removed

@@ -1,5 +1,5 @@
-"""Queries about one solid for walking on ground with solids: where a path enters it, what lies below, and which direction is
-out."""
+"""Queries about one solid, for walking on ground with solids: where a path enters the solid, what lies below a point, and which
+direction is out."""
 
 from __future__ import annotations
 
@@ -17,8 +17,9 @@ _REFINEMENTS = 5  # after each the part where it does is cut into as many again
 
 
 def entry_fraction(volume: Volume, start: Floats, end: Floats) -> Floats:
-    """Return the share of each path from `start` to `end` after which it first enters the solid: the last sample in air. `end`
-    lies in the solid. The result is 0 where `start` is not in air."""
+    """Return the part of each path from `start` to `end`, which lies in the solid, before the path first enters the solid.
+
+    It ends at the last sample in air. The result is 0 if `start` is not in air."""
     free, long = np.zeros(len(start)), 1.0
     for _ in range(_REFINEMENTS):
         parts = free + long * (np.arange(_STEP_SAMPLES) / _STEP_SAMPLES)[:, None]
@@ -31,14 +32,14 @@ def entry_fraction(volume: Volume, start: Floats, end: Floats) -> Floats:
 
 
 def normals(volume: Volume, place: Floats) -> Floats:
-    """Unit normals float64[n,3] out of a solid; zero where its field is flat."""
+    """Return unit normals float64[n,3] out of a solid; zero where its field is flat."""
     slope = volume.gradient(place).astype(np.float64)
     normal: Floats = slope / np.maximum(length(slope), 1e-12)[:, None]
     return normal
 
 
 def cast_from_above(volume: Volume, points: Floats, up: Floats) -> tuple[Floats, NDArray[np.bool_]]:
-    """Return the first point of a solid that a ray from far above along -`up` hits, and whether there is one."""
+    """Return the first point of a solid that a ray from far above along -`up` hits, and whether there is such a point."""
     height = float(length((volume.high - volume.low)[None, :])[0])
     middle = (volume.low + volume.high) / 2
     start = points + up * (((middle - points) * up).sum(axis=1) + height)[:, None]
@@ -46,7 +47,7 @@ def cast_from_above(volume: Volume, points: Floats, up: Floats) -> tuple[Floats,
 
 
 def cast_down(volume: Volume, start: Floats, up: Floats, reach: Floats | float) -> tuple[Floats, NDArray[np.bool_]]:
-    """Return the first point of a solid that a ray along -`up` hits within `reach`, and whether there is one."""
+    """Return the first point of a solid that a ray along -`up` hits within `reach` (mm), and whether there is such a point."""
     hits = SolidFeelers(volume).cast_feelers(start.T, -up.T, reach)
     place = start - up * np.where(hits.hit, hits.t, 0.0)[:, None]
     landed = volume.project(place, up, 2 * volume.voxel)

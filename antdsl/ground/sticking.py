@@ -1,6 +1,7 @@
-"""Sticking to surfaces by two rays per step. A scene with `stick: rays` uses this instead of walking over triangles.
+"""Sticking to surfaces by two rays per step. A scene with `stick: rays` uses this module instead of walking over triangles.
 
-The agent moves straight ahead. It is then placed at the first hit of a ray down or a ray ahead and up; without a hit it stays."""
+The agent moves straight ahead. It is then placed at the nearer hit of two rays: one down, one ahead and up. Without a hit it
+stays."""
 
 from __future__ import annotations
 
@@ -22,8 +23,8 @@ def move_by_rays(
 
     Ray 1 goes down, along minus the agent's up, from above its intended position. Ray 2 goes ahead, rotated 30 degrees upward
     about side = heading x up. The nearer hit is the new position, and the heading is normal x side (T. Kewlani, Art Directed Ant
-    Crowd Simulation in Houdini, section 4.3.8). In that source the text prefers the longer ray, the pseudo-code the nearest hit.
-    The longer one would pass through every wall that ray 2 hits.
+    Crowd Simulation in Houdini, section 4.3.8). The text of that section prefers the longer ray, its pseudo-code the nearest hit.
+    The longer ray would pass through every wall that ray 2 hits.
 
     `position` is the ray's hit in float32, so it is slightly off its face. An agent without a hit stays and is `blocked`."""
     known = footing.face >= 0
@@ -53,7 +54,8 @@ def move_by_rays(
 def _heading_along_face(vector: Floats, up: Floats, normal: Floats) -> Floats:
     """Return normal x side, where side = vector x up, as a unit vector perpendicular to the normal.
 
-    That is zero for a wall beside or in front of the agent. Then return the projection of the vector, or of up, onto the wall."""
+    For a wall beside or in front of the agent, normal x side is zero. Then return the projection of the vector, or of `up`, onto
+    the wall."""
     flat = stacked_cross(normal, stacked_cross(vector, up))
     for other in (vector, up):
         flat = np.where(dot(flat, flat) > _MIN_VECTOR_LENGTH, flat, other - dot(other, normal) * normal)

@@ -1,4 +1,4 @@
-"""The patterns as a Pygments lexer: `pygmentize file.ant`, and every tool that asks Pygments for the name `ant`."""
+"""The patterns as a Pygments lexer, for `pygmentize file.ant` and every tool that requests the lexer `ant` from Pygments."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ _TokenStream = Iterator[tuple[int, Any, str]]
 
 
 def token_type(name: str) -> Any:
-    """Pygments' type of token for a class."""
+    """Return the Pygments token type for a class of text, such as a keyword."""
     token: Any = Token
     for part in SCOPE_AND_TOKEN_BY_CLASS[name][1].split("."):
         token = getattr(token, part)
@@ -23,7 +23,7 @@ def token_type(name: str) -> Any:
 
 
 def _action(pattern: TokenPattern) -> Callable[[RegexLexer, Match[str]], _TokenStream]:
-    """Return an action that splits a match at the groups of its pattern. Text between the groups is blank."""
+    """Return an action that splits a match into the groups of its pattern. The text between the groups is blank."""
     types = [token_type(name) for name in pattern.classes]
 
     def action(lexer: RegexLexer, match: Match[str]) -> _TokenStream:
@@ -41,7 +41,7 @@ def _action(pattern: TokenPattern) -> Callable[[RegexLexer, Match[str]], _TokenS
 
 
 class AntLexer(RegexLexer):
-    """`.ant` programs of antdsl."""
+    """The lexer of `.ant` programs."""
 
     name = "antdsl"
     aliases: ClassVar[list[str]] = ["ant", "antdsl"]

@@ -1,7 +1,8 @@
-"""The elements of `.ant` text, as regular expressions that Python and Oniguruma read alike: the first match at a place wins.
+"""The elements of `.ant` text as regular expressions, in the common syntax of Python and Oniguruma. At each position, the first
+matching pattern wins.
 
-A word may be a keyword in one place and a name in another. The grammar decides by what may stand at a place; here the
-neighbouring text decides."""
+A word may be a keyword in one place and a name in another. The grammar decides by the tokens that are allowed at the place. Here
+the neighbouring text decides."""
 
 from __future__ import annotations
 

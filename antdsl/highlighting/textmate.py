@@ -1,4 +1,4 @@
-"""The patterns as a TextMate grammar: `python -m antdsl.highlighting.textmate` writes the files that ship."""
+"""The patterns as a TextMate grammar. `python -m antdsl.highlighting.textmate` writes the files that are shipped."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ GRAMMAR_FILES = (
 
 
 def scope(name: str) -> str:
-    """The scope of a class."""
+    """Return the TextMate scope for a class of text, such as a keyword."""
     return f"{SCOPE_AND_TOKEN_BY_CLASS[name][0]}.antdsl"
 
 
@@ -32,7 +32,7 @@ def _rule(pattern: TokenPattern) -> dict[str, Any]:
 
 
 def grammar_text() -> str:
-    """The grammar as JSON text."""
+    """Return the grammar as JSON text."""
     grammar = {
         "comment": "Made from the tables of the language by `python -m antdsl.highlighting.textmate`: change it there.",
         "name": "antdsl",

@@ -1,8 +1,9 @@
 """`python -m antdsl.machine_code.build_objects [--host]`: compile all kernels and texts of the package in advance.
 
-It writes a file for each target of `shipped`, or with `--host` only for that of this machine, into the installation. Building and
-installing the package run it. It needs NumPy and llvmlite only. Object files with existing keys are not compiled again: delete
-the folder to start from scratch. The same sources and LLVM give the same bytes: no time, path or order of work is in a file."""
+It writes one file into the installation for each target of `shipped`, or with `--host` only for this machine's target. The build
+and the installation of the package run it. It needs only NumPy and llvmlite. Objects with existing keys are not compiled again:
+delete the folder to start from scratch. The same sources and LLVM give the same bytes: no file depends on the time, a path or the
+compilation order."""
 
 from __future__ import annotations
 
@@ -26,10 +27,10 @@ _CompileTask = tuple[_QualifiedName, tuple[str, ...]]  # what is compiled, and f
 
 
 def build(folder: Path, entries: Sequence[library.LibraryEntry], targets: Iterable[str], processes: int = 1) -> int:
-    """Write the object files of targets into a folder, which is created. Return the number of files compiled: those that the
-    folder did not have.
+    """Write the object files of targets into a folder, which is created if needed. Return the number of newly compiled objects.
 
-    `entries` are kernels and texts; with several `processes`, those of the package."""
+    Objects that the folder already has are not compiled again. `entries` are the kernels and texts to compile. With several
+    `processes`, they must be those of the package."""
     keys: dict[str, dict[_QualifiedName, str]] = {}
     objects_by_target: dict[str, dict[str, bytes]] = {}
     for name in targets:
@@ -58,7 +59,7 @@ def _entry_key(entry: library.LibraryEntry) -> _QualifiedName:
 
 
 def _compile_tasks(tasks: list[_CompileTask], entries: Sequence[library.LibraryEntry], processes: int) -> Iterator[list[bytes]]:
-    """What each task gives, in their order."""
+    """Compile the tasks, and yield the object codes of each, in the order of the tasks."""
     if processes < 2 or len(tasks) < 2:
         known = {_entry_key(each): each for each in entries}
         for place, names in tasks:
@@ -75,7 +76,7 @@ def _compile_task(task: _CompileTask) -> list[bytes]:
 
 @cache
 def _library() -> dict[_QualifiedName, library.LibraryEntry]:
-    """The package's kernels and texts, in a process of the pool."""
+    """Return the package's kernels and texts by module and name, for a process of the pool."""
     return {_entry_key(each): each for each in library.load()}
 
 

@@ -1,4 +1,4 @@
-"""The code of a text: from memory, from the installation (`shipped`), from an earlier run (`object_cache`), or compiled now."""
+"""Finds or compiles the code of a text: from memory, the installation (`shipped`), an earlier run (`object_cache`), or LLVM."""
 
 from __future__ import annotations
 
@@ -15,8 +15,9 @@ _code_lock = Lock()
 
 
 def code(named: str, write: Callable[[], str] | None = None) -> machine.LoadedCode:
-    """Return the functions of a text, ready to run on this processor. With `write`, the text is the result of `write`, and
-    `named` is its unique name. Raises RuntimeError for an invalid text."""
+    """Return the functions of a text, ready to run on this processor. Raises RuntimeError for an invalid text.
+
+    Without `write`, `named` is the text. With `write`, `named` is a unique name of the text, and `write()` returns the text."""
     target = machine.host()
     key = object_cache.key(named, target, versions=object_cache.versions())
     with _code_lock:
@@ -36,7 +37,7 @@ def code(named: str, write: Callable[[], str] | None = None) -> machine.LoadedCo
 
 
 def is_available(named: str) -> bool:
-    """Return whether the code of a text, or of its name, is in memory or stored."""
+    """Return whether the code of a text, given by the text or its name, is in memory or stored."""
     target = machine.host()
     key = object_cache.key(named, target, versions=object_cache.versions())
     with _code_lock:
@@ -46,18 +47,19 @@ def is_available(named: str) -> bool:
 
 
 def _find_stored_code(named: str, target: machine.Target, key: str) -> bytes | None:
-    """Return the object file of a text: from the installation, or else from an earlier run, where it is stored under a key."""
+    """Return the object file of a text from the installation, or else the one that an earlier run stored under `key`; None if
+    neither has it."""
     shipped_object = shipped.find_object(named, target)
     return _objects().get(key) if shipped_object is None else shipped_object
 
 
 def stored(key: str) -> bytes | None:
-    """What `store` stored under a key, in this run or an earlier one."""
+    """Return the bytes stored under a key with `store`, in this run or an earlier one; None if there are none."""
     return _objects().get(key)
 
 
 def store(key: str, data: bytes) -> None:
-    """Store what belongs to code, as code is stored: signed."""
+    """Store data that belongs to code. The data is signed, as stored code is."""
     _objects().put(key, data)
 
 
@@ -67,7 +69,7 @@ def messages() -> list[str]:
 
 
 def forget() -> None:
-    """Release all code in memory that is not in use, as in a process that begins; the contents of folders stay."""
+    """Release all unused code in memory, as in a new process. The folders keep their contents."""
     with _code_lock:
         _code_by_key.clear()
     _objects.cache_clear()

@@ -1,7 +1,8 @@
 """Functions that are called from outside: each sets the processor's float mode, and restores it at the end.
 
-A host may flush denormal numbers to zero or round upward, and a thread inherits that mode from its creator. The outer function
-sets the mode register and calls an inner function that does the work. So no operation can be moved out of it."""
+A host may flush denormal numbers to zero or round upward, and a thread inherits that mode from its creator. So the outer function
+sets the mode register, and calls an inner function that does the work. The call keeps LLVM from moving an operation before the
+change of mode, or after its end."""
 
 from __future__ import annotations
 
@@ -13,15 +14,16 @@ _DEFAULT_MXCSR = 0x1F80  # of MXCSR: nothing is flushed, to nearest, no operatio
 
 
 def inner_text(module: LlvmModule, name: str, body: str, line_table: str = "") -> str:
-    """Return the text of a function of (table of addresses, first row, row after the last) with a given body. `line_table` is the
-    metadata of the body, if any."""
+    """Return the text of an inner function with a given body. Its parameters: table of addresses, first row, row after the last.
+
+    `line_table` is the debug metadata of the body, or empty."""
     inside = f"define internal void @{name}.inside({ENTRY_ARGUMENTS}) noinline{line_table} {{\nentry:\n{body}\n  ret void\n}}"
     return outer_text(module, name) + inside
 
 
 def outer_text(module: LlvmModule, name: str) -> str:
-    """Return the text of the function that is called from outside. It calls the function that does the work, named with `.inside`
-    at the end."""
+    """Return the text of the function that is called from outside. It calls the inner function, named with the suffix
+    `.inside`."""
     prologue, epilogue = _x86(module) if module.target.x86 else _arm(module) if module.target.arm else ("", "")
     call = f"  call void @{name}.inside({ENTRY_ARGUMENTS})"
     return f"define void @{name}({ENTRY_ARGUMENTS}) {{\nentry:\n{prologue}{call}\n{epilogue}  ret void\n}}\n"

@@ -32,8 +32,7 @@ def _operator(word: str, *, swapped: bool = False) -> Callable[[Lanes, Any], Lan
 
 
 class Lanes(Number):
-    """A number of a plan's function: one per agent for eight agents, or a single one. Operators broadcast a single number to all
-    lanes where the other operand is wide."""
+    """A number in a plan's function: one value for each of eight agents, or a single value that operators broadcast if needed."""
 
     __slots__ = ("e",)
     e: LaneBuilder
@@ -74,7 +73,7 @@ class Lanes(Number):
 
 
 class LaneBuilder(Vectors[Lanes]):
-    """Writer of one function. Blocks nest: values of an inner block are not known outside it, so `known` is a stack."""
+    """Writer of one function. Blocks nest: the values of an inner block are not known outside it, so `known` is a stack."""
 
     def __init__(self, module: LlvmModule) -> None:
         super().__init__("plan", "plan")
@@ -116,7 +115,7 @@ class LaneBuilder(Vectors[Lanes]):
 
     @contextmanager
     def loop(self, count: Lanes | int, step: int = 1) -> Iterator[Lanes]:
-        """Write a loop from 0 to below a single i64, by `step`; yield the loop number."""
+        """Write a loop from 0 to before `count`, a single i64, in steps of `step`. Yield the loop number."""
         head, body, end = self.label("head"), self.label("body"), self.label("done")
         place = self.slot(I64)
         self.put(place, self.constant(0, I64, 1))
@@ -133,7 +132,7 @@ class LaneBuilder(Vectors[Lanes]):
         self.begin(end)
 
     def get_or_make(self, key: Any, make: Callable[[], Any]) -> Any:
-        """Return a value that this block or an enclosing one already has; otherwise make it now."""
+        """Return the value of a key that this block or an enclosing one has made before; otherwise make it now."""
         for names in reversed(self.known):
             if key in names:
                 return names[key]
@@ -145,7 +144,7 @@ class LaneBuilder(Vectors[Lanes]):
         return self.op("call", kind, *arguments, x=f"@{name}", lanes=lanes)
 
     def apply_function(self, function: Any, *inputs: Any) -> Any:
-        """What a NumPy function does to lanes."""
+        """Return the result of a NumPy function for lanes; NotImplemented for an unsupported function."""
         return _EMITTER_BY_UFUNC[function](self, *inputs) if function in _EMITTER_BY_UFUNC else NotImplemented
 
     # --- values --------------------------------------------------------------------------------------------------------
@@ -155,11 +154,11 @@ class LaneBuilder(Vectors[Lanes]):
         return self.named_number(kind, text if lanes == 1 else f"splat ({kind} {text})", lanes, value)
 
     def iota(self) -> Lanes:
-        """The number of each lane."""
+        """Return the lane numbers, 0 in the first lane."""
         return self.named_number(I64, f"<{', '.join(f'i64 {k}' for k in range(LANE_COUNT))}>", LANE_COUNT)
 
     def _as_operand(self, value: Any, like: Lanes) -> Lanes:
-        """A value for an operation with another one: numbers of Python take its kind, as in NumPy."""
+        """Return a value as an operand for an operation with `like`. A Python number takes the kind of `like`, as in NumPy."""
         if isinstance(value, Lanes):
             return value
         kind = like.kind
@@ -170,7 +169,7 @@ class LaneBuilder(Vectors[Lanes]):
         return self.constant(value, kind, like.lanes)
 
     def match_kinds(self, a: Any, b: Any) -> tuple[Lanes, Lanes]:
-        """Convert two values to the kind of NumPy's result for both; both are wide if one is."""
+        """Convert two values to NumPy's common kind. If one has eight lanes, both get eight."""
         left, right = (a, self._as_operand(b, a)) if isinstance(a, Lanes) else (self._as_operand(a, b), b)
         if left.lanes != right.lanes:
             left, right = self.widened(left), self.widened(right)
@@ -186,18 +185,18 @@ class LaneBuilder(Vectors[Lanes]):
         return self.convert(left, kind), self.convert(right, kind)
 
     def binary(self, word: str, a: Any, b: Any) -> Lanes:
-        """An operation or a comparison of two values, by its name in `OPERATION_BY_NAME` without the letter for the kind."""
+        """Return the result of an operation or comparison, by its name in `OPERATION_BY_NAME` without the letter for the kind."""
         left, right = self.match_kinds(a, b)
         row = f"f{word}" if left.kind in kinds.FLOAT_KINDS else _INTEGER_COMPARISONS.get(word, word)
         return self.op(row, BOOL if word in _INTEGER_COMPARISONS else left.kind, left, right)
 
     def clamp(self, value: Lanes, low: Lanes, high: Lanes) -> Lanes:
-        """A value cut to bounds that are numbers."""
+        """Return a value limited to bounds, which must not be NaN."""
         above = self.where(value > low, value, low)
         return self.where(above < high, above, high)
 
     def is_nan(self, a: Lanes) -> Lanes:
-        """Where a value is NaN."""
+        """Return whether a value is NaN."""
         return self.op("fno", BOOL, a, a)
 
     def where(self, condition: Lanes, then: Any, other: Any) -> Lanes:
@@ -232,15 +231,15 @@ class LaneBuilder(Vectors[Lanes]):
         return self.convert(self.bits(value + _ROUNDING_MAGIC, I64), I32)
 
     def rounded_bits(self, value: Lanes) -> Lanes:
-        """A whole number of float64 below 2**51 as i64."""
+        """Return an integer in float64, below 2**51, as i64."""
         return self.bits(np.rint(value) + _ROUNDING_MAGIC, I64) - self.bits(self.constant(_ROUNDING_MAGIC, F64), I64)
 
     def bits(self, value: Lanes, kind: str) -> Lanes:
-        """The same bits as another kind of one width."""
+        """Return the same bits as another kind of equal width."""
         return self.op("bitcast", kind, value)
 
     def any_lane(self, mask: Lanes) -> Lanes:
-        """Whether a condition holds in some lane."""
+        """Return whether a condition holds in at least one lane."""
         return self.mask_bits(mask) != 0
 
     def mask_bits(self, mask: Lanes) -> Lanes:
@@ -248,47 +247,47 @@ class LaneBuilder(Vectors[Lanes]):
         return self.op("lanes", I8, mask, lanes=1)
 
     def mask_word(self, mask: Lanes) -> Lanes:
-        """The same as i64."""
+        """Return a condition as bits, as `mask_bits`, in one i64."""
         return self.op("zext", I64, self.mask_bits(mask))
 
     def from_bits(self, bits: Lanes) -> Lanes:
-        """A condition from the bits of one i8."""
+        """Return the condition that the bits of one i8 represent."""
         return self.op("mask", BOOL, bits, lanes=LANE_COUNT)
 
     def has_bit(self, word: Lanes, lane: Lanes) -> Lanes:
-        """Whether a bit of a single i64 is 1."""
+        """Return whether bit number `lane` of a single i64 is 1."""
         return self.op("trunc", BOOL, word >> lane)
 
     def lane_maximum(self, value: Lanes) -> Lanes:
-        """The greatest of eight whole numbers."""
+        """Return the greatest of eight integers."""
         return self.op("reduce.smax", value.kind, value, lanes=1)
 
     # --- memory --------------------------------------------------------------------------------------------------------
 
     def address(self, base: Number, index: Lanes | int, kind: str) -> Lanes:
-        """Where the element of a single index lies."""
+        """Return the address of the element at a single index."""
         if isinstance(index, int):
             index = self.constant(index, I64, 1)
         return self.op("element", PTR, base, index, x=kind)
 
     def field(self, base: Number, offset: int) -> Lanes:
-        """The address so many bytes behind another."""
+        """Return the address `offset` bytes after another one."""
         return self.address(base, offset, I8)
 
     def read(self, base: Number, index: Lanes | int, kind: str) -> Lanes:
-        """Read eight elements from an index on; for BOOL, bytes become conditions."""
+        """Load eight elements from a single index on; for BOOL, bytes become conditions."""
         stored = I8 if kind == BOOL else kind
         value = self.op("load", stored, self.address(base, index, stored), x=", align 1", lanes=LANE_COUNT)
         return self.convert(value, kind)
 
     def write(self, base: Number, index: Lanes | int, value: Lanes) -> None:
-        """Store eight elements from an index on; conditions become bytes."""
+        """Store eight elements from a single index on; conditions become bytes."""
         stored = self.as_stored(value)
         place = self.address(base, index, stored.kind)
         self.do("store", self.widened(stored), place, x=", align 1")
 
     def write_where(self, mask: Lanes, base: Number, index: Lanes, value: Lanes) -> None:
-        """Store those of eight elements for which a condition holds. No other code may write to the eight meanwhile."""
+        """Store the elements of the eight for which a condition holds. No other code may write to the eight meanwhile."""
         stored = self.as_stored(value)
         place = self.address(base, index, stored.kind)
         old_value = self.op("load", stored.kind, place, x=", align 1", lanes=LANE_COUNT)
@@ -307,8 +306,8 @@ class LaneBuilder(Vectors[Lanes]):
         return self.convert(self.load(self.address(base, index, stored), stored), kind)
 
     def gather(self, base: Number, index: Lanes, kind: str) -> Lanes:
-        """Load elements of an array at indices, which must be within it. It uses eight single loads, which are faster than the
-        gather instruction of many processors."""
+        """Load elements at indices within an array. Eight single loads are faster than the gather instruction of many
+        processors."""
         stored = I8 if kind == BOOL else kind
         each = (self.read_one(base, self.convert(self.one(index, lane), I64), stored) for lane in range(LANE_COUNT))
         return self.convert(self.combine_lanes(each), kind)
@@ -324,7 +323,7 @@ def elementwise(module: LlvmModule, name: str, kinds: tuple[str, ...], formula: 
 
 
 def _minimum(e: LaneBuilder, a: Any, b: Any) -> Lanes:
-    """The lesser; NaN where one is."""
+    """Return the lesser number; NaN if one of them is NaN."""
     left, right = e.match_kinds(a, b)
     output = e.where(left > right, right, left)
     return output if right.known is not None else e.where(e.is_nan(right), right, output)
@@ -337,7 +336,7 @@ def _maximum(e: LaneBuilder, a: Any, b: Any) -> Lanes:
 
 
 def _fmin(e: LaneBuilder, a: Any, b: Any) -> Lanes:
-    """The lesser; the other one where one is NaN."""
+    """Return the lesser number; if one of them is NaN, the other one."""
     left, right = e.match_kinds(a, b)
     return e.where(e.is_nan(right), left, e.where(left < right, left, right))
 
@@ -355,12 +354,12 @@ def _frexp(e: LaneBuilder, a: Lanes) -> tuple[Lanes, Lanes]:
 
 
 def _ldexp(e: LaneBuilder, a: Lanes, power: Lanes) -> Lanes:
-    """a times a power of 2 between -1022 and 1023."""
+    """Return a times 2**power, with a power between -1022 and 1023."""
     return a * e.bits((e.convert(power, I64) + 1023) << 52, F64)
 
 
 def _fmod(e: LaneBuilder, a: Any, b: Any) -> Lanes:
-    """Return the exact remainder, with the sign of a. Most values are less than b already; others are computed lane by lane."""
+    """Return the exact remainder, with the sign of a. Most values are already less than b; others are computed lane by lane."""
     left, right = e.match_kinds(a, b)
     result = e.slot(left.kind, LANE_COUNT)
     e.put(result, left)

@@ -1,7 +1,7 @@
-"""All machine code that the package itself has: its kernels (`@kernel`) and its texts (`@library_text`).
+"""All machine code of the package itself: its kernels (`@kernel`) and its texts (`@library_text`).
 
-`build_objects` compiles it in advance, on installation. Each kernel and text adds itself when its module is imported, and `load`
-imports the modules that have one: there is no list to maintain."""
+`build_objects` compiles it in advance, on installation. Each kernel and text adds itself when its module is imported. `load`
+imports all modules that have one, so there is no list to maintain."""
 
 from __future__ import annotations
 
@@ -21,8 +21,8 @@ _DECORATOR_PATTERN: Final = re.compile(rb"^@(kernel|library_text)\b", re.MULTILI
 
 
 class LibraryEntry(Protocol):
-    """A kernel or a text. `text_key` stands for its text in keys. Both may depend on the target; a text is empty for a processor
-    that cannot run it."""
+    """A kernel or a text of the package. `text_key` returns the text, or a name that identifies it. Both may depend on the
+    target. A text is empty for a processor that cannot run it."""
 
     __module__: str
     __name__: str
@@ -36,19 +36,19 @@ _library_entries: WeakSet[Any] = WeakSet()
 
 
 def add(entry: LibraryEntry) -> None:
-    """Add a kernel or a text, for as long as it exists."""
+    """Register a kernel or a text, for as long as the object exists."""
     _library_entries.add(entry)
 
 
 def modules() -> list[str]:
-    """The names of all modules of the package that have a kernel or a text, in order."""
+    """Return the names of all modules of the package that have a kernel or a text, in order."""
     package = Path(antdsl.__file__).parent
     paths = [path for path in package.rglob("*.py") if _DECORATOR_PATTERN.search(read_bounded(path, MIB))]
     return sorted(".".join(path.relative_to(package.parent).with_suffix("").parts) for path in paths)
 
 
 def load() -> list[LibraryEntry]:
-    """All kernels and texts of the package, in the order of their modules and names. Imports their modules."""
+    """Import all modules that have kernels or texts. Return these kernels and texts, in the order of their modules and names."""
     names = modules()
     for name in names:
         import_module(name)
@@ -60,12 +60,12 @@ def load() -> list[LibraryEntry]:
 
 
 def read_language(name: str) -> str:
-    """Return a file of the package in LLVM's language, with `$NAME$` for what its reader puts there."""
+    """Return a file of the package in LLVM's language. The caller replaces its placeholders `$NAME$`."""
     return (Path(__file__).parent / name).read_text(encoding="utf-8")
 
 
 class LibraryText:
-    """A function that writes a text of the package in LLVM's language for a target."""
+    """A text of the package in LLVM's language: the function that writes it for a target."""
 
     def __init__(self, write: Callable[[machine.Target], str]) -> None:
         self._write = write
@@ -77,12 +77,12 @@ class LibraryText:
     text = text_key = __call__
 
     def code(self) -> machine.LoadedCode:
-        """Its functions, ready to run on this processor."""
+        """Return the functions of the text, ready to run on this processor."""
         return codes.code(self(machine.host()))
 
 
 def library_text(write: Callable[[machine.Target], str]) -> LibraryText:
-    """A text of the package, of a function that writes it for a target."""
+    """Return and register the text that a function writes for a target."""
     entry = LibraryText(write)
     add(entry)
     return entry

@@ -1,6 +1,6 @@
-"""Machine code from text in the intermediate language of LLVM, by llvmlite: the one interface to it.
+"""Compiles text in LLVM's language to machine code, with llvmlite. No other module uses llvmlite.
 
-No flag lets LLVM change the result of a float operation: none of the fast-math flags, no contraction to fused operations."""
+No flag lets LLVM change the result of a float operation: no fast-math flags, no contraction to fused operations."""
 
 from __future__ import annotations
 
@@ -38,17 +38,17 @@ class Target:
 
     @property
     def avx2(self) -> bool:
-        """Whether it has these instructions."""
+        """Return whether the processor has AVX2."""
         return "+avx2" in self.features.split(",")
 
     @property
     def x86(self) -> bool:
-        """Whether it is an x86 of 64 bits."""
+        """Return whether the processor is a 64-bit x86."""
         return self.triple.partition("-")[0] in ("x86_64", "amd64")
 
     @property
     def arm(self) -> bool:
-        """Whether it is an ARM of 64 bits."""
+        """Return whether the processor is a 64-bit ARM."""
         return self.triple.partition("-")[0] in ("aarch64", "arm64")
 
 
@@ -56,7 +56,7 @@ PORTABLE_TARGET = Target("x86_64-unknown-linux-gnu", "x86-64-v3", "+avx2,-fma") 
 
 
 class MachineCodeUnavailable(RuntimeError):
-    """Error for machine code that is needed but cannot be compiled here; the message says why and what to do."""
+    """Error if machine code is needed but cannot be compiled on this machine. The message has the reason and the remedy."""
 
 
 @cache
@@ -70,7 +70,7 @@ def _llvm() -> Any:
 
 @cache
 def unavailable() -> str:
-    """Return why no code can be compiled here, and what to do about it; an empty string where it can."""
+    """Return why no code can be compiled on this machine, and the remedy; an empty string if code can be compiled."""
     try:
         import llvmlite
 
@@ -85,26 +85,26 @@ def unavailable() -> str:
 
 
 def is_available() -> bool:
-    """Whether code can be made here."""
+    """Return whether code can be compiled on this machine."""
     return not unavailable()
 
 
 def require() -> None:
-    """Raise NoMachineCode where no code can be made."""
+    """Raise MachineCodeUnavailable if no code can be compiled on this machine."""
     if why := unavailable():
         raise MachineCodeUnavailable(why)
 
 
 @cache
 def host() -> Target:
-    """This machine."""
+    """Return the target of this machine."""
     llvm = _llvm()
     features: Mapping[str, bool] = llvm.get_host_cpu_features()
     return Target(llvm.get_default_triple(), llvm.get_host_cpu_name(), format_features(features))
 
 
 def format_features(features: Mapping[str, bool]) -> str:
-    """Return a processor's features in LLVM's form, without those that could fuse instructions, except with 512-bit registers.
+    """Return a processor's features in LLVM's form, without features that could fuse instructions, except with 512-bit registers.
 
     Disabled features come last: one feature may imply another (`xop` implies `fma4`), and later entries override earlier ones."""
     missing = ("fma4",) if features.get(_DISABLED_WIDE_FEATURE) else _DISABLED_FUSED_FEATURES
@@ -113,7 +113,7 @@ def format_features(features: Mapping[str, bool]) -> str:
 
 
 def object_code(text: str, target: Target) -> bytes:
-    """Compile a text to an object file. Raises RuntimeError for an invalid text, which is a mistake of ours."""
+    """Compile a text to an object file. Raises RuntimeError for an invalid text, which is a mistake in antdsl."""
     with _LLVM_LOCK:
         machine, module = _optimised_module(text + _PROBE_MODULE_TEXT, target)
         code: bytes = machine.emit_object(module)
@@ -129,7 +129,7 @@ def assembly(text: str, target: Target) -> str:
 
 
 def _optimised_module(text: str, target: Target) -> tuple[Any, Any]:
-    """Return the code generator, and the functions of a text after the passes."""
+    """Return the code generator, and the module of a text after LLVM's passes."""
     llvm = _llvm()
     machine = _target_machine(target)
     module = llvm.parse_assembly(text)
@@ -164,13 +164,13 @@ def _target_machine(target: Target) -> Any:
 
 @dataclass(slots=True)
 class LoadedCode:
-    """Functions that can be called, with the objects that keep them in memory."""
+    """Callable functions, with the objects that keep their code in memory."""
 
     _engine: Any
     _functions: dict[str, Any] = field(default_factory=dict)
 
     def function(self, name: str) -> Any:
-        """A function of (table of pointers, first row, row after the last)."""
+        """Return a function of (table of pointers, first row, row after the last)."""
         if name not in self._functions:
             made = ctypes.CFUNCTYPE(None, ctypes.c_void_p, ctypes.c_int64, ctypes.c_int64)(self.place(name))
             made.code = self._engine  # type: ignore[attr-defined] # the function holds its code
@@ -178,7 +178,7 @@ class LoadedCode:
         return self._functions[name]
 
     def place(self, name: str) -> int:
-        """The address of a function."""
+        """Return the address of a function."""
         location: int = self._engine.get_function_address(name)
         return location
 
@@ -195,9 +195,10 @@ class LoadedCode:
 def load(code: bytes) -> LoadedCode:
     """Load an object file into memory, ready to run.
 
-    Code and constants are in one block (`use_lmm`): code refers to its constants by 32-bit offsets. In a process with gigabytes
-    of arrays, separate blocks may be further apart, and then LLVM ends the process. LLVM receives the file as the code of an
-    empty text. Otherwise it would compile that text, which takes three times as long as everything else."""
+    Code and constants are in one block (`use_lmm`), because code refers to its constants by 32-bit offsets. In a process with
+    gigabytes of arrays, separate blocks may be too far from each other, and then LLVM ends the process. LLVM receives the file as
+    the compiled code of an empty text. Otherwise it would compile that text, which takes three times as long as everything else.
+    """
     llvm = _llvm()
     with _LLVM_LOCK:
         loader = llvm.Target.from_triple(host().triple).create_target_machine(opt=0, reloc="pic", codemodel="default")

@@ -1,4 +1,4 @@
-"""Where arrays lie, for machine code that reads eight rows at once."""
+"""Padding and addresses of arrays, for machine code that reads eight rows at once."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ _address_of_char = ctypes.addressof
 
 
 def padded_copy(array: NDArray[Any]) -> NDArray[Any]:
-    """Return a copy followed by eight spare rows of zeros."""
+    """Return a copy that is followed by eight spare rows of zeros in memory."""
     padded = np.zeros((len(array) + LANE_COUNT, *array.shape[1:]), array.dtype)
     padded[: len(array)] = array
     view: NDArray[Any] = padded[: len(array)]
@@ -24,14 +24,14 @@ def padded_copy(array: NDArray[Any]) -> NDArray[Any]:
 
 
 def padded_rows(array: NDArray[Any], rows: NDArray[np.intp]) -> NDArray[Any]:
-    """Return the selected numbers of an array [n], followed by eight spare zeros."""
+    """Return the selected numbers of an array [n], followed by eight spare zeros in memory."""
     output = padded_empty(len(rows), array.dtype)
     array.take(rows, out=output, mode="clip")
     return output
 
 
 def padded_empty(count: int, dtype: np.dtype[Any]) -> NDArray[Any]:
-    """Return an uninitialised array [count], followed by eight spare zeros."""
+    """Return an uninitialised array [count], followed by eight spare zeros in memory."""
     padded = np.empty(count + LANE_COUNT, dtype)
     padded[count:] = 0
     view: NDArray[Any] = padded[:count]
@@ -39,7 +39,7 @@ def padded_empty(count: int, dtype: np.dtype[Any]) -> NDArray[Any]:
 
 
 def has_padding(array: NDArray[Any]) -> bool:
-    """Return whether an array is the start of one with eight more rows."""
+    """Return whether an array is the start of another one with eight more rows."""
     padded = array.base
     if not isinstance(padded, np.ndarray) or padded.ndim != 1 or padded.dtype != array.dtype or not array.flags.c_contiguous:
         return False
@@ -47,7 +47,7 @@ def has_padding(array: NDArray[Any]) -> bool:
 
 
 def address(array: NDArray[Any]) -> int:
-    """Return the start address of an array. Raises ValueError where it is not contiguous."""
+    """Return the start address of an array. Raises ValueError if the array is not contiguous."""
     try:
         return _address_of_char(_char_from_buffer(array))  # a third of the time of `array.ctypes.data`
     except (TypeError, ValueError):  # read-only, empty, or not in one piece

@@ -13,7 +13,7 @@ _NAME_PATTERN = re.compile(r"@[\w.]+")
 
 
 class LlvmModule:
-    """Texts of functions by name, and declarations of the LLVM functions that they call."""
+    """The texts of functions by name, and the declarations of the LLVM functions that they call."""
 
     def __init__(self, target: Target) -> None:
         self.target = target
@@ -25,15 +25,15 @@ class LlvmModule:
         self.declared.setdefault(f"@{name}", f"declare {result} @{name}({', '.join(arguments)})")
 
     def text(self) -> str:
-        """All of it."""
+        """Return the complete text."""
         return "\n".join((*self.declared.values(), *self.functions.values())) + "\n"
 
     def entries(self) -> list[str]:
-        """The functions that are called from outside."""
+        """Return the names of the functions that are called from outside."""
         return [name for name, text in self.functions.items() if text.startswith("define void")]
 
     def unit(self, entry: str) -> str:
-        """A function with all that it calls, which can be compiled without the others."""
+        """Return the text of a function and of all functions that it calls. It can be compiled without the others."""
         output: dict[str, set[str]] = {}
         coming = [entry]
         while coming:

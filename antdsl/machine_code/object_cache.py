@@ -1,9 +1,9 @@
-"""Results that are stored from run to run: key → bytes, from memory or a folder. Mainly the object files that LLVM made.
+"""A cache of results across runs: key → bytes, in memory or in a folder. The results are mainly object files from LLVM.
 
-Files in the folder are run, or read by code that trusts them. So each begins with a signature that only this user's antdsl can
-make on this machine (`signing`). A file without a valid one is never used, wherever it comes from and wherever the folder is. It
-is removed and the result computed again. Without a key or folder, code stays in memory and `messages` says why. Nothing is
-raised, whatever the file system does."""
+Files in the folder are executed, or read by code that trusts them. So each begins with a signature that only this user's antdsl
+can make on this machine (`signing`). A file without a valid signature is never used, wherever the file or the folder comes from.
+It is removed, and the result is computed again. Without a signing key or a folder, code stays in memory and `messages` reports
+why. No file system error is raised."""
 
 from __future__ import annotations
 
@@ -44,8 +44,12 @@ ABI_VERSION: Final = "1"  # of calls: another number where code finds its argume
 
 
 class StoreKind(NamedTuple):
-    """Kind of a cache: its folder in that of antdsl, the environment variable that overrides it, the suffix of its files, and
-    words for messages."""
+    """A kind of cache.
+
+    - `folder`: its folder within antdsl's cache folder
+    - `variable`: the environment variable that overrides the folder
+    - `ending`: the suffix of its files
+    - other fields: words for messages"""
 
     folder: str
     variable: str
@@ -72,8 +76,10 @@ CODE_STORE: Final = StoreKind(
 
 
 def key(text: str, target: Target, *, versions: tuple[str, ...]) -> str:
-    """Return the key of the object file for a text and a target: 64 hexadecimal digits. `versions` is the result of `versions()`.
-    The data layout follows from the triple and LLVM's version."""
+    """Return the key of the object file for a text and a target: 64 hexadecimal digits.
+
+    `versions` is the result of `versions()`. The key need not contain the data layout, which follows from the triple and LLVM's
+    version."""
     hashed = blake2b(digest_size=32)
     for part in (text, target.triple, target.cpu, target.features, *versions):
         data = part.encode("utf-8", "surrogatepass")
@@ -99,7 +105,8 @@ def code_versions() -> tuple[str, ...]:
 
 @cache
 def versions() -> tuple[str, ...]:
-    """Return the code versions, and others that may change a text or its compilation: antdsl, llvmlite, Python and NumPy."""
+    """Return the versions of `code_versions`, and others that may change a text or its compilation: antdsl, llvmlite, Python and
+    NumPy."""
     import llvmlite
     import numpy as np
 
@@ -110,13 +117,14 @@ def versions() -> tuple[str, ...]:
 
 
 class ObjectCache:
-    """Object files in a folder, found by key. Safe for several threads; a folder may be shared by several processes and users.
-    Files are written atomically, and no user finds the names of another.
+    """Object files in a folder, by key. Several threads may use one cache; several processes and users may share a folder. Files
+    are written atomically, and no user can derive the file names of another.
 
-    `folder`: None means the folder in the environment variable of its `kind`, or no folder if that is empty. Without the
-    variable, it is the kind's folder in the user's cache folder. `cap`: bytes of all files in it; the least recently used are
-    removed first. `largest`: bytes of one result. `messages`: sentences for the user on why something is not stored or was not
-    used, each once."""
+    - `folder`: None means the folder in the environment variable of the `kind`, or no folder if the variable is empty. Without
+      the variable, it is the kind's folder in the user's cache folder.
+    - `cap`: the maximum size of all files together, in bytes; the least recently used are removed first
+    - `largest`: the maximum size of one result, in bytes
+    - `messages`: sentences for the user on why a result is not stored or was not used, each once"""
 
     def __init__(
         self, folder: Path | None = None, *, kind: StoreKind = CODE_STORE, cap: int = MAX_CACHE_BYTES, largest: int | None = None
@@ -143,7 +151,7 @@ class ObjectCache:
             self._folder = None
 
     def get(self, key: str) -> bytes | None:
-        """Return the object file of a key of `key`, or None. Raises ValueError for an invalid key."""
+        """Return the object file of a key, or None. Raises ValueError for a string that is not a key."""
         _require_key(key)
         with self._lock:
             if key in self._memory:
@@ -153,7 +161,7 @@ class ObjectCache:
         return None if self._folder is None or signer is None else self._read(self._folder, signer, key)
 
     def put(self, key: str, code: bytes) -> None:
-        """Store an object file, in memory where no folder is available. Raises ValueError for an invalid key."""
+        """Store an object file; without a folder, in memory. Raises ValueError for a string that is not a key."""
         _require_key(key)
         signer = self._signer_of(create=True)
         if self._folder is None or signer is None or not self._write(self._folder, signer, key, code):
@@ -164,12 +172,13 @@ class ObjectCache:
                     self._memory.popitem(last=False)
 
     def prepare(self) -> None:
-        """Create the user's key and the folder, so that `messages` reports obstacles."""
+        """Create the user's signing key and the folder now, so that `messages` reports errors early."""
         if self._signer_of(create=True) is not None and self._folder is not None:
             self._make_folder(self._folder)
 
     def _signer_of(self, *, create: bool) -> signing.Signer | None:
-        """Return the user's signer, read once. Where there can be none, the folder is not tried again."""
+        """Return the user's signer, read once; None if there is none. After an error, which is reported, the folder is no longer
+        used."""
         folder = self._folder
         if self._signer is None and folder is not None:
             try:
@@ -181,7 +190,7 @@ class ObjectCache:
         return self._signer
 
     def _read(self, folder: Path, signer: signing.Signer, key: str) -> bytes | None:
-        """Return the code in a file; None where there is none, or where it cannot be trusted, which is reported."""
+        """Return the code in a file. Return None if there is no file, or if it cannot be trusted, which is reported."""
         path = folder / (signer.name(key) + self._kind.ending)
         try:
             handle = open_regular(path, follow=False)
@@ -247,7 +256,7 @@ class ObjectCache:
 
 
 def _remove_oldest(folder: Path, cap: int, keep: str) -> None:
-    """Remove the least recently used files until at most `cap` bytes are left, and leftovers of killed runs.
+    """Remove the least recently used files until at most `cap` bytes are left. Remove also the temporary files of killed runs.
 
     Files with other names stay. Files that another run removes meanwhile, or that belong to another user of a shared folder, are
     skipped."""

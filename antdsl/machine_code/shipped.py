@@ -1,9 +1,9 @@
-"""Object files of the package's own kernels and texts, compiled when the package was installed: `build_objects` writes them.
+"""Object files of the package's own kernels and texts, which `build_objects` compiled when the package was installed.
 
-There is one file per target in the folder `objects` of this package: an index (key → position, size, hash), then the object
-files. Object code is executed, so these files are read from the installation only. No variable, option or working directory names
-another folder. Each object file is compared with its hash before it is used. A file for another version of LLVM, of the texts or
-of the sources has other keys, so nothing of it is found. Nothing is raised, whatever the file system does."""
+The folder `objects` of this package has one file per target: an index (key → position, size, hash), then the object files. Object
+code is executed, so these files are read from the installation only. No variable, option or working directory can name another
+folder. Each object file is compared with its hash before use. Files for other versions of LLVM, the texts or the sources have
+other keys, so they are never used. No file system error is raised."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ TARGET_BY_NAME: Final[Mapping[str, Target]] = {
 
 @cache
 def target_name(host: Target) -> str | None:
-    """Return the name of the target with code that runs on a processor with the same bits as native code; None if there is
+    """Return the name of a shipped target that this processor can run, with the same result bits as native code; None if there is
     none."""
     if "linux" not in host.triple:
         return None
@@ -74,23 +74,23 @@ def _present_features(target: Target) -> set[str]:
 
 
 def key(named: str, target: Target) -> str:
-    """Return the key of the object file for a text, or for its name, and a target."""
+    """Return the key of an object file, for a text or its name, and a target."""
     return object_cache.key(named, target, versions=object_cache.code_versions())
 
 
 def find_object(named: str, host: Target) -> bytes | None:
-    """Return the object file for a text, or for its name, on this processor; None where the installation has none."""
+    """Return the object file for this processor, by a text or its name; None if the installation has none."""
     name = target_name(host)
     return None if name is None else _open_objects(OBJECTS_FOLDER, name).get(key(named, TARGET_BY_NAME[name]))
 
 
 def file_of(folder: Path, name: str) -> Path:
-    """The file of a target, by its name."""
+    """Return the path of a target's file."""
     return folder / f"{name}.objects"
 
 
 def messages() -> list[str]:
-    """Sentences for the user on why object files of the installation are not used, each once."""
+    """Return sentences for the user on why object files of the installation are not used, each once."""
     return (
         [] if _damaged_file is None else [f"compiled code in `{printable(str(_damaged_file))}` is damaged: install antdsl again"]
     )
@@ -109,7 +109,7 @@ def _open_objects(folder: Path, name: str) -> ObjectFile:
 
 
 class ObjectFile:
-    """The object files in one file, by key. Its index is read once. A file that is missing or of another form has none."""
+    """The object files in one file, by key. Its index is read once. A missing or invalid file counts as empty."""
 
     def __init__(self, path: Path) -> None:
         self._path = path
@@ -136,7 +136,7 @@ class ObjectFile:
         return len(self._index)
 
     def get(self, key: str) -> bytes | None:
-        """The object file of a key; None where there is none, or a damaged one."""
+        """Return the object file of a key; None if there is none, or if it is damaged."""
         entry = self._index.get(bytes.fromhex(key))
         if entry is None:
             return None
@@ -154,7 +154,7 @@ class ObjectFile:
 
 
 def pack_objects(codes: Mapping[str, bytes]) -> bytes:
-    """The content of a file with these object files, by key. It depends on nothing else."""
+    """Return the content of a file with these object files, by key. The content depends on nothing else."""
     index, position = [], 0
     for key, code in sorted(codes.items()):
         index.append(_ENTRY_STRUCT.pack(bytes.fromhex(key), position, len(code), _hash(code)))

@@ -1,7 +1,8 @@
 """Signatures of stored machine code with a secret key of the user, so that code from any other source is never run.
 
-The key is 32 random bytes in a file that only the user may read, below the home folder in the password database. The signing key
-is derived from it, the user's number and the machine's. So a copied key and cache are useless elsewhere."""
+The key is 32 random bytes in a file that only the user may read, below the user's home folder in the password database. The
+signing key is derived from these bytes, the user's number and the machine's identifier. So a copy of key and cache is useless
+elsewhere."""
 
 from __future__ import annotations
 
@@ -27,7 +28,7 @@ _MACHINE_ID_FILES = ("/etc/machine-id", "/var/lib/dbus/machine-id", "/etc/hostid
 
 
 class Signer:
-    """Makes and checks signatures with a key that is derived from `secret`, this user and this machine."""
+    """Makes and checks signatures, with a key that is derived from `secret`, this user and this machine."""
 
     def __init__(self, secret: bytes) -> None:
         user = os.geteuid() if hasattr(os, "geteuid") else os.environ.get("USERNAME", "")
@@ -38,26 +39,26 @@ class Signer:
         return blake2b(key.encode(), key=self._key, digest_size=32, person=b"name").hexdigest()
 
     def sign(self, key: str, data: bytes) -> bytes:
-        """The signature of data that is stored under a key."""
+        """Return the signature of data that is stored under a key."""
         hashed = blake2b(key.encode() + b"\0", key=self._key, digest_size=SIGNATURE_BYTES, person=b"content")
         hashed.update(data)
         return hashed.digest()
 
     def is_signed(self, key: str, data: bytes, signature: bytes) -> bool:
-        """Return whether `sign` produced this signature, in constant time."""
+        """Return whether a signature is the result of `sign` for this data. The comparison takes constant time."""
         return compare_digest(self.sign(key, data), signature)
 
 
 def key_file() -> Path:
-    """Return the path of the key. Raises OSError where there is no home folder."""
+    """Return the path of the key file. Raises OSError if there is no home folder."""
     return cache_folder() / "antdsl" / "key"
 
 
 def signer(*, create: bool) -> Signer | None:
-    """Return the signer of this user; None where there is no usable key and `create` is false.
+    """Return the signer of this user; None if there is no usable key and `create` is false.
 
-    With `create`, a missing key is created, and a key that others may know, or of another length, is replaced. OSError says why
-    no key is possible."""
+    With `create`, a missing key is created. A key that has another length, or that others may know, is replaced. Raises OSError
+    with the reason if no key is possible."""
     path = key_file()
     for attempt in range(_MAX_KEY_ATTEMPTS):
         try:

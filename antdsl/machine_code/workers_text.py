@@ -1,12 +1,15 @@
-"""A job on several threads, as text in LLVM's language: workers wait for one without holding the interpreter's lock.
+"""A job on several threads, as text in LLVM's language. Workers wait for a job without holding the interpreter's lock.
 
-A job has a number of parts, and any free thread takes the next. One word, `left`, holds how many there are (its low half, which
-counts down to 0) and the first of them (its high half). It changes atomically. The caller takes the first part, a worker the last
-one. So each thread mostly has the same agents in one job after another, and finds in its cache what it has written of them. The
-description of a job is written before `left` is raised. No other job comes before `done` has counted all of its parts, so a
-thread that has taken a part may read it. A worker polls `left` for some turns, then sleeps on a separate lock (CPython's, which
-need no interpreter). A thread that wakes a sleeper lowers its flag first, so that each lock is released once for each wait. A
-wake-up takes longer than all else: the caller wakes the first worker, and each of them two more."""
+A job has a number of parts, and any free thread takes the next part. The word `left` changes atomically. Its low half is the
+number of parts left, which counts down to 0; its high half is the first part left. The caller takes the first part, a worker the
+last one. So each thread mostly processes the same agents in consecutive jobs, and has their data in its cache.
+
+The description of a job is written before `left` is raised. No other job starts before `done` has counted all parts of this one,
+so a thread that has taken a part may read the description.
+
+A worker polls `left` for some turns, then sleeps on its own lock (one of CPython's, which needs no interpreter). A thread that
+wakes a worker lowers that worker's flag first, so that each lock is released once per wait. A wake-up takes longer than
+everything else: the caller wakes the first worker, and each woken worker wakes two more."""
 
 from __future__ import annotations
 
@@ -36,17 +39,20 @@ PART_ALIGNMENT = 16  # parts of a kernel begin at multiples of it: at whole regi
 def code() -> machine.LoadedCode:
     """Return the code of the workers' functions.
 
-    `run(pool, code, table, words, parts)` does a job together with the workers: a kernel's code for numbers from 0 to the last
-    word of its table. The last two words of the table say where a part begins and ends. Other jobs are prepared before: their
-    table lists the three words of the call for each part. `all(pool, 0, 0)` does one. `start(pool, 0, 0)` lets the workers begin
-    with one. `finish(pool, 0, 0)` takes back the parts that are still free, and waits for the rest. `worker(pool, its number, 0)`
-    returns once `end(pool, 0, 0)` has been called. `turns(pool, count, 0)` waits for `count` turns."""
+    - `run(pool, code, table, words, parts)` does a job together with the workers: a kernel's code for the numbers from 0 to the
+      last word of its table. The last two words of the table are the begin and end of a part.
+    - Other jobs are prepared in advance: their table has three words for each part, the arguments of its call.
+    - `all(pool, 0, 0)` does a prepared job.
+    - `start(pool, 0, 0)` lets the workers begin with a prepared job.
+    - `finish(pool, 0, 0)` takes back the parts that no thread has taken, and waits for the others.
+    - `worker(pool, number, 0)` runs worker `number`, and returns after `end(pool, 0, 0)` has been called.
+    - `turns(pool, count, 0)` waits for `count` turns."""
     return text.code()
 
 
 @library_text
 def text(target: machine.Target) -> str:
-    """What is compiled, in LLVM's language."""
+    """Return the text to compile, in LLVM's language."""
     pause = (
         "  call void @llvm.x86.sse2.pause()\n" if target.x86 else "  call void @llvm.aarch64.hint(i32 1)\n" if target.arm else ""
     )

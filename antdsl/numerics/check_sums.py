@@ -1,11 +1,11 @@
-"""CRC-32, as zip files and `zlib` have it, by products without carry where the processor has them.
+"""CRC-32, as in zip files and `zlib`, by carry-less products if the processor has them.
 
 The method is that of V. Gopal, E. Ozturk, J. Guilford, G. Wolrich, W. Feghali, M. Dixon, D. Karakoyunlu, Fast CRC Computation for
-Generic Polynomials Using PCLMULQDQ Instruction, Intel 2009. The data so far is represented by four registers with the same
-remainder. To advance by a number of bits, each half of 16 bytes of them is multiplied by the remainder of x to that power. The
-rest at the end, 16 bytes and fewer than 16 more, goes byte by byte by a table. A register has 16 bytes. It has 64 where the
-products of as many are made at once (VPCLMULQDQ) and registers of that width slow nothing down (`machine`). This is almost three
-times as fast."""
+Generic Polynomials Using PCLMULQDQ Instruction, Intel 2009. Four registers represent the data so far: they have the same
+remainder. They consist of blocks of 16 bytes. To advance a block by n bits, each half of it is multiplied by the remainder of
+x**n. The last 16 bytes of state, and the fewer than 16 bytes of data after it, are processed byte by byte with a table. A
+register has 16 bytes. It has 64 if the processor multiplies 64 bytes at once (VPCLMULQDQ) and registers of that width slow
+nothing down (`machine`). This is almost three times as fast."""
 
 from __future__ import annotations
 
@@ -44,8 +44,9 @@ _CARRYLESS_FEATURE, _WIDE_FEATURES = (
 
 
 def crc32(data: bytes | memoryview, previous_crc: int = 0) -> int:
-    """Return the CRC-32 of `data` (contiguous bytes). With `previous_crc`, the CRC-32 of the preceding bytes, return that of both
-    together."""
+    """Return the CRC-32 of `data` (contiguous bytes).
+
+    If `previous_crc` is the CRC-32 of the preceding bytes, the result is the CRC-32 of these bytes and `data` together."""
     data = memoryview(data).cast("B")
     if len(data) < MIN_BYTES_FOR_KERNEL:
         return zlib.crc32(data, previous_crc)
@@ -55,8 +56,9 @@ def crc32(data: bytes | memoryview, previous_crc: int = 0) -> int:
 
 @cache
 def _fold() -> Callable[[NDArray[np.uint8], int], int] | None:
-    """Return a function that continues a CRC-32 over an array [n] of at least one stride. None where the processor has no
-    carry-less products, or nothing can be compiled."""
+    """Return a function that continues a CRC-32 over an array [n] of at least one stride.
+
+    None if the processor has no carry-less products, or if nothing can be compiled."""
     if not machine.is_available():
         return None
     target = machine.host()
@@ -96,7 +98,7 @@ def _power_remainder(bits: int) -> int:
 
 
 def _table() -> str:
-    """What each byte leaves."""
+    """Return the table of the CRC-32 remainder of each byte, in LLVM's language."""
     entries = []
     for byte in range(256):
         for _ in range(8):
@@ -107,11 +109,10 @@ def _table() -> str:
 
 @library_text
 def text(target: machine.Target) -> str:
-    """Return the compiled text in LLVM's language: a function of a table with an address, a byte count (at least one stride) and
-    the CRC-32 of the preceding bytes.
+    """Return the text to compile, in LLVM's language: a function of a table with an address, a number of bytes and a CRC-32.
 
-    The function stores the combined CRC-32 in the first word of the table. The text is empty where the processor has no
-    carry-less products."""
+    The number of bytes is at least one stride. The CRC-32 is that of the preceding bytes. The function stores the combined CRC-32
+    in the first word of the table. The text is empty if the processor has no carry-less products."""
     if not has_carryless_products(target):
         return ""
     module, many = LlvmModule(target), blocks_per_register(target)
@@ -140,9 +141,10 @@ def text(target: machine.Target) -> str:
         return put(f"xor {kind} {put(f'xor {kind} {low}, {high}')}, {onto}")
 
     def going_on(label: str, previous: str, first: Sequence[str], step: int, turn: Callable[[str, str], str]) -> tuple[str, str]:
-        """Write a loop while there are `step` more bytes, behind the block `before`. `first`: the first position, and the type
-        and value of the state. `turn` computes the next state from a state and the address of bytes. Return the position and the
-        state behind the loop."""
+        """Write a loop that runs while there are `step` more bytes, after the block `previous`.
+
+        `first`: the first position, and the type and value of the state. `turn` computes the next state from a state and the
+        address of bytes. Return the position and the state after the loop."""
         kind = first[1]
         lines.append(f"  br label %{label}\n{label}:")
         lines.append(f"  %{label}.at = phi i64 [ {first[0]}, %{previous} ], [ %{label}.next, %{label}.turn ]")

@@ -1,9 +1,9 @@
-"""sin, cos, exp, log, pow and atan2 of float32, made of basic float64 operations alone.
+"""sin, cos, exp, log, pow and atan2 of float32, computed by basic float64 operations alone.
 
-Add, multiply, divide and round are exact to the last bit on every machine and the same for scalars and arrays; the libraries'
-own transcendentals are not. Errors stay below one unit in the last place of float32 (tests/numerics/test_runtime_kernels.py).
-Reductions and series: W. J. Cody and W. Waite, Software Manual for the Elementary Functions, 1980, chapters 5 to 8 and 11.
-"""
+Addition, multiplication, division and rounding give the same bits on every machine, for scalars and arrays alike. The
+transcendental functions of libraries do not. Errors stay below one unit in the last place of float32
+(tests/numerics/test_runtime_kernels.py). Reductions and series: W. J. Cody and W. Waite, Software Manual for the Elementary
+Functions, 1980, chapters 5 to 8 and 11."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ def _series(x: FloatValue, coefficients: tuple[float, ...]) -> FloatValue:
 
 
 def _quarter_turns(x: FloatValue) -> tuple[FloatValue, FloatValue]:
-    """The angle as (remainder within an eighth of a turn, number of quarter turns 0 .. 3)."""
+    """Split an angle (rad) into a remainder within an eighth of a turn, and the number of quarter turns, 0 .. 3."""
     wide_x = _widen(x)
     usual = np.abs(wide_x) < LARGE_ANGLE
     wide: FloatValue = wide_x if np.all(usual) else np.where(usual, wide_x, np.fmod(wide_x, 2.0 * PI))
@@ -54,14 +54,15 @@ def _quarter_turns(x: FloatValue) -> tuple[FloatValue, FloatValue]:
 
 
 def _sine_cosine(x: FloatValue) -> tuple[FloatValue, FloatValue, FloatValue]:
-    """Return the sine and cosine of the reduced angle, and its quarter turns."""
+    """Return the sine and cosine of the reduced angle, and its number of quarter turns."""
     rest, quarter = _quarter_turns(x)
     square = rest * rest
     return rest * _series(square, SIN_COEFFICIENTS), _series(square, COS_COEFFICIENTS), quarter
 
 
 def sin(x: FloatValue) -> FloatValue:
-    """Sine; NaN where the angle is not finite. Angles above 1e6 are reduced by 2 pi as float64 holds it."""
+    """Return the sine of an angle (rad); NaN if the angle is not finite. Angles above 1e6 are reduced by 2 pi as float64
+    represents it."""
     if np.ndim(x) == 0:
         return _single_value(wide_sin, np.float64(x).tobytes())
     values = _by_kernel("sines", x)
@@ -69,7 +70,7 @@ def sin(x: FloatValue) -> FloatValue:
 
 
 def cos(x: FloatValue) -> FloatValue:
-    """Cosine; as `sin`."""
+    """Return the cosine of an angle (rad), with the properties of `sin`."""
     if np.ndim(x) == 0:
         return _single_value(wide_cos, np.float64(x).tobytes())
     values = _by_kernel("cosines", x)
@@ -77,14 +78,14 @@ def cos(x: FloatValue) -> FloatValue:
 
 
 def wide_sin(x: FloatValue) -> FloatValue:
-    """Sine as float64, to about 1e-13."""
+    """Return the sine of an angle (rad) as float64, to about 1e-13."""
     sine, cosine, quarter = _sine_cosine(x)
     value: FloatValue = np.where((quarter == 1.0) | (quarter == 3.0), cosine, sine)
     return np.where(quarter >= 2.0, -value, value)
 
 
 def wide_cos(x: FloatValue) -> FloatValue:
-    """Cosine as float64, to about 1e-13."""
+    """Return the cosine of an angle (rad) as float64, to about 1e-13."""
     sine, cosine, quarter = _sine_cosine(x)
     value: FloatValue = np.where((quarter == 1.0) | (quarter == 3.0), sine, cosine)
     return np.where((quarter == 1.0) | (quarter == 2.0), -value, value)
@@ -99,7 +100,7 @@ def _exp_wide(wide: FloatValue) -> FloatValue:
 
 
 def _log_wide(wide: FloatValue) -> FloatValue:
-    """Natural logarithm of float64 above 0; -inf at 0, NaN below."""
+    """Return the natural logarithm of a float64; -inf at 0, NaN below."""
     usual = (wide > 0.0) & (wide < np.inf)
     mantissa, power = np.frexp(np.where(usual, wide, 1.0))
     low = mantissa < SQRT_HALF
@@ -112,7 +113,7 @@ def _log_wide(wide: FloatValue) -> FloatValue:
 
 
 def exp(x: FloatValue) -> FloatValue:
-    """e to the x."""
+    """Return e to the power x."""
     if np.ndim(x) == 0:
         return _single_value(_exp_wide, np.float64(x).tobytes())
     values = _by_kernel("exponentials", x)
@@ -120,14 +121,14 @@ def exp(x: FloatValue) -> FloatValue:
 
 
 def log(x: FloatValue) -> FloatValue:
-    """Natural logarithm; -inf at 0, NaN below."""
+    """Return the natural logarithm; -inf at 0, NaN below."""
     values = _by_kernel("logarithms", x)
     return _narrow(_log_wide(_widen(x))) if values is None else values
 
 
 def power(a: FloatValue, b: FloatValue) -> FloatValue:
-    """Return a to the power b. For a negative a, b must be an integer (else NaN). Anything to the 0 is 1, and 1 to anything is
-    1."""
+    """Return a to the power b. For a negative a, b must be an integer, otherwise the result is NaN. a**0 is 1, and 1**b is 1, for
+    any a and b."""
     wide_a, wide_b = _widen(a), _widen(b)
     value = _exp_wide(wide_b * _log_wide(np.abs(wide_a)))
     is_integer = np.floor(wide_b) == wide_b
@@ -137,13 +138,13 @@ def power(a: FloatValue, b: FloatValue) -> FloatValue:
 
 
 def atan2(y: FloatValue, x: FloatValue) -> FloatValue:
-    """Angle of (x, y) from the x axis, -pi .. pi; 0 for (0, 0)."""
+    """Return the angle of (x, y) from the x axis in rad, -pi .. pi; 0 for (0, 0)."""
     values = _by_kernel("angles", y, x)
     return _narrow(wide_atan2(y, x)) if values is None else values
 
 
 def wide_atan2(y: FloatValue, x: FloatValue) -> FloatValue:
-    """The same as float64, to about 1e-13."""
+    """Return the angle of `atan2` as float64, to about 1e-13."""
     wide_y, wide_x = _widen(y), _widen(x)
     high, low = np.maximum(np.abs(wide_y), np.abs(wide_x)), np.minimum(np.abs(wide_y), np.abs(wide_x))
     ratio = low / np.where(high == 0.0, 1.0, high)
@@ -166,13 +167,15 @@ def _narrow(x: FloatValue) -> FloatValue:
 
 @lru_cache(1024)
 def _single_value(wide: Callable[[FloatValue], FloatValue], number: bytes) -> FloatValue:
-    """Return the cached value of a function of one float64. The key is the bytes of the number, to distinguish -0: most numbers
-    are the same in every step."""
+    """Return the cached value of a function of one float64. The key is the bytes of the number, which distinguish -0 from 0.
+
+    The cache is useful because most numbers are the same in every step."""
     return _narrow(wide(np.frombuffer(number)[0]))
 
 
 def _by_kernel(loop: str, *values: FloatValue) -> FloatValue | None:
-    """Compute the function for arrays by a kernel; None where no kernel takes such values, or where a value is special."""
+    """Return the result of the function for arrays, computed by a kernel. None if no kernel accepts these values, or if a value
+    is special."""
     one = values[0]
     if not all(isinstance(v, np.ndarray) and v.dtype == np.float32 and v.ndim == 1 and v.size == one.size for v in values):
         return None

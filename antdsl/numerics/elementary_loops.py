@@ -1,4 +1,5 @@
-"""`elementary` for one number at a time, in compiled loops: the same float64 operations in the same order, so the same bits."""
+"""The functions of `elementary` for one number at a time, in compiled loops: the same float64 operations in the same order, so
+the same bits."""
 
 from __future__ import annotations
 
@@ -44,7 +45,7 @@ def _series(x: F64, coefficients: Any) -> F64:
 
 @inlined
 def cos_sin(x: F32) -> tuple[F32, F32]:
-    """Cosine and sine, float32, of an angle below 1e6."""
+    """Return the cosine and sine, float32, of an angle below 1e6 rad."""
     wide = np.float64(x)
     turns = np.rint(wide * TWO_OVER_PI)
     rest = (wide - turns * HALF_PI_HIGH) - turns * HALF_PI_LOW
@@ -58,7 +59,7 @@ def cos_sin(x: F32) -> tuple[F32, F32]:
 
 @inlined
 def atan2(y: F32, x: F32) -> F32:
-    """Angle of (x, y), float32, of finite float32."""
+    """Return the angle of (x, y) in rad, float32, for finite float32 numbers."""
     wide_y, wide_x = np.float64(y), np.float64(x)
     high, low = max(abs(wide_y), abs(wide_x)), min(abs(wide_y), abs(wide_x))
     ratio = low / (1.0 if high == 0.0 else high)
@@ -74,7 +75,7 @@ def atan2(y: F32, x: F32) -> F32:
 
 @inlined
 def _all_between(x: Array1[F32], least: F64, most: F64) -> BOOL:
-    """Whether all numbers lie between two others."""
+    """Return whether all numbers lie between `least` and `most`."""
     usual = True
     for k in range(x.size):
         usual &= np.float64(x[k]) > least and np.float64(x[k]) < most
@@ -83,7 +84,7 @@ def _all_between(x: Array1[F32], least: F64, most: F64) -> BOOL:
 
 @kernel
 def sines(x: Array1[F32], output: Array1[F32]) -> BOOL:
-    """Writes `elementary.sin` of all; False where an angle is not below 1e6."""
+    """Write `elementary.sin` of all numbers; return False if an angle is not below 1e6 rad."""
     if not _all_between(x, -LARGE_ANGLE, LARGE_ANGLE):
         return False
     for k in independent(0, x.size):
@@ -93,7 +94,7 @@ def sines(x: Array1[F32], output: Array1[F32]) -> BOOL:
 
 @kernel
 def cosines(x: Array1[F32], output: Array1[F32]) -> BOOL:
-    """Writes `elementary.cos` of all; False where an angle is not below 1e6."""
+    """Write `elementary.cos` of all numbers; return False if an angle is not below 1e6 rad."""
     if not _all_between(x, -LARGE_ANGLE, LARGE_ANGLE):
         return False
     for k in independent(0, x.size):
@@ -103,7 +104,7 @@ def cosines(x: Array1[F32], output: Array1[F32]) -> BOOL:
 
 @kernel
 def angles(y: Array1[F32], x: Array1[F32], output: Array1[F32]) -> BOOL:
-    """Write `kernels.atan2` of all numbers; return False where one is not finite."""
+    """Write `elementary.atan2` of all numbers; return False if a number is not finite."""
     if not (_all_between(y, -np.inf, np.inf) and _all_between(x, -np.inf, np.inf)):
         return False
     for k in independent(0, x.size):
@@ -113,7 +114,7 @@ def angles(y: Array1[F32], x: Array1[F32], output: Array1[F32]) -> BOOL:
 
 @kernel
 def exponentials(x: Array1[F32], output: Array1[F32]) -> BOOL:
-    """Write `elementary.exp` of all numbers; return False where one is NaN."""
+    """Write `elementary.exp` of all numbers; return False if a number is NaN."""
     for k in range(x.size):
         if x[k] != x[k]:
             return False
@@ -127,7 +128,7 @@ def exponentials(x: Array1[F32], output: Array1[F32]) -> BOOL:
 
 @kernel
 def logarithms(x: Array1[F32], output: Array1[F32]) -> BOOL:
-    """Writes `elementary.log` of all; False where one is not above 0, or not finite."""
+    """Write `elementary.log` of all numbers; return False if a number is not above 0, or not finite."""
     if not _all_between(x, 0.0, np.inf):
         return False
     for k in independent(0, x.size):

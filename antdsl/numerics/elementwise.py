@@ -1,6 +1,6 @@
-"""The elementwise operations of the plan for float32 arrays and for single float32 alike: one table, both backends.
+"""The elementwise operations of the plan, for float32 arrays and single float32 numbers. Both backends use this table.
 
-Only operations with a result that IEEE 754 fixes to the last bit, and our own kernels."""
+It has only our own kernels, and operations of which IEEE 754 defines the result to the last bit."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ FLOAT32_ZERO = np.float32(0)
 
 
 def least(a: NumPyValue, b: NumPyValue) -> NumPyValue:
-    """Return the lesser number; the other one where one is NaN. -0 becomes 0, since `fmin` may return either zero."""
+    """Return the lesser number; if one of them is NaN, the other one. -0 becomes 0, since `fmin` may return either zero."""
     return np.fmin(a, b) + FLOAT32_ZERO
 
 
 def greatest(a: NumPyValue, b: NumPyValue) -> NumPyValue:
-    """The greater; as `least`."""
+    """Return the greater number; NaN and -0 as in `least`."""
     return np.fmax(a, b) + FLOAT32_ZERO
 
 
@@ -32,7 +32,7 @@ def where(condition: NumPyValue, then: NumPyValue, other: NumPyValue) -> NumPyVa
 
 
 def number(a: NumPyValue) -> NumPyValue:
-    """bool, state or row as float32."""
+    """Return a bool, a state or a row as float32."""
     return np.float32(a) if np.ndim(a) == 0 else a.astype(np.float32)
 
 

@@ -1,6 +1,6 @@
 """Sums that do not depend on the order of their terms: decision 23 of the language reference.
 
-Each term is rounded to a multiple of 2**quantum, as (x + M) - M in float64; multiples of one power of two add without rounding.
+Each term is rounded to a multiple of 2**quantum, as (x + M) - M in float64. Multiples of one power of two add without rounding.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ LOW_WORD_BITS = 22  # digits of the lower of two words, for sums that might not:
 
 
 def quantise(terms: NDArray[np.float32], quantum: int) -> NDArray[np.float64]:
-    """Terms as float64 multiples of 2**quantum, cut to +-2**(quantum + 44); NaN stays NaN."""
+    """Return terms as float64 multiples of 2**quantum, limited to +-2**(quantum + 44); NaN stays NaN."""
     bound = np.ldexp(1.0, quantum + MAX_TERM_EXPONENT)
     magic = np.ldexp(1.5, quantum + 52)
     wide = np.clip(np.asarray(terms, np.float64), -bound, bound)
@@ -26,7 +26,7 @@ def quantise(terms: NDArray[np.float32], quantum: int) -> NDArray[np.float64]:
 
 
 def sum_by_index(index: NDArray[np.integer[Any]], terms: NDArray[np.float32], quantum: int, length: int) -> NDArray[np.float32]:
-    """Sum of the terms of each index 0 .. length-1, exact and then rounded to float64 and float32."""
+    """Return the sum of the terms of each index 0 .. length-1. Each sum is exact, then rounded to float64 and float32."""
     if index.size == 0:
         return np.zeros(length, np.float32)
     wide = quantise(terms, quantum)
@@ -39,8 +39,8 @@ def sum_by_index(index: NDArray[np.integer[Any]], terms: NDArray[np.float32], qu
 def _sums_in_two_words(
     index: NDArray[np.integer[Any]], wide: NDArray[np.float64], quantum: int, length: int
 ) -> NDArray[np.float32]:
-    """Return sums of the terms in two parts, multiples of 2**(quantum + 22) and the remainders. Both sums are exact, and their
-    total is rounded once."""
+    """Return the same sums for larger totals. Each term is split in a multiple of 2**(quantum + 22) and a remainder; both parts
+    are summed exactly. Their total is rounded once."""
     magic = np.ldexp(1.5, quantum + LOW_WORD_BITS + 52)
     high = (wide + magic) - magic
     low = np.bincount(index, weights=wide - high, minlength=length)

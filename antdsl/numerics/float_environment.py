@@ -1,5 +1,7 @@
-"""The floating-point environment of a thread: a host may change the rounding from nearest, or flush denormal numbers to zero. A
-thread inherits this from the thread that starts it. Results that are computed within `standard_floats` do not depend on it."""
+"""The floating-point environment of a thread. A host may change the rounding from nearest, or flush denormal numbers to zero.
+
+A thread inherits the environment from the thread that starts it. Results that are computed within `standard_floats` do not depend
+on it."""
 
 from __future__ import annotations
 
@@ -19,7 +21,7 @@ _ENVIRONMENT_BYTES = 256  # bytes; more than any C library keeps of it
 
 
 def is_standard() -> bool:
-    """Whether this thread rounds to nearest and keeps denormal numbers, as far as float64 shows it."""
+    """Return whether this thread rounds to nearest and keeps denormal numbers, as far as float64 operations show it."""
     return (
         _LEAST_NORMAL * _HALF_AT_RUN_TIME != 0.0
         and _ONE_AT_RUN_TIME + _HALF_ULP == 1.0
@@ -28,7 +30,7 @@ def is_standard() -> bool:
 
 
 def set_standard() -> None:
-    """Set the standard float environment for this thread, permanently: for threads that we own. Without support in the C library,
+    """Set the standard float environment for this thread permanently, for antdsl's own threads. Without support in the C library,
     nothing changes."""
     if not is_standard() and (library := _library()) is not None:
         library.fesetenv(_default_environment())
@@ -36,8 +38,8 @@ def set_standard() -> None:
 
 @contextmanager
 def standard_floats() -> Iterator[None]:
-    """Use the standard float environment within the context, and restore the old one afterwards. This costs about a microsecond
-    where nothing has to change."""
+    """Use the standard float environment within the context, and restore the old one afterwards. If the environment is already
+    standard, this costs about a microsecond."""
     library = None if is_standard() else _library()
     if library is None:
         yield
@@ -53,7 +55,7 @@ def standard_floats() -> Iterator[None]:
 
 @cache
 def _library() -> Any:
-    """The C library's functions (C99, 7.6); None where it has none."""
+    """Return the C library with its environment functions (C99, 7.6); None if it has none."""
     try:
         library = ctypes.CDLL(None)
         library.fegetenv.argtypes = library.fesetenv.argtypes = [ctypes.c_void_p]
@@ -64,7 +66,8 @@ def _library() -> Any:
 
 @cache
 def _default_environment() -> ctypes.c_void_p:
-    """FE_DFL_ENV: the address of an object of that name, or a number where there is none."""
+    """Return FE_DFL_ENV, the default environment: the address of an object of that name, or a number on systems without such an
+    object."""
     try:
         return ctypes.c_void_p(ctypes.addressof(ctypes.c_char.in_dll(ctypes.CDLL(None), "_FE_DFL_ENV")))
     except ValueError:

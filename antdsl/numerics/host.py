@@ -1,5 +1,6 @@
-"""What this machine gives this process: cores, memory, and the processor's name. The control groups (cgroups) of Linux that
-limit a process count: its own, and those around it."""
+"""The resources that this machine grants this process: cores, memory, and the processor's name.
+
+On Linux, control groups (cgroups) limit a process: its own group, and the groups that contain it."""
 
 from __future__ import annotations
 
@@ -21,8 +22,8 @@ PARTS_PER_THREAD = 4  # parts of machine code for each of several threads: who c
 
 @cache
 def cores() -> int:
-    """Return how many threads may run at once here: limited by the cores available to this process and by its control group (for
-    instance of a container), rounded up."""
+    """Return how many threads may run at once. The cores available to this process and its control group (such as a container)
+    limit the number; fractions are rounded up."""
     available = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
     try:
         own = PROCESS_CGROUP_FILE.read_text(encoding="utf-8", errors="surrogateescape")
@@ -32,10 +33,12 @@ def cores() -> int:
 
 
 def core_limits(own: str, groups: Path) -> Iterator[float]:
-    """Yield the core limits of a process's control groups, its own and the enclosing ones, where they have one.
+    """Yield the core limits of a process's control group and of the groups that contain it; groups without a limit are left out.
 
-    `own`: Linux's list of the process's groups, one line `number:controllers:path` each; `groups`: the folder of all groups
-    (Linux kernel documentation, Control Group v2, `cpu.max`; CFS Bandwidth Control, for version 1)."""
+    - `own`: Linux's list of the process's groups, one line `number:controllers:path` each
+    - `groups`: the folder of all groups
+
+    See the Linux kernel documentation: Control Group v2, `cpu.max`; CFS Bandwidth Control, for version 1."""
     for folder, is_first in group_folders(own, groups, "cpu"):
         with suppress(OSError, ValueError):
             quota, period = _quota_v1(folder) if is_first else _quota_v2(folder)
@@ -54,10 +57,11 @@ def _quota_v2(folder: Path) -> tuple[int, int]:
 
 
 def group_folders(own: str, groups: Path, controller: str) -> Iterator[tuple[Path, bool]]:
-    """Yield the folders of the groups in which a controller limits a process, and whether they are of version 1 of control
-    groups.
+    """Yield the folders of the groups in which a controller limits a process, each with whether it belongs to version 1 of
+    control groups.
 
-    `own`: Linux's list of the process's groups, one line `number:controllers:path` each. `groups`: the folder of all groups."""
+    - `own`: Linux's list of the process's groups, one line `number:controllers:path` each
+    - `groups`: the folder of all groups"""
     for line in own.splitlines():
         controllers, _, path = line.partition(":")[2].partition(":")
         if controllers and controller not in controllers.split(","):
@@ -79,8 +83,8 @@ def address_space() -> float:
 
 
 def available_memory() -> int | None:
-    """Return the bytes that this process can still allocate without swapping, within the limits of its control groups; None where
-    the system does not report it (other than Linux)."""
+    """Return the bytes that this process can still allocate without swapping, within its control groups. None if the system does
+    not report it (other than Linux)."""
     limits: list[int] = []
     with suppress(OSError, ValueError, StopIteration):
         lines = _MEMINFO_FILE.read_text(encoding="ascii", errors="replace").splitlines()
@@ -91,8 +95,9 @@ def available_memory() -> int | None:
 
 
 def memory_left(own: str, groups: Path) -> Iterator[int]:
-    """Yield the bytes left in each control group with a limit; `own` and `groups` as in `group_folders`. Cached files count as
-    free, since the system drops them when necessary."""
+    """Yield the bytes left in each control group with a limit. `own` and `groups` are those of `group_folders`.
+
+    Cached files count as free, since the system drops them when necessary."""
     for folder, is_first in group_folders(own, groups, "memory"):
         names = ("memory.limit_in_bytes", "memory.usage_in_bytes") if is_first else ("memory.max", "memory.current")
         with suppress(OSError, ValueError):  # a limit of `max` is none
@@ -116,8 +121,9 @@ def peak_memory() -> int:
 
 
 def memory() -> tuple[int, int]:
-    """Return the current and the peak memory of this process in bytes. Where the system reports only the peak, both are the peak;
-    it may be that of the parent process."""
+    """Return the current and the peak memory of this process in bytes.
+
+    If the system reports only the peak, both values are the peak. The peak may be that of the parent process."""
     try:
         amounts = _kilobytes(_PROCESS_FOLDER / "status")
         return 1024 * amounts["VmRSS"], 1024 * amounts["VmHWM"]
@@ -126,7 +132,7 @@ def memory() -> tuple[int, int]:
 
 
 def _kilobytes(path: Path) -> dict[str, int]:
-    """The amounts in a file with lines such as `VmRSS:  123 kB`."""
+    """Return the amounts, by name, in a file with lines such as `VmRSS:  123 kB`."""
     amounts = {}
     for line in path.read_text(encoding="ascii", errors="replace").splitlines():
         name, _, value = line.partition(":")
@@ -138,7 +144,7 @@ def _kilobytes(path: Path) -> dict[str, int]:
 
 @cache
 def processor_name() -> str:
-    """The processor's name as the system tells it."""
+    """Return the processor's name as the system reports it."""
     import platform  # it imports much, and commands that need no name start without it
 
     try:

@@ -1,4 +1,4 @@
-"""Vectors in kernels: three numbers each, summed in the order of `vectors.dot` and `vectors.cross`."""
+"""Vectors in kernels: three numbers each. Sums have the order of `vectors.dot` and `vectors.cross`."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ AnyVec3 = tuple[Any, Any, Any]  # of either float type
 
 
 class AgentPose(NamedTuple):
-    """The orientation of an agent: unit vectors up, ahead and along its path."""
+    """The position and orientation of an agent: unit vectors up, ahead, and along its path."""
 
     place: Vec3
     up: Vec3
@@ -29,19 +29,19 @@ _MIN_LENGTH, _STEEP_COSINE = 1e-12, 0.9  # as `vectors.unit` and `vectors.across
 
 @inlined
 def at(table: Array1[F64], k: I64) -> Vec3:
-    """Three numbers of a table."""
+    """Return three numbers of a table, from index `k` on."""
     return table[k], table[k + 1], table[k + 2]
 
 
 @inlined
 def of(vectors: Any, i: I64) -> Vec3:
-    """One of vectors (3, n)."""
+    """Return vector `i` of vectors (3, n)."""
     return vectors[0, i], vectors[1, i], vectors[2, i]
 
 
 @inlined
 def finite_vector(x: Any, y: Any, z: Any) -> Vec3:
-    """A vector in float64, 0 where it is no number."""
+    """Return a vector in float64, 0 if a component is not finite."""
     a, b, c = np.float64(x), np.float64(y), np.float64(z)
     good = np.isfinite(a) and np.isfinite(b) and np.isfinite(c)
     return (a if good else 0.0), (b if good else 0.0), (c if good else 0.0)
@@ -49,7 +49,7 @@ def finite_vector(x: Any, y: Any, z: Any) -> Vec3:
 
 @inlined
 def put_vector(vectors: Any, i: I64, v: Vec3) -> None:
-    """Write one of vectors (3, n)."""
+    """Write vector `i` of vectors (3, n)."""
     vectors[0, i], vectors[1, i], vectors[2, i] = v
 
 
@@ -80,13 +80,13 @@ def cross(a: AnyVec3, b: AnyVec3) -> AnyVec3:
 
 @inlined
 def flat(a: AnyVec3, up: AnyVec3) -> AnyVec3:
-    """As `vectors.flat`."""
+    """Return the component of `a` perpendicular to `up`, as `vectors.flat`."""
     return minus(a, times(up, dot(a, up)))
 
 
 @inlined
 def any_perpendicular(up: Vec3) -> Vec3:
-    """As `vectors.across`, in float64."""
+    """Return a unit vector perpendicular to `up`, in float64, as `vectors.any_perpendicular`."""
     steep = abs(up[0]) > _STEEP_COSINE
     side = flat(((0.0 if steep else 1.0), (1.0 if steep else 0.0), 0.0), up)
     return times(side, 1 / np.sqrt(dot(side, side)))
@@ -94,7 +94,7 @@ def any_perpendicular(up: Vec3) -> Vec3:
 
 @inlined
 def unit_or_perpendicular(v: Vec3, up: Vec3) -> Vec3:
-    """Return the unit vector along `v` in float64; one perpendicular to `up` where `v` has no direction."""
+    """Return the unit vector along `v` in float64, or a unit vector perpendicular to `up` if `v` is zero."""
     size = np.sqrt(dot(v, v))
     if size > _MIN_LENGTH and np.isfinite(size):
         return times(v, 1 / size)
@@ -103,19 +103,19 @@ def unit_or_perpendicular(v: Vec3, up: Vec3) -> Vec3:
 
 @inlined
 def fmax(a: F64, b: F64) -> F64:
-    """As np.fmax of a number that may be NaN and one that is not."""
+    """Return the result of np.fmax for a number that may be NaN and a number that is not."""
     return a if a > b else b
 
 
 @inlined
 def fmin(a: F64, b: F64) -> F64:
-    """As np.fmin of the same."""
+    """Return the result of np.fmin for a number that may be NaN and a number that is not."""
     return a if a < b else b
 
 
 @inlined
 def clamp_weights(b1: F64, b2: F64) -> TriangleWeights:
-    """Return the nearest weights of a point in the triangle, to correct rounding."""
+    """Return the nearest weights of a point in the triangle, to correct rounding errors."""
     b1, b2 = min(max(b1, 0.0), 1.0), min(max(b2, 0.0), 1.0)
     total = b1 + b2
     if total > 1.0:
@@ -125,7 +125,8 @@ def clamp_weights(b1: F64, b2: F64) -> TriangleWeights:
 
 @inlined
 def turned(v: Vec3, source: Vec3, target: Vec3, direction: Vec3) -> Vec3:
-    """Return a vector rotated by the smallest rotation from one unit normal to another. A half turn rotates over `direction`."""
+    """Return a vector rotated by the smallest rotation from unit normal `source` to `target`. For opposite normals, the rotation
+    goes over `direction`."""
     cosine = dot(source, target)
     if cosine < -1 + 1e-9:
         hinge = cross(source, direction)
@@ -137,7 +138,7 @@ def turned(v: Vec3, source: Vec3, target: Vec3, direction: Vec3) -> Vec3:
 
 @inlined
 def unit_or_first_axis(c: F64, s: F64) -> tuple[F64, F64]:
-    """Return a direction in a face as a unit vector; along the first axis where its length is zero."""
+    """Return a direction in a face as a unit vector; the first axis if its length is zero."""
     size = np.sqrt(c * c + s * s)
     if size > 1e-9:
         return c / size, s / size
@@ -146,8 +147,8 @@ def unit_or_first_axis(c: F64, s: F64) -> tuple[F64, F64]:
 
 @inlined
 def nearest_weights(edge1: Vec3, edge2: Vec3, v: Vec3) -> tuple[F64, F64, F64]:
-    """Return the weights of the triangle's point nearest to `v` (relative to the first corner), and its distance: on the plane
-    inside the triangle, else on an edge."""
+    """Return the weights of the triangle's point nearest to `v`, and its distance. `v` is relative to the first corner. The point
+    is the projection onto the plane if that is inside the triangle, else a point of an edge."""
     edge3 = minus(edge2, edge1)
     d11, d12, d22, d33 = dot(edge1, edge1), dot(edge1, edge2), dot(edge2, edge2), dot(edge3, edge3)
     w1, w2 = dot(v, edge1), dot(v, edge2)
@@ -177,13 +178,13 @@ def unit(v: Vec3) -> Vec3:
 
 @inlined
 def row64(vectors: Array2[F32], i: I64) -> Vec3:
-    """One of vectors (n, 3), in float64."""
+    """Return vector `i` of vectors (n, 3), in float64."""
     return np.float64(vectors[i, 0]), np.float64(vectors[i, 1]), np.float64(vectors[i, 2])
 
 
 @inlined
 def column64(vectors: Strided2[F64], i: I64) -> Vec3:
-    """One of vectors (3, n), in float64."""
+    """Return vector `i` of vectors (3, n), in float64."""
     return np.float64(vectors[0, i]), np.float64(vectors[1, i]), np.float64(vectors[2, i])
 
 

@@ -1,4 +1,4 @@
-"""Pairs of points within a distance, found by the cells of a grid. For sets with few such pairs."""
+"""Pairs of points within a distance, by the cells of a grid. The functions are meant for sets with few such pairs."""
 
 from __future__ import annotations
 

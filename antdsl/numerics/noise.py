@@ -1,7 +1,7 @@
 """Gradient noise over space and time: smooth, with values around 0. It depends on its arguments only, not on frame or row.
 
-Methods: gradients at lattice points and a quintic fade, which makes slope and curvature continuous: K. Perlin, Improving noise,
-SIGGRAPH 2002; in four dimensions, one of them time, with the 32 gradients of his reference code. Random bits of a lattice point:
+Gradients at lattice points and a quintic fade, which makes slope and curvature continuous: K. Perlin, Improving noise, SIGGRAPH
+2002. The 32 gradients in four dimensions (one of them time) are those of his reference code. Random bits of a lattice point:
 `pcg4d`, M. Jarzynski and M. Olano, Hash functions for GPU rendering, JCGT 9(3), 2020."""
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ def noise(points: Floats, seed: NDArray[np.int64]) -> Floats:
 
 
 def fade(t: Floats) -> Floats:
-    """From 0 to 1, with slope and curvature 0 at both ends (Perlin 2002)."""
+    """Return a smooth transition from 0 to 1, with slope and curvature 0 at both ends (Perlin 2002)."""
     return (t * t * t) * (t * (t * 6.0 - 15.0) + 10.0)
 
 
@@ -56,7 +56,7 @@ def _shift(seed: NDArray[np.int64]) -> NDArray[np.int64]:
 
 
 def pcg4d(words: UInt32Array) -> UInt32Array:
-    """Four random words for each four (4, …)."""
+    """Return four random words for each column of four words (4, …)."""
     mixed_words = _mix_words(words * _LCG_MULTIPLIER + _LCG_INCREMENT)
     return _mix_words(mixed_words ^ (mixed_words >> _SHIFT_16))
 

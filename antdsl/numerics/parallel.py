@@ -1,6 +1,6 @@
 """Parallel execution of kernels in parts.
 
-Each part has at least as many agents as make a thread worthwhile. Threads wait in machine code (`workers`)."""
+Each part has enough agents to make a thread worthwhile. Threads wait for work in machine code (`workers`)."""
 
 from __future__ import annotations
 
@@ -19,14 +19,15 @@ MIN_LIGHT_ITEMS_PER_THREAD = 4_096  # the same, of work that is a few operations
 
 
 def contiguous(*arrays: NDArray[Any]) -> tuple[NDArray[Any], ...]:
-    """Return the arrays as contiguous ones, which most kernels need."""
+    """Return the arrays in contiguous form, which most kernels need. Arrays that are not contiguous are copied."""
     return tuple(np.ascontiguousarray(a) for a in arrays)
 
 
 def in_parts(work: Callable[[int, int], T], count: int, threads: int, least: int = MIN_AGENTS_PER_THREAD) -> list[T]:
-    """Call `work(begin, end)` over `count` agents, in parallel in as many parts as pay, of at least `least` each. Return the
-    results in order. A kernel (a `partial` of one without its last two arguments) is passed as machine code, in more parts than
-    there are threads, to even them out. Where the threads are at work for another caller, all is done in one part."""
+    """Call `work(begin, end)` over `count` agents, in parallel parts of at least `least` agents. Return the results in order.
+
+    There are only as many parts as are worthwhile. A kernel (a `partial` of one, without its last two arguments) runs as machine
+    code, in more parts than threads, to balance their load. If another caller uses the threads, all work is done in one part."""
     if threads < 2 or count < 2 * least or min(threads, cores()) < 2:
         return [work(0, count)]
     from antdsl.numerics import workers
@@ -35,8 +36,9 @@ def in_parts(work: Callable[[int, int], T], count: int, threads: int, least: int
 
 
 def parts(count: int, threads: int, least: int = MIN_AGENTS_PER_THREAD) -> int:
-    """Return the most parts of a kernel in `in_parts`, called with the same arguments and a `least` of 16 or more. With as many
-    buffers, each part has its own (`own`)."""
+    """Return the maximum number of parts in which `in_parts` runs a kernel with the same arguments. `least` must be at least 16.
+
+    With that many buffers, each part can have its own (`buffer_index`)."""
     threads = min(threads, cores())
     if threads < 2 or count < 2 * least:
         return 1
@@ -46,8 +48,8 @@ def parts(count: int, threads: int, least: int = MIN_AGENTS_PER_THREAD) -> int:
 
 
 def join_parts(parts: Sequence[tuple[int, ...]], *arrays: NDArray[Any]) -> list[NDArray[Any]]:
-    """Return the written parts of arrays [.., n], joined. `parts` has for each part its start and the number of values it has
-    written."""
+    """Return the parts of arrays [.., n] that were written, joined. `parts` has, for each part, its start and its number of
+    values."""
     if len(parts) == 1:
         begin, count, *_ = parts[0]
         return [each[..., begin : begin + count] for each in arrays]
@@ -58,8 +60,9 @@ def join_parts(parts: Sequence[tuple[int, ...]], *arrays: NDArray[Any]) -> list[
 
 
 def side_by_side(work: Callable[[int], object], threads: int) -> None:
-    """Call `work(0)`, and in parallel `work(1)` to before `work(threads)` as far as threads are free. Each takes work until
-    nothing is left. All have ended on return, whatever interrupts it."""
+    """Call `work(0)` in this thread, and `work(1)` to `work(threads - 1)` in parallel if threads are free.
+
+    Each call takes work until none is left. All calls have ended on return, even after an interruption."""
     threads = min(threads, cores())
     if threads < 2:
         work(0)
@@ -83,6 +86,7 @@ def call_rows(function: Callable[[int, int, int], None], parts: NDArray[np.int64
 
 @inlined
 def buffer_index(begin: I64, count: I64, rooms: I64) -> I64:
-    """Return the buffer number of the part of `count` numbers (at least 1) that starts at `begin`, for `rooms` buffers as `parts`
-    says. No two parts share a buffer."""
+    """Return the number of the buffer for a part that starts at `begin` and has `count` numbers (at least 1).
+
+    `rooms` is the number of buffers, as returned by `parts`. No two parts share a buffer."""
     return (begin * rooms + count - 1) // count

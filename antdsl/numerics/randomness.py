@@ -1,8 +1,7 @@
 """Random numbers that are a function of (seed, frame, species, site, id): the counter-based generator Philox4x32-10.
 
-Nothing is drawn from a stream, so agents that come, go or are watched change no other agent's numbers.
-Method: J. K. Salmon et al., Parallel random numbers: as easy as 1, 2, 3, SC 2011, p. 6 (rounds, constants) and table 2.
-"""
+Nothing is drawn from a stream. So an agent that is added, removed or inspected changes no other agent's numbers. Method: J. K.
+Salmon et al., Parallel random numbers: as easy as 1, 2, 3, SC 2011, p. 6 (rounds, constants) and table 2."""
 
 from __future__ import annotations
 
@@ -32,7 +31,7 @@ WordColumns = tuple[NDArray[np.uint64], NDArray[np.uint64], NDArray[np.uint64], 
 
 
 def philox(counter: WordColumns, key: tuple[Any, Any]) -> WordColumns:
-    """Four random 32-bit words (in uint64 arrays) of four 32-bit counter words and a key of two (np.uint64)."""
+    """Return four random 32-bit words (in uint64 arrays) for four 32-bit counter words and a key of two words (np.uint64)."""
     c0, c1, c2, c3 = counter
     k0, k1 = key
     for _ in range(PHILOX_ROUNDS):
@@ -57,7 +56,7 @@ def site_words(species: str, site: str) -> tuple[int, int]:
 
 
 def words(seed: int, frame: int, species: str, site: str, block: int, ids: NDArray[np.int64]) -> WordColumns:
-    """Four random words for each id. `frame` may be negative (preroll)."""
+    """Return four random words for each id. `frame` may be negative (preroll)."""
     (c0, low, c3), key = counters(seed, frame, species, site, block)
     wide = ids.astype(np.uint64)
     first, last = (np.full(wide.shape, c, np.uint64) for c in (c0, c3))
@@ -65,12 +64,14 @@ def words(seed: int, frame: int, species: str, site: str, block: int, ids: NDArr
 
 
 def words_of_ids(wide: Any, first: Any, low: Any, last: Any, key: tuple[Any, Any]) -> WordColumns:
-    """Four words for each id (uint64) of the counters' first, third and last word, and the key."""
+    """Return four random words for each id (`wide`, uint64). `first`, `low` and `last` are the first, third and last counter
+    word."""
     return philox((first, wide & LOW_32_BITS, (((wide >> HALF_WORD_BITS) * ID_SPREAD_MULTIPLIER) & LOW_32_BITS) ^ low, last), key)
 
 
 def counters(seed: int, frame: int, species: str, site: str, block: int) -> CounterWords:
-    """Return the counter words that all ids share (in the third, the high half of an id is still missing), and the key."""
+    """Return the counter words that all ids share, and the key. The high half of an id is still to be combined with the third
+    word."""
     low, high = site_words(species, site)
     return (frame_word(frame), low, (high + block) & 0xFFFFFFFF), (seed & 0xFFFFFFFF, (seed >> 32) & 0xFFFFFFFF)
 
@@ -81,22 +82,23 @@ def frame_word(frame: int) -> int:
 
 
 def unit_floats(word: NDArray[np.uint64]) -> NDArray[np.float32]:
-    """float32 in [0, 1): the top 24 bits of a 32-bit word."""
+    """Return float32 numbers in [0, 1) from the top 24 bits of 32-bit words."""
     return (word >> np.uint64(8)).astype(np.float32) * UNIT_FLOAT_STEP
 
 
 def uniform(seed: int, frame: int, species: str, site: str, index: int, ids: NDArray[np.int64]) -> NDArray[np.float32]:
-    """The draw number `index` of a site for each id: float32 in [0, 1). Four draws of a site share one run of the generator."""
+    """Return draw number `index` of a site for each id: float32 in [0, 1). Four draws of a site share one run of the
+    generator."""
     return _draw(uniforms, np.float32, counters(seed, frame, species, site, index >> 2), index, ids)
 
 
 def word(seed: int, frame: int, species: str, site: str, index: int, ids: NDArray[np.int64]) -> NDArray[np.uint64]:
-    """Return the word of `words` that `uniform` makes the same draw from."""
+    """Return the random word from which `uniform` makes the draw with the same arguments."""
     return _draw(draw_words, np.uint64, counters(seed, frame, species, site, index >> 2), index, ids)
 
 
 def _draw(loop: RandomKernel, kind: type[np.generic], shared: CounterWords, index: int, ids: NDArray[np.int64]) -> NDArray[Any]:
-    """Draws of one for each id."""
+    """Return draw `index` for each id, as numbers of a `kind`, computed by the kernel `loop`."""
     draws: NDArray[Any] = np.empty(ids.size, kind)
     loop(np.ascontiguousarray(ids.reshape(-1), np.int64), (*shared[0], *shared[1]), index & 3, draws)
     return draws.reshape(ids.shape)
@@ -104,14 +106,14 @@ def _draw(loop: RandomKernel, kind: type[np.generic], shared: CounterWords, inde
 
 @kernel
 def uniforms(ids: Array1[I64], shared: SharedCounters, which: I64, output: Array1[F32]) -> None:
-    """Write a draw for each id; `which` is its index among the four of its counter."""
+    """Write a draw for each id. `which` is its index among the four draws of its counter."""
     for n in independent(0, ids.size):
         output[n] = np.float32(_word(ids[n], shared, which) >> 8) * UNIT_FLOAT_STEP
 
 
 @kernel
 def draw_words(ids: Array1[I64], shared: SharedCounters, which: I64, output: Array1[U64]) -> None:
-    """As `uniforms`, the whole word."""
+    """Write the complete random word of a draw for each id, with the arguments of `uniforms`."""
     for n in independent(0, ids.size):
         output[n] = _word(ids[n], shared, which)
 

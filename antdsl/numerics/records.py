@@ -1,4 +1,4 @@
-"""Rows of records: of arrays, and of dataclasses, tuples and mappings that hold arrays with one row per agent."""
+"""Functions on the rows of records. A record is an array, or a dataclass, tuple or mapping of arrays with one row per agent."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def join_rows(one: Any, other: Any) -> Any:
 
 
 def _apply(function: Callable[..., NDArray[Any]], first: Any, *others: Any) -> Any:
-    """Return a record of what a function makes of the arrays that are in the same place of some records."""
+    """Return a record with the results of a function. Its arguments are the arrays in the same position of several records."""
     if any(each is None for each in (first, *others)):
         return None
     if isinstance(first, np.ndarray):
@@ -41,12 +41,12 @@ def _apply(function: Callable[..., NDArray[Any]], first: Any, *others: Any) -> A
 
 
 def part_of(arrays: Mapping[str, NDArray[Any]], prefix: str) -> dict[str, NDArray[Any]]:
-    """Return the arrays with names that begin with a prefix, by the rest of their names."""
+    """Return the arrays with names that begin with a prefix. The keys of the result are the names without the prefix."""
     return {name.removeprefix(prefix): array for name, array in arrays.items() if name.startswith(prefix)}
 
 
 def match_ids(ids: NDArray[np.int64], others: NDArray[np.int64]) -> tuple[NDArray[np.intp], NDArray[np.bool_]]:
-    """Return the index of each id among others, which ascend, and whether it is among them."""
+    """Return the index of each id among `others`, which ascend, and whether the id is one of them."""
     if len(ids) == len(others) and np.array_equal(ids, others):
         return np.arange(len(ids)), np.ones(len(ids), np.bool_)
     at = np.minimum(np.searchsorted(others, ids), max(len(others) - 1, 0))

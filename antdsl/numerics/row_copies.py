@@ -24,7 +24,7 @@ _HEADER_WORDS, _WORDS_PER_ARRAY = 2, 3  # words of a table before those of the a
 
 
 class RowCopier:
-    """Repeated copies between the same arrays. Their addresses are looked up once."""
+    """Repeated copies between the same arrays. The addresses of the arrays are looked up once."""
 
     def __init__(self) -> None:
         self._arrays: list[NDArray[Any]] = []
@@ -32,7 +32,8 @@ class RowCopier:
         self._table = self._parts = np.zeros(0, np.int64)
 
     def copy(self, to: Sequence[NDArray[Any]], of: Sequence[NDArray[Any]], threads: int) -> None:
-        """Copy contiguous arrays `of` [n, ..] to different arrays of the same length and type."""
+        """Copy the contiguous arrays `of` [n, ..] to the arrays `to`, which are different arrays with the same lengths and
+        types."""
         arrays = [*to, *of]
         if not arrays:
             return
@@ -53,8 +54,10 @@ def copy_rows(pairs: ArrayPairs, rows: NDArray[np.intp], threads: int) -> None:
 
 
 def _table(pairs: ArrayPairs, rows: NDArray[np.intp] | None) -> NDArray[np.int64]:
-    """Return the table of the copy: the address of the row numbers (0: all in order), the number of arrays, and for each its
-    address, its target and the bytes per row."""
+    """Return the table of a copy, for machine code.
+
+    It has the address of the row numbers (0: all rows in order) and the number of arrays. For each array follow its address, the
+    address of its target and its bytes per row."""
     words = [0 if rows is None else address(rows), len(pairs)]
     for to, of in pairs:
         words += [address(of), address(to), of.strides[0]]
@@ -62,7 +65,7 @@ def _table(pairs: ArrayPairs, rows: NDArray[np.intp] | None) -> NDArray[np.int64
 
 
 def _parts(table: NDArray[np.int64], count: int, threads: int) -> NDArray[np.int64]:
-    """Return the parts of `count` rows for `parallel.listed`."""
+    """Return the parts of `count` rows as rows for `parallel.call_rows`."""
     most = max(1, min(PARTS_PER_THREAD * threads, count // parallel.MIN_AGENTS_PER_THREAD))
     ends = [count * k // most for k in range(most + 1)]
     return np.array([(address(table), *ends[k : k + 2]) for k in range(most)], np.int64)
@@ -76,7 +79,8 @@ def _function() -> Callable[[int, int, int], None]:
 
 @library_text
 def text(target: machine.Target) -> str:
-    """What is compiled, in LLVM's language: a function of such a table that copies rows from the first to before the last."""
+    """Return the text to compile, in LLVM's language: a function of the table that copies rows from the first to before the
+    last."""
     module = LlvmModule(target)
     cases = "".join(f"  i64 {size}, label %pick{size}\n" for size in _KERNEL_ROW_BYTES)
     picking = "".join(_PICK_TEMPLATE.replace("$SIZE$", str(size)).replace("$BITS$", str(8 * size)) for size in _KERNEL_ROW_BYTES)

@@ -1,4 +1,4 @@
-"""Fast orders of many rows: of integers, by radix sort with sixteen bits at a time, and of points, along a space-filling
+"""Fast sorting orders of many rows: integers by a radix sort of sixteen bits at a time, and points along a space-filling
 curve."""
 
 from __future__ import annotations
@@ -31,7 +31,8 @@ def stable_order(keys: NDArray[np.integer[Any]]) -> NDArray[np.intp]:
 
 
 def morton_codes(cells: NDArray[np.uint64], threads: int = 1) -> NDArray[np.uint64]:
-    """Numbers of cells [n,3] along the curve of G. Morton (1966), by their bits in turn; 21 bits of each axis count."""
+    """Return the numbers of cells [n,3] along the curve of G. Morton (1966), which interleaves their bits. 21 bits of each axis
+    count."""
     code = np.zeros(len(cells), np.uint64)
     parallel.in_parts(
         partial(write_morton_codes, np.ascontiguousarray(cells), code), len(cells), threads, parallel.MIN_LIGHT_ITEMS_PER_THREAD
@@ -41,7 +42,7 @@ def morton_codes(cells: NDArray[np.uint64], threads: int = 1) -> NDArray[np.uint
 
 @inlined
 def _spread_bits(bits: U64) -> U64:
-    """21 bits, two free ones after each."""
+    """Return a number of 21 bits with two zero bits after each bit."""
     bits = (bits | (bits << np.uint64(32))) & np.uint64(0x1F00000000FFFF)
     bits = (bits | (bits << np.uint64(16))) & np.uint64(0x1F0000FF0000FF)
     bits = (bits | (bits << np.uint64(8))) & np.uint64(0x100F00F00F00F00F)
@@ -59,7 +60,7 @@ def write_morton_codes(cells: Array2[U64], code: Array1[U64], begin: I64, end: I
 
 @inlined
 def lower_bound(keys: Array1[I64], key: I64, first: I64, last: I64) -> I64:
-    """Return how many keys are less than a key, by binary search between `first` and `last`."""
+    """Return how many keys are less than `key`. The binary search is limited to the indices from `first` to `last`."""
     a, b = first, last
     while a < b:
         middle = (a + b) >> 1

@@ -1,4 +1,4 @@
-"""The current stage of a set-up: progress displays listen, and the code that sets up names its stages."""
+"""The current stage of a set-up. The code that sets up reports its stages, and progress displays listen."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ _stage_listener: ContextVar[Callable[[str], None] | None] = ContextVar("listener
 
 
 def begin(words: str) -> None:
-    """Report the start of a stage: `ground`, `placing 500 agents`."""
+    """Report the start of a stage, such as `ground` or `placing 500 agents`."""
     listener = _stage_listener.get()
     if listener is not None:
         listener(words)

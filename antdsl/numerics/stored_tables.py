@@ -1,8 +1,9 @@
 """Tables that are computed from meshes and stored for later runs: plain arrays, keyed by a hash of their inputs.
 
-The inputs are the arrays and numbers they are computed from, the sources of the packages that compute them, and NumPy's version.
-Tables are stored like machine code (`object_cache`): signed by this user, since kernels trust their row numbers, and never in a
-folder of a scene. Tables of small meshes are not stored. A table has the same values whether it was stored or not."""
+The inputs are the arrays and numbers that a table is computed from, the sources of the packages that compute it, and NumPy's
+version. Tables are stored like machine code (`object_cache`). They are signed by this user, since kernels trust their row
+numbers, and are never in a folder of a scene. Tables of small meshes are not stored. A table has the same values whether it was
+stored or not."""
 
 from __future__ import annotations
 
@@ -56,11 +57,11 @@ _computed_tables = 0  # tables, by this process
 def get_or_compute(
     name: str, size: int, inputs: Sequence[NDArray[Any] | float | str], compute: Callable[[], Tables], unit: str = "faces"
 ) -> Tables:
-    """Return the result of `compute` for these inputs, stored from an earlier run where possible. The arrays belong to the
-    caller.
+    """Return the result of `compute` for these inputs, or the same arrays stored by an earlier run. The caller may change the
+    arrays.
 
-    `size` is the number of faces of the mesh, or of another `unit`; 0 for a result that no other run needs. `name` identifies the
-    computation."""
+    - `name`: identifies the computation
+    - `size`: the number of faces of the mesh, or of another `unit`; 0 for a result that no other run needs"""
     global _computed_tables
     key = _key(name, inputs) if size >= MIN_STORED_SIZE else None
     tables = None if key is None else _unpack(_open_store_once().get(key))
@@ -85,7 +86,7 @@ def forget() -> None:
 
 
 def store() -> object_cache.ObjectCache:
-    """The store of this user."""
+    """Return the store of this user."""
     return object_cache.ObjectCache(kind=TABLE_STORE, cap=_MAX_STORE_BYTES, largest=_MAX_TABLE_BYTES)
 
 
@@ -124,7 +125,7 @@ def _modules() -> Iterator[Path]:
 
 
 def _pack(tables: Mapping[str, NDArray[Any]]) -> bytes:
-    """A line of JSON, the name, type and shape of each array, then the arrays."""
+    """Return arrays as bytes: a line of JSON with the name, type and shape of each array, then their data."""
     arrays = {name: np.ascontiguousarray(array) for name, array in tables.items()}
     line = json.dumps([[name, array.dtype.str, array.shape] for name, array in arrays.items()]).encode() + b"\n"
     parts, at = [line], len(line)
@@ -136,7 +137,7 @@ def _pack(tables: Mapping[str, NDArray[Any]]) -> bytes:
 
 
 def _unpack(data: bytes | None) -> Tables | None:
-    """Return the arrays of `_pack`; None for no data or any other data."""
+    """Return the arrays that `_pack` stored; None for None or invalid data."""
     if data is None:
         return None
     tables: Tables = {}

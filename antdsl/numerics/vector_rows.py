@@ -10,7 +10,7 @@ Rows = NDArray[np.intp]
 
 
 def contiguous_columns(v: Floats) -> Floats:
-    """A copy (n, 3) of which each component is contiguous."""
+    """Return a copy (n, 3) in which each component is contiguous."""
     return np.array(np.asarray(v, np.float64).T, order="C").T
 
 
@@ -22,7 +22,7 @@ def take_rows(v: Floats, rows: Rows) -> Floats:
 
 
 def rows_in_box(place: Floats, low: Floats, high: Floats) -> Rows:
-    """Which places lie in a box."""
+    """Return the rows of positions that lie in a box."""
     inside = np.ones(len(place), np.bool_)
     for axis in range(3):
         along = place[:, axis]
@@ -36,7 +36,7 @@ def length(v: Floats) -> Floats:
 
 
 def dot(a: Floats, b: Floats) -> Floats:
-    """Products (…) of vectors (…, 3)."""
+    """Return the dot products (…) of vectors (…, 3)."""
     product = a * b
     total: Floats = (product[..., 0] + product[..., 1]) + product[..., 2]
     return total
@@ -50,13 +50,13 @@ def unit(v: Floats) -> Floats:
 
 
 def unit_or(v: Floats, otherwise: Floats) -> Floats:
-    """Return vectors (…, 3) scaled to unit length. Where one is zero, return the direction of `otherwise`, which is broadcast."""
+    """Return vectors (…, 3) scaled to unit length. For a zero vector, return the direction of `otherwise`, which is broadcast."""
     size = np.sqrt(dot(v, v))[..., None]
     return np.where(size > 1e-9, v / np.maximum(size, 1e-9), unit(np.broadcast_to(np.asarray(otherwise, np.float64), v.shape)))
 
 
 def unit_tangent(v: Floats, normal: Floats) -> Floats:
-    """Unit vectors at right angles to the normals."""
+    """Return the components of vectors perpendicular to normals, scaled to unit length."""
     flat = v - (v * normal).sum(axis=1)[:, None] * normal
     level: Floats = flat / np.maximum(length(flat), 1e-12)[:, None]
     return level

@@ -26,7 +26,7 @@ def cross(a: VectorComponents, b: VectorComponents) -> VectorArrays:
 
 
 def stacked_cross(a: VectorComponents, b: VectorComponents) -> Array:
-    """`cross` as one array (3, n)."""
+    """Return the cross product as one array (3, n)."""
     return np.stack(cross(a, b))
 
 
@@ -60,7 +60,7 @@ def take(a: VectorComponents, rows: NDArray[np.integer[Any]] | NDArray[np.bool_]
 
 
 def flat(a: VectorComponents, up: VectorComponents) -> VectorArrays:
-    """The part of a across the unit vector up."""
+    """Return the component of `a` perpendicular to the unit vector `up`."""
     return sub(a, scale(up, dot(a, up)))
 
 
@@ -72,7 +72,8 @@ def unit(a: VectorArrays, otherwise: VectorArrays, least: float = 1e-12) -> Vect
 
 
 def turned(v: Array, source: Array, target: Array, direction: Array) -> Array:
-    """Return vectors rotated by the smallest rotation from one unit normal to another. A half turn rotates over `direction`."""
+    """Return vectors rotated by the smallest rotation from unit normals `source` to `target`. For opposite normals, the rotation
+    goes over `direction`."""
     cosine = dot(source, target)
     opposite = cosine < -1 + 1e-9
     axis = stacked_cross(source, target)
@@ -83,7 +84,7 @@ def turned(v: Array, source: Array, target: Array, direction: Array) -> Array:
 
 
 def any_perpendicular(up: VectorArrays) -> VectorArrays:
-    """Some unit vector across a unit vector."""
+    """Return a unit vector perpendicular to a unit vector."""
     steep = np.abs(up[0]) > 0.9
     zero, one = np.zeros_like(up[0]), np.ones_like(up[0])
     axis = choose(steep, (zero, one, zero), (one, zero, zero))
@@ -92,12 +93,12 @@ def any_perpendicular(up: VectorArrays) -> VectorArrays:
 
 
 def columns(a: NDArray[Any], dtype: type[np.floating[Any]]) -> VectorArrays:
-    """(n, 3) as three arrays."""
+    """Return the columns of an array (n, 3) as three arrays."""
     return np.ascontiguousarray(a[:, 0], dtype), np.ascontiguousarray(a[:, 1], dtype), np.ascontiguousarray(a[:, 2], dtype)
 
 
 def vector_registers(registers: Mapping[str, Array], name: str) -> VectorArrays:
-    """The three registers of a vector, themselves."""
+    """Return the three registers of a vector, without a copy."""
     return _register_getter(name)(registers)
 
 

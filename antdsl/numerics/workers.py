@@ -1,8 +1,8 @@
 """Threads that wait for work in machine code. Starting work costs a few microseconds and takes no lock of the interpreter.
 
 Each is a Python thread that has called machine code (`workers_text`) and returns at the end of the program. A job of kernels
-never enters the interpreter; a job of Python functions takes its lock in each thread that joins. Where threads cannot wait in
-this way, an executor of `concurrent.futures` replaces them."""
+never enters the interpreter. A job of Python functions takes the interpreter's lock in each thread that joins. If threads cannot
+wait in machine code, an executor of `concurrent.futures` replaces them."""
 
 from __future__ import annotations
 
@@ -38,8 +38,8 @@ _ENTRY_SIGNATURE = (None, ctypes.c_void_p, ctypes.c_int64, ctypes.c_int64)
 
 
 class WorkerPool:
-    """Threads that work in addition to the caller's thread. The current caller is noted in `asks`: others do not wait for it, but
-    work alone."""
+    """Threads that work in addition to the caller's thread. The attribute `asks` is the current caller: others do not wait for
+    it, but work alone."""
 
     def __init__(self, count: int) -> None:
         code = words.code()
@@ -70,10 +70,9 @@ class WorkerPool:
         loop(self.address, number, 0)
 
     def do(self, work: Callable[[int], object], helpers: int) -> None:
-        """Call `work(0)` in this thread and `work(1)` to `work(helpers)` in workers, as far as these are free before `work(0)`
-        ends.
+        """Call `work(0)` in this thread and `work(1)` to `work(helpers)` in workers that are free before `work(0)` ends.
 
-        All calls have ended on return, whatever interrupts it. An exception of one of them is raised here."""
+        All calls have ended on return, even after an interruption. An exception of a call is raised again."""
         self._work, self._failed = work, []
         self._job(self._called, self._numbers, min(helpers, MAX_JOB_PARTS))
         try:
@@ -92,7 +91,7 @@ class WorkerPool:
             raise failed[0]
 
     def kernel(self, work: Callable[[int, int], T], count: int, parts: int) -> list[T] | None:
-        """Return the results of the parts of a kernel wrapped in a `partial`; None for any other work."""
+        """Return the results of a kernel for each part, if `work` is a `partial` of a kernel that can run in parts; else None."""
         if not isinstance(work, partial) or work.keywords:
             return None
         parted = getattr(work.func, "parted", None)
@@ -110,7 +109,7 @@ class WorkerPool:
             self._all(self.address, 0, 0)
 
     def end(self) -> None:
-        """End the threads, each after its current part. The requesting thread does the remaining work."""
+        """End the threads, each after its current part. The calling thread of a job does the remaining parts."""
         self._end(self.address, 0, 0)
         for each in self._threads:
             each.join()
@@ -128,14 +127,14 @@ class WorkerPool:
 
 
 class ExecutorPool:
-    """The same interface on an executor, without machine code."""
+    """The interface of `WorkerPool`, with an executor instead of machine code."""
 
     def __init__(self, count: int) -> None:
         self.asks: dict[None, object] = {}
         self._executor = ThreadPoolExecutor(count, "kernels", set_standard)
 
     def do(self, work: Callable[[int], object], helpers: int) -> None:
-        """As `Workers.do`."""
+        """Call `work` in this thread and in the executor, as `WorkerPool.do`."""
         others = [self._executor.submit(work, number) for number in range(1, helpers + 1)]
         try:
             work(0)
@@ -150,18 +149,18 @@ class ExecutorPool:
             other.result()
 
     def end(self) -> None:
-        """Have the threads end."""
+        """End the threads."""
         self._executor.shutdown()
 
 
 def parts(count: int, threads: int) -> int:
-    """Return the number of parts of a kernel for `count` numbers, with threads that are worthwhile. Each part has at least one
-    full register."""
+    """Return the number of parts of a kernel over `count` numbers on `threads` threads. Each part has at least one full
+    register."""
     return max(1, min(PARTS_PER_THREAD * threads, MAX_JOB_PARTS, count // words.PART_ALIGNMENT))
 
 
 def in_parts(work: Callable[[int, int], T], count: int, threads: int, paying: int) -> list[T]:
-    """Run `parallel.in_parts` with as many threads as are worthwhile."""
+    """Run `parallel.in_parts` with at most `paying` threads, the number that is worthwhile."""
     pool = _pool_for(threads)
 
     def together() -> list[T]:
@@ -186,8 +185,8 @@ def _run_exclusively(pool: WorkerPool | ExecutorPool, together: Callable[[], T],
 
 
 def _pull_parts(pool: WorkerPool | ExecutorPool, work: Callable[[int, int], T], count: int, parts: int) -> list[T]:
-    """Return the results of parts that are Python functions. Raises the exception of the first part that failed; later parts may
-    not have started."""
+    """Return the results of parts that are Python functions. Raises the exception of the first failed part; later parts may not
+    have started."""
     results: dict[int, T] = {}
     failed: dict[int, BaseException] = {}
     coming = iter(range(parts))
@@ -207,13 +206,13 @@ def _pull_parts(pool: WorkerPool | ExecutorPool, work: Callable[[int, int], T], 
 
 
 def side_by_side(work: Callable[[int], object], threads: int) -> None:
-    """As `parallel.side_by_side`."""
+    """Call `work` in several threads, as `parallel.side_by_side`."""
     pool = _pool_for(threads)
     _run_exclusively(pool, lambda: pool.do(work, threads - 1), lambda: work(0))
 
 
 def call_rows(function: Callable[[int, int, int], None], parts: NDArray[np.int64], threads: int) -> None:
-    """As `parallel.listed`."""
+    """Call a function of machine code with each row, as `parallel.call_rows`."""
     pool = _pool_for(threads)
 
     def alone() -> None:
@@ -225,7 +224,7 @@ def call_rows(function: Callable[[int, int, int], None], parts: NDArray[np.int64
 
 @cache
 def possible() -> bool:
-    """Whether threads can wait in machine code here."""
+    """Return whether threads can wait in machine code on this system."""
     return machine.is_available() and direct.possible() and all(hasattr(ctypes.pythonapi, name) for name in _LOCK_FUNCTIONS)
 
 
@@ -234,7 +233,8 @@ _pool_lock = Lock()
 
 
 def _pool_for(threads: int) -> WorkerPool | ExecutorPool:
-    """Return the cached pool for a number of threads, the caller's included. It runs machine code where that is possible."""
+    """Return the cached pool for a number of threads, including the caller's. It is a WorkerPool if possible, else an
+    ExecutorPool."""
     pool = _pool_by_threads.get(threads)
     if pool is None:
         with _pool_lock:
@@ -245,7 +245,7 @@ def _pool_for(threads: int) -> WorkerPool | ExecutorPool:
 
 
 def _forget() -> None:
-    """Forget the threads in a forked process, which has none of them."""
+    """Forget the pools in a forked process, which has none of their threads."""
     global _pool_lock
     _pool_by_threads.clear()
     _pool_lock = Lock()
@@ -266,7 +266,7 @@ def _symbol_address(name: str) -> int:
 
 
 def _make_locked_lock() -> int:
-    """A lock of CPython's that is taken."""
+    """Return a lock of CPython that is already taken."""
     allocate = ctypes.CFUNCTYPE(ctypes.c_void_p)(_symbol_address(_LOCK_FUNCTIONS[0]))
     acquire = ctypes.CFUNCTYPE(ctypes.c_int, ctypes.c_void_p, ctypes.c_int)(_symbol_address(_LOCK_FUNCTIONS[1]))
     lock: int | None = allocate()

@@ -1,4 +1,4 @@
-"""Rows of CSV (RFC 4180) with text cells that no spreadsheet program reads as a formula."""
+"""Rows of CSV (RFC 4180). Text cells are written so that no spreadsheet program reads them as a formula."""
 
 from __future__ import annotations
 
@@ -7,21 +7,21 @@ import re
 from collections.abc import Iterable, Sequence
 from types import SimpleNamespace
 
-_FORMULA_START_CHARACTERS = frozenset("=+-@\t\r\n＝＋－＠")  # a cell that begins so is a formula in some spreadsheet program
+_FORMULA_START_CHARACTERS = frozenset("=+-@\t\r\n＝＋－＠")  # a cell that begins with one of these is a formula in some programs
 _NUMBER_PATTERN = re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?|[+-]?(?:inf|nan)")
 
 
 def safe_cell(value: object) -> object:
     """Return a value as written in a cell. Text that begins like a formula, or with an apostrophe, gets an apostrophe in front.
 
-    Removing one leading apostrophe restores it. Numbers are unchanged, also those written as text."""
+    Removing one leading apostrophe restores the text. Numbers are unchanged, including numbers written as text."""
     if not isinstance(value, str) or _NUMBER_PATTERN.fullmatch(value):
         return value
     return f"'{value}" if value.startswith("'") or value.lstrip(" ")[:1] in _FORMULA_START_CHARACTERS else value
 
 
 def csv_text(rows: Iterable[Sequence[object]]) -> str:
-    """Rows as lines that end in a line feed, cells with commas, quotes or line ends in quotes."""
+    """Return rows as lines that end in a line feed. Cells with commas, quotes or line ends are quoted."""
     lines: list[str] = []
     writer = csv.writer(SimpleNamespace(write=lines.append))  # ends a line in CR LF, and so puts cells with either in quotes
     writer.writerows([safe_cell(value) for value in row] for row in rows)

@@ -1,4 +1,4 @@
-"""Section views: parts beyond a plane across an axis are left out, and solids show their inside."""
+"""Section views: geometry beyond a plane is left out, so that the inside of solids is visible."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _PLANE = re.compile(r"\s*([xyz])\s*([<>])(.*)", re.DOTALL)
 
 @dataclass(frozen=True, slots=True)
 class CutPlane:
-    """The part that is cut away: points with a coordinate along an axis above `at` (scene units), or below it if `below`."""
+    """A plane across an axis. Points with a coordinate above `at` (scene units) are cut away, or below `at` if `below`."""
 
     axis: int
     at: float
@@ -28,7 +28,7 @@ class CutPlane:
 
     @staticmethod
     def of(text: str) -> CutPlane | None:
-        """Parse text such as `z > 0`; None for any other text."""
+        """Return the plane of a text such as `z > 0`; None for any other text."""
         match = _PLANE.fullmatch(text)
         try:
             return None if match is None else CutPlane("xyz".index(match[1]), parse_number(match[3]), match[2] == "<")
@@ -36,18 +36,22 @@ class CutPlane:
             return None
 
     def is_cut_away(self, points: NDArray[np.float64]) -> NDArray[np.bool_]:
-        """Which places [n,3] are taken away."""
+        """Return whether each point [n, 3] is cut away."""
         along = points[:, self.axis]
         return along < self.at if self.below else along > self.at
 
     def section_colours(self, points: NDArray[np.float64], near: float) -> NDArray[np.float64]:
-        """Return colours [n,3] of a solid's vertices: dark on the plane, so that cavities are visible, and none elsewhere."""
+        """Return colours [n, 3] of a solid's vertices: dark within `near` of the plane, so that cavities are visible, NaN
+        elsewhere."""
         colour = np.full((len(points), 3), np.nan)
         colour[np.abs(points[:, self.axis] - self.at) < near] = _SECTION_COLOUR
         return colour
 
     def cut_volume(self, volume: Volume, offset: NDArray[np.float64], scale: float) -> Volume:
-        """Return a copy of a solid without the part beyond the plane: max(distance, depth beyond it)."""
+        """Return a copy of a volume without the part beyond the plane.
+
+        Each distance becomes max(distance, depth beyond the plane). `offset`: position of the volume in mm; `scale`: scene units
+        per mm."""
         copied = deepcopy(volume)
         bricks = copied.bricks
         nodes = bricks.origin[self.axis] + np.arange(bricks.nodes[self.axis]) * bricks.voxel
@@ -69,7 +73,7 @@ class CutPlane:
         return copied
 
     def cut_picture(self, whole: Picture) -> Picture:
-        """Return a picture without the agents, items, scent and mesh faces that the plane removes. Its solids are already cut."""
+        """Return a picture without the agents, items, scent and mesh faces that the plane removes. Solids must be cut already."""
         return replace(
             whole,
             solids=tuple(self._mesh(solid) for solid in whole.solids),

@@ -1,7 +1,7 @@
-"""Draws the requested frames of a cache, each independently: a picture does not depend on the frames that are drawn before it.
+"""Draws the requested frames of a cache. A picture does not depend on the frames drawn before it.
 
-A still is written atomically, with a hash of everything that it was drawn from. A still that is in the folder already is not
-drawn again."""
+A still is written atomically, with a hash of everything it was drawn from. A still that exists in the folder is not drawn
+again."""
 
 from __future__ import annotations
 
@@ -28,14 +28,14 @@ from antdsl.outputs.pictures.model import Camera, Picture
 from antdsl.outputs.pictures.render import Renderer
 from antdsl.whole import write_atomically
 
-_PNG_HASH_KEYWORD = "antdsl"  # of the text in a PNG file that holds the hash
+_PNG_HASH_KEYWORD = "antdsl"  # keyword of the text with the hash in a PNG file
 MAX_STILL_BYTES = 512 * limits.MIB
 
 Image = NDArray[np.uint8]
 MIN_AGENT_PIXELS, MAX_AGENT_ENLARGEMENT = (
     7.0,
     3.0,
-)  # pixels that agents are drawn long at least, though at most so many times their size
+)  # shorter agents are enlarged to this length (pixels), by a factor of at most the second number
 
 
 class AgentMissing(Exception):
@@ -44,9 +44,13 @@ class AgentMissing(Exception):
 
 @dataclass(frozen=True, slots=True)
 class DrawRequest:
-    """The options of pictures. `cut`, `window`: as on the command line. `camera`: `scene`, `fit`, `above`, `top`, `eye` or
-    `close`. `agents`: those with ids, paths and the like displayed, the first for the eye. `least`: pixels, None for the default.
-    `rest`: a camera at eye level stays where the first frame put it, as films need."""
+    """The options of pictures.
+
+    `camera`: `scene`, `fit`, `above`, `top`, `eye` or `close`.
+    `agents`: ids of the agents with ids, paths and similar overlays; a camera at eye level follows the first.
+    `cut`, `window`: the texts of the command-line options.
+    `least`: bodies are enlarged to this length in pixels; None for the default.
+    `rest`: a camera at eye level stays where the first frame placed it, as films need."""
 
     width: int
     height: int
@@ -63,14 +67,14 @@ class DrawRequest:
     rest: bool = False
 
     def gallery(self, cache: Cache) -> Gallery:
-        """Return the cache's pictures. Raises NoPicture as `Gallery` does."""
+        """Return a gallery that builds the cache's pictures. Raises PictureUnavailable as `Gallery` does."""
         window = PathWindow.of(self.window) if "paths" in self.show else None
         cut = CutPlane.of(self.cut) if self.cut is not None else None
         return Gallery(cache, cut, window, blurred=self.blur > 0, full=dict(self.full))
 
 
 class FrameDrawer:
-    """Drawer of some `frames` of a gallery, on several threads. A fixed camera is chosen from the first of them."""
+    """Drawer of some `frames` of a gallery, on several threads. A fixed camera is chosen from the first of these frames."""
 
     def __init__(self, gallery: Gallery, request: DrawRequest, frames: Sequence[int], threads: int) -> None:
         self.gallery, self.wanted, self.frames = gallery, request, list(frames)
@@ -83,8 +87,11 @@ class FrameDrawer:
         self._standing = self._camera(first)
 
     def draw(self, frame: int) -> NDArray[np.uint8]:
-        """Draw one frame (height, width, 3). Raises CacheError if it is damaged, NoPicture if it cannot be drawn, NoAgent if a
-        camera finds no agent. Raises ValueError for an unknown word in `show`."""
+        """Return the picture of one frame (height, width, 3).
+
+        Raises CacheError if the frame is damaged, PictureUnavailable if it cannot be drawn. Raises AgentMissing if a camera finds
+        no
+        agent, ValueError for an unknown word in `show`."""
         request, picture = self.wanted, self.gallery.picture(frame, agents=self._agents)
         follows = request.camera in ("eye", "close") and not request.rest
         moves = request.camera == "scene" and self.gallery.camera_moves
@@ -111,7 +118,7 @@ class FrameDrawer:
 
 
 def _describe_missing_agent(picture: Picture, agents: Sequence[int]) -> str:
-    """Return a message that a camera finds no agent, with the agents that exist."""
+    """Return a message that the camera's agent is missing, with the numbers of agents that exist."""
     counts: dict[str, int] = {}
     for crowd in picture.crowds:
         counts[crowd.species] = counts.get(crowd.species, 0) + len(crowd.position)
@@ -121,13 +128,13 @@ def _describe_missing_agent(picture: Picture, agents: Sequence[int]) -> str:
 
 
 def still_path(folder: Path, frame: int) -> Path:
-    """Return the path of a frame's picture."""
+    """Return the path of a frame's still."""
     return folder / f"picture.{frame:04d}.png"
 
 
 @dataclass(frozen=True, slots=True)
 class StillStore:
-    """The requested stills of a cache in a folder."""
+    """The stills of a cache in a folder, drawn as requested."""
 
     folder: Path
     request: DrawRequest
@@ -136,8 +143,9 @@ class StillStore:
 
     @classmethod
     def of(cls, folder: Path, cache: Cache, request: DrawRequest, together: Sequence[int]) -> StillStore:
-        """Open the stills of a cache. The hash covers data that identifies the cache's frames. `together`: the frames that the
-        camera is chosen for."""
+        """Return the store for the stills of a cache. A still's hash covers data that identifies the cache's frames.
+
+        `together`: the frames that a common camera is chosen for."""
         read = cache.manifest.model_copy(update={"made_with": None}).model_dump_json()  # pictures do not depend on it
         manifest = blake2b(read.encode(), digest_size=16).hexdigest()
         frames = cache.frames()
@@ -151,7 +159,7 @@ class StillStore:
         return cls(folder, request, cache.lines(), json.dumps(inputs, sort_keys=True))
 
     def put(self, frame: int, image: Image) -> Path:
-        """Write the picture (h, w, 3) of a frame, atomically. It is not synced."""
+        """Write the picture (h, w, 3) of a frame atomically, without syncing it to the disk. Return its path."""
         from PIL import Image as PillowImage
         from PIL.PngImagePlugin import PngInfo
 
@@ -163,8 +171,9 @@ class StillStore:
         return still_path(self.folder, frame)
 
     def read_still(self, frame: int) -> Image | None:
-        """Return the picture (h, w, 3) of a frame if it exists, is complete, and was drawn from the same inputs as now; else
-        None."""
+        """Return the stored picture (h, w, 3) of a frame.
+
+        Return None if it does not exist, is incomplete, or was drawn from other inputs."""
         from antdsl.reader.image_request import ImageError, read_image_file
 
         try:

@@ -1,4 +1,4 @@
-"""Changes a cache after the run and writes the result as a separate cache: the original stays as it is.
+"""Edits a cache after the run and writes the result as a separate cache. The original is not changed.
 
 Orientations are smoothed over the frames before and after. A run cannot do this, because it does not know the next frame
 (R10)."""
@@ -27,21 +27,21 @@ _REQUIRED_ARRAYS = ("id", "orient")
 
 
 class NotEditable(Exception):
-    """Reason why a cache cannot be edited; the message is complete without context."""
+    """Reason why a cache cannot be edited. The message is complete without context."""
 
 
 def smooth_orientations(cache: Cache, folder: Path, width: int, *, force: bool = False) -> Iterator[int]:
-    """Write a copy of a cache without checkpoints, with orientations smoothed over `width` frames. Yield the number of each
-    written frame.
+    """Write a copy of a cache with orientations smoothed over `width` frames. Yield the number of each written frame.
 
-    Raises CacheError where a frame is damaged; ForeignFolder, InTheWay and Locked as for a run."""
+    The copy has no checkpoints. Raises CacheError if a frame is damaged; ForeignFolder, PathBlocked and FolderLocked as for a
+    run."""
     lacking = [name for name in _REQUIRED_ARRAYS if name not in cache.manifest.attributes]
     if lacking:
         raise NotEditable(f"the cache has no attribute `{lacking[0]}`, which smoothing needs")
     prepare_folder(folder, force=force)
     with FolderLock(folder):
         clear(folder)
-        (folder / "manifest.json").unlink(missing_ok=True)  # until all is there the folder is no cache
+        (folder / "manifest.json").unlink(missing_ok=True)  # the folder is no cache until it is complete
         static = npz_file(cache.static())
         write_atomically(folder / STATIC, static.parts)
         yield from _write_frames(cache, folder, width)
@@ -53,7 +53,7 @@ def smooth_orientations(cache: Cache, folder: Path, width: int, *, force: bool =
 
 
 def _write_frames(cache: Cache, folder: Path, width: int) -> Iterator[int]:
-    """Write the frames in order, with the orientations of `width` frames in memory at a time."""
+    """Write the frames in order, and yield the number of each. Memory holds the orientations of `width` frames at a time."""
     numbers, states, lines = cache.frames(), cache.hashes(), []
     existing_frames, near = set(numbers), {}
     for number in numbers:
@@ -81,7 +81,7 @@ def _read_orientations(cache: Cache, number: int) -> FrameOrientations:
 
 
 def _scene_path(cache: Cache, folder: Path) -> str | None:
-    """The way to the scene from another folder."""
+    """Return the path from another folder to the scene file, or None if it is unknown."""
     if cache.manifest.scene_path is None:
         return None
     return relative_path(Path(os.path.normpath(cache.folder.resolve() / cache.manifest.scene_path)), folder)
@@ -89,19 +89,21 @@ def _scene_path(cache: Cache, folder: Path) -> str | None:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FrameOrientations:
-    """The agents of a frame: unique identifiers int64[n], and unit quaternions float64[n,4]."""
+    """The agents of a frame: `key` int64[n], unique in the cache, and `orient` float64[n, 4], unit quaternions."""
 
     key: NDArray[np.int64]
     orient: NDArray[np.float64]
 
 
 def smooth_frame(frames: Mapping[int, FrameOrientations], frame: int, width: int) -> NDArray[np.float32]:
-    """Return the orientations [n,4] of a frame as weighted means over `width` frames, half of them before it and half after.
+    """Return the orientations [n, 4] of a frame as weighted means over `width` frames, half before the frame and half after it.
 
-    Weights fall off as a raised cosine (J. von Hann's window). An agent that is not in all of these frames without a break has as
-    many of them as there are on both sides. So one that is born or dies stays as it was there, and no agent lags.
+    Weights fall off as a raised cosine (J. von Hann's window). For each agent, the same number of frames is used on both sides:
+    those
+    in which it exists without a gap. So the orientation of an agent in its first or last frame is unchanged, and no agent lags.
 
-    Quaternions are added with the sign that lies nearer to the next frame's towards the middle, and normalised. For small angles
+    Each quaternion is added with the sign nearer to its neighbour on the side of `frame`, and the sum is normalised. For small
+    angles
     this is the mean of F. L. Markley et al., Averaging Quaternions, J. Guidance, Control, and Dynamics 30 (2007)."""
     current, half = frames[frame], width // 2
     sides = [_side_orientations(frames, frame, direction, half) for direction in (-1, 1)]
@@ -118,8 +120,10 @@ def smooth_frame(frames: Mapping[int, FrameOrientations], frame: int, width: int
 def _side_orientations(
     frames: Mapping[int, FrameOrientations], frame: int, direction: int, half: int
 ) -> tuple[list[NDArray[np.float64]], NDArray[np.int64]]:
-    """Return the orientations of a frame's agents in `half` frames to one side, the nearest first. Also return in how many of
-    these frames each agent exists."""
+    """Return the orientations of a frame's agents in `half` frames on one side, the nearest first.
+
+    `direction`: -1 for the frames before, 1 for the frames after.
+    The second result is the number of these frames in which each agent exists without a gap."""
     current = frames[frame]
     last, is_present, count = current.orient, np.ones(len(current.key), np.bool_), np.zeros(len(current.key), np.int64)
     orientations = []

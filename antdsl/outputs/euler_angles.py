@@ -1,4 +1,4 @@
-"""Orientations as angles about x, y and z for animation curves: without jumps between frames."""
+"""Orientations as angles about x, y and z for animation curves, without jumps between frames."""
 
 from __future__ import annotations
 
@@ -12,16 +12,20 @@ _GIMBAL_LOCK_COSINE = 1e-6  # cosine of the middle angle below which only the su
 
 
 class EulerAngles:
-    """Angles about x, then y, then z of agents, frame by frame. Of all equivalent angles, each agent gets those nearest to its
-    last ones, in the sum of squares. New agents get those nearest to 0."""
+    """Angles of agents about x, then y, then z, frame by frame.
+
+    Of all equivalent angles, each agent gets those nearest to its previous angles, in the sum of squares. New agents get the
+    angles
+    nearest to 0."""
 
     def __init__(self) -> None:
         self._ids: NDArray[np.int64] = np.empty(0, np.int64)
         self._last: Floats = np.empty((0, 3))
 
     def of(self, ids: NDArray[np.int64], orient: NDArray[np.floating]) -> Floats:
-        """Return degrees (n, 3) of quaternions (n, 4: x, y, z, w); a quaternion of zero length gives no rotation. `ids` (n,)
-        ascend."""
+        """Return the angles (n, 3) in degrees of quaternions (n, 4: x, y, z, w). A quaternion of zero length means no rotation.
+
+        `ids` (n,): the agents, ascending."""
         previous = np.zeros((len(ids), 3))
         if len(self._ids):
             at = np.minimum(np.searchsorted(self._ids, ids), len(self._ids) - 1)
@@ -32,9 +36,11 @@ class EulerAngles:
 
 
 def nearest_angles(turn: Floats, previous: Floats) -> Floats:
-    """Return the angles in radians (n, 3) about x, then y, then z of matrices (n, 3, 3) for columns, nearest to those `previous`.
+    """Return the angles (n, 3) about x, then y, then z, in radians, of rotation matrices (n, 3, 3) for column vectors.
 
-    The outer angle is computed first, and the others from the remaining rotation. So the three give the matrix even where the
+    Of all equivalent angles, those nearest to `previous` are returned.
+
+    The outer angle is computed first, and the others from the remaining rotation. So the angles reproduce the matrix even if the
     middle angle is near 90 degrees (M. Day, Extracting Euler Angles from a Rotation Matrix, Insomniac Games, 2014)."""
     flat = np.hypot(turn[:, 0, 0], turn[:, 1, 0])
     outer = np.where(flat > _GIMBAL_LOCK_COSINE, np.arctan2(turn[:, 1, 0], turn[:, 0, 0]), previous[:, 2])
@@ -48,5 +54,5 @@ def nearest_angles(turn: Floats, previous: Floats) -> Floats:
 
 
 def _unwind(angles: Floats, previous: Floats) -> Floats:
-    """Return each angle plus the full turns that bring it nearest to the previous one."""
+    """Return each angle shifted by the full turns that bring it nearest to the previous one."""
     return angles - 2 * np.pi * np.round((angles - previous) / (2 * np.pi))

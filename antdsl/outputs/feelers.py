@@ -25,7 +25,7 @@ _OPERATOR_FUNCTIONS: dict[str, Callable[..., float]] = {
 
 
 def feelers_of(program: Program, species: str, params: Mapping[str, Any], unit_mm: float, dt: float) -> tuple[FeelersEntry, ...]:
-    """Return all feelers of a species' layers and states. Those with numbers that change from step to step are left out."""
+    """Return all feelers of a species' layers and states. Feelers with numbers that change from step to step are left out."""
     entries = []
     for part in _find_feelers(program.species[species]):
         count, spread, reach = (_evaluate(a, 0.0, params, unit_mm, dt) for a in part.args)
@@ -37,12 +37,12 @@ def feelers_of(program: Program, species: str, params: Mapping[str, Any], unit_m
 
 @lru_cache(maxsize=16)  # read for each frame while an agent is followed
 def _find_feelers(species: Species) -> tuple[SetExpr, ...]:
-    """Return the sets of feelers in a species."""
+    """Return the feeler expressions of a species."""
     return tuple(part for part in parts(species) if isinstance(part, SetExpr) and part.source == "feelers")
 
 
 def _evaluate(part: Expr | None, size: float, params: Mapping[str, Any], unit_mm: float, dt: float) -> float | None:
-    """A number in base units for an agent of a size in mm; None when it depends on more than that."""
+    """Return the value of an expression in base units for an agent of `size` mm. Return None if it depends on anything else."""
     if isinstance(part, Constant):
         return float(part.number * unit_mm**part.u * dt**part.step)
     if isinstance(part, ParamRef):
@@ -61,8 +61,11 @@ def _evaluate(part: Expr | None, size: float, params: Mapping[str, Any], unit_mm
 
 def feeler_rays(entry: FeelersEntry, position: NDArray[np.float64], ahead: NDArray[np.float64], up: NDArray[np.float64],
          scale: NDArray[np.float64]) -> NDArray[np.float64]:  # fmt: skip
-    """Return the start and end points (n · count, 2, 3) of agents' feelers. Inputs: `position` (n, 3), unit `ahead` and `up`,
-    body lengths `scale`."""
+    """Return the start and end points (n · count, 2, 3) of agents' feelers.
+
+    `position` (n, 3): positions of the agents.
+    `ahead`, `up` (n, 3): unit vectors.
+    `scale` (n,): body lengths."""
     angles = np.linspace(-entry.spread, entry.spread, entry.count) if entry.count > 1 else np.zeros(1)
     side = np.cross(up, ahead)
     reach = (entry.reach + entry.per_length * scale)[:, None]

@@ -1,6 +1,7 @@
-"""Flows as arrows on the ground, few enough to be distinguishable, as stored in a cache for pictures.
+"""Flows as arrows on the ground, stored in a cache for pictures. There are few enough arrows to tell them apart.
 
-static.npz  flow.NAME.P f4 (n, 3) start points of arrows, flow.NAME.V f4 (n, 3) their vectors, as at the first frame"""
+static.npz  flow.NAME.P f4 (n, 3): start points of the arrows
+            flow.NAME.V f4 (n, 3): vectors of the arrows, as at the first frame"""
 
 from __future__ import annotations
 
@@ -14,13 +15,13 @@ from antdsl.outputs.cache.places import scene_places
 from antdsl.runtime.world import World
 
 _ARROWS_PER_EXTENT = 44  # arrows in a row along the longest side of the ground
-_ARROW_LENGTH_SHARE = 0.85  # of that distance an arrow of strength 1 is long
-_MIN_ARROW_STRENGTH = 0.02  # flows weaker than so are not drawn
+_ARROW_LENGTH_SHARE = 0.85  # length of an arrow of strength 1, as a share of the arrows' distance
+_MIN_ARROW_STRENGTH = 0.02  # weaker flows are not drawn
 _ARROW_LIFT = 0.06
 
 
 def arrows(world: World, scale: float) -> dict[str, NDArray[Any]]:
-    """Arrays of all flows that lie on meshes, in scene units (`scale` per mm), relative to the world's origin."""
+    """Return the arrows of all flows on meshes, in scene units relative to the world's origin. `scale`: scene units per mm."""
     meshes = world.ground.meshes
     if meshes is None:
         return {}
@@ -46,6 +47,6 @@ def arrows(world: World, scale: float) -> dict[str, NDArray[Any]]:
 
 
 def read_arrows(static: Mapping[str, NDArray[Any]]) -> dict[str, tuple[NDArray[np.float64], NDArray[np.float64]]]:
-    """Return the start points and vectors of arrows (n, 3), by the flow's name."""
+    """Return the start points (n, 3) and vectors (n, 3) of the arrows, by the flow's name."""
     names = [key.removeprefix("flow.").removesuffix(".P") for key in static if key.startswith("flow.") and key.endswith(".P")]
     return {n: (np.asarray(static[f"flow.{n}.P"], np.float64), np.asarray(static[f"flow.{n}.V"], np.float64)) for n in names}

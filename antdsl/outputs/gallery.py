@@ -1,5 +1,6 @@
-"""Conversion of a cache's frames to pictures: meshes, agents in the colours of their states, items by their remaining amount,
-scent on the ground."""
+"""Conversion of a cache's frames to pictures: meshes, agents in the colours of their states, items and scent.
+
+The size of an item shows its remaining amount."""
 
 from __future__ import annotations
 
@@ -53,20 +54,22 @@ _UP_VECTORS = {"y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
 REQUIRED_ATTRIBUTES = ("P", "orient", "pscale")
 _FIELD_COLOURS = ((0.68, 0.10, 0.46), (0.05, 0.46, 0.62), (0.80, 0.40, 0.05), (0.30, 0.22, 0.66))  # fields in their order
 _FLOW_COLOURS = ((250, 246, 226), (60, 214, 255), (255, 150, 60), (190, 140, 255))  # flows in their order
-_OUTLINE_DIRECTIONS, _MAX_FITTED_FRAMES = 96, 48  # in which agents are outermost; frames that a camera is fitted to
-_MAX_STRENGTH_FRAMES = 8  # frames that say how strong a field grows
+_OUTLINE_DIRECTIONS, _MAX_FITTED_FRAMES = 96, 48  # directions for the outermost agents; frames examined to fit a camera
+_MAX_STRENGTH_FRAMES = 8  # frames examined for the strongest value of a field
 
 
 class PictureUnavailable(Exception):
-    """Reason why a cache cannot be drawn; the message is complete without context."""
+    """Reason why a cache cannot be drawn. The message is complete without context."""
 
 
 class Gallery:
-    """Builder of pictures of one cache, each from its own frame, with positions relative to `origin` (scene units).
+    """Builder of the pictures of one cache. A picture depends on its own frame, and positions are relative to `origin` (scene
+    units).
 
-    With a `window`, pictures have paths: the positions of each agent in the frames of some seconds before and after. `blurred`:
-    they also have the agents' positions in the next frame. `full`: by field, the strength drawn strongest. Raises NoPicture for a
-    cache without the data for pictures, or without such a field."""
+    `window`: the seconds before and after a frame for which pictures have the agents' paths; None for no paths.
+    `blurred`: pictures also have the agents' positions in the next frame.
+    `full`: by field, the strength drawn strongest.
+    Raises PictureUnavailable for a cache without the data for pictures, or without a field in `full`."""
 
     def __init__(
         self,
@@ -105,7 +108,7 @@ class Gallery:
         self._places: dict[str, NDArray[np.float64]] = {}
 
     def picture(self, frame: int, *, agents: frozenset[int] = frozenset()) -> Picture:
-        """Return the picture of one frame. With `agents`, only these ids get what `ids`, `velocity` and `paths` show."""
+        """Return the picture of one frame. With `agents`, the overlays `ids`, `velocity` and `paths` are limited to these ids."""
         arrays = self.cache.frame(frame)
         if self._first is None:
             frames = self.cache.frames()
@@ -131,12 +134,14 @@ class Gallery:
 
     @property
     def camera_fits(self) -> bool:
-        """Return whether the scene requests a camera that holds the crowd in all drawn frames."""
+        """Return whether the scene requests a camera that shows the complete crowd in all drawn frames."""
         return self.manifest.camera == "fit"
 
     def outline(self, frames: Sequence[int]) -> NDArray[np.float64]:
-        """Return points (n, 3) such that a camera that holds them holds all agents in the frames. The outermost agents in many
-        directions count, plus a margin of one body length; only some of the frames are examined."""
+        """Return points (n, 3) that enclose the agents of the frames: a camera that shows the points shows all agents.
+
+        In many directions, the outermost agent counts, plus a margin of one reach of its body. Only some of the frames are
+        examined."""
         turn = np.arange(_OUTLINE_DIRECTIONS) * (np.pi * (3.0 - np.sqrt(5.0)))  # a spiral that covers a ball evenly
         height = 1.0 - 2.0 * (np.arange(_OUTLINE_DIRECTIONS) + 0.5) / _OUTLINE_DIRECTIONS
         flat = np.sqrt(1.0 - height * height)
@@ -154,8 +159,9 @@ class Gallery:
         return np.concatenate(points)
 
     def _body_reaches(self, arrays: Arrays) -> NDArray[np.float64] | float:
-        """Return the reach of each agent's body from its position, in body lengths: 1 except for species with an agent
-        definition."""
+        """Return the reach of each agent's body from its position, in body lengths. It is at least 1.
+
+        Only species with an agent definition have a larger reach."""
         reach = np.ones(len(self.manifest.species))
         for number, species in enumerate(self.manifest.species):
             if species.definition is not None:
@@ -165,7 +171,7 @@ class Gallery:
         return reach[np.clip(np.asarray(arrays["species"], np.int64), 0, len(reach) - 1)]
 
     def camera(self, frame: int) -> Camera | None:
-        """The scene's own camera at a frame, if it has one."""
+        """Return the scene's own camera at a frame, or None if it has none."""
         own = self.manifest.camera
         if not isinstance(own, CameraEntry):
             return None
@@ -176,7 +182,7 @@ class Gallery:
         return Camera(at, look_at, focal=float(self.static["camera.focal"][k]) or 35.0, up=up)
 
     def _dug_at(self, frame: int) -> tuple[Solid, ...]:
-        """The solids as far as they are dug."""
+        """Return the solids as dug at a frame."""
         looks = {mesh.name: mesh.look for mesh in self.manifest.meshes if mesh.look is not None}
         return tuple(
             solid if solid.name not in looks else replace(solid, kind=_SURFACE_KIND_BY_MATERIAL[str(looks[solid.name])])
@@ -185,7 +191,7 @@ class Gallery:
         )
 
     def _solids(self, arrays: Arrays) -> tuple[Solid, ...]:
-        """Return the meshes; moving ones as in the frame."""
+        """Return the meshes that are not dug. Moving meshes are at their positions of the frame."""
         moved = {mesh.name: f"mesh.{mesh.name}.vertices" for mesh in self.manifest.meshes if mesh.moves}
         return tuple(
             replace(solid, vertices=np.asarray(arrays[moved[solid.name]], np.float64))
@@ -221,8 +227,8 @@ class Gallery:
         return tuple(crowds), tuple(legend)
 
     def _species_crowd(self, number: int, frame: int, arrays: Arrays) -> Crowd:
-        """Return all agents of a species, posed by the clips and appearance in the frame. Agents without a clip play the idle
-        clip. The feet are those of the frame."""
+        """Return all agents of a species, posed by the clips, feet and appearance of the frame. Agents without a clip play the
+        idle clip."""
         species, rows = self.manifest.species[number], species_rows(arrays, number)
         ids = agent_ids(arrays)[rows]
         body, count = self.body(number), len(rows)
@@ -250,7 +256,7 @@ class Gallery:
         return [replace(crowd.rows(rows), worn=self.body(number, mask)) for mask, rows in parts]
 
     def body(self, number: int, mask: int = 0) -> PosedBody:
-        """Return the body of a species with the layers of a mask: its own, stored in the cache, or one of the library."""
+        """Return the body of a species with the layers of a mask. It is stored in the cache, or comes from the library."""
         species = self.manifest.species[number]
         if (number, mask) not in self._worn:
             if number not in self._definitions:
@@ -268,7 +274,7 @@ class Gallery:
             raise PictureUnavailable(f"the body of `{species.name}` in the cache {why}") from None
 
     def _with_lines(self, crowd: Crowd, species: SpeciesEntry, number: int, frame: int) -> Crowd:
-        """Return the crowd with its paths and the rays of its feelers, where these are displayed."""
+        """Return the crowd with the paths and feelers of its agents, if these are displayed."""
         if crowd.ids is not None and self._walks is not None:
             crowd = replace(crowd, paths=self._walks.at(frame, number, np.asarray(crowd.ids, np.int64)))
         if not species.feelers or crowd.ids is None or not len(crowd.position):
@@ -292,7 +298,7 @@ class Gallery:
         return tuple(items)
 
     def _share_left(self, group: str, attributes: tuple[str, ...], number: int, arrays: Arrays) -> float:
-        """Return the share of its initial amount that an item still has; 1 for an item that started with nothing."""
+        """Return the share (0..1) of its initial amount that an item still has. It is 1 for an item that started with nothing."""
         for attribute in attributes:
             key = f"items.{group}.{attribute}"
             if self._first is not None and key in self._first and key in arrays:
@@ -319,8 +325,8 @@ class Gallery:
         return tuple(trails)
 
     def _full_strengths(self) -> dict[str, float]:
-        """Return the strength drawn strongest, by field. It is the same for the complete cache, so that changes of scent are
-        visible."""
+        """Return the strength that is drawn strongest, by field. All frames of the cache use the same
+        strength, so scent can be compared."""
         if self._full is None:
             frames, self._full = self.cache.frames(), {}
             chosen = (
@@ -331,7 +337,7 @@ class Gallery:
             for frame in sorted(chosen):
                 try:
                     arrays = self.cache.frame(frame)
-                except CacheError:  # a damaged frame keeps no other from being drawn
+                except CacheError:  # other frames can be drawn without a damaged one
                     continue
                 for field in self.manifest.fields:
                     values = np.asarray(arrays.get(f"field.{field.name}.values", ()), np.float64)
@@ -339,7 +345,7 @@ class Gallery:
         return self._full
 
     def _grain(self, first: Arrays) -> float | None:
-        """Return the length for the ground's grain: the median body length of the first frame, so that births do not change
+        """Return the reference length of the ground's grain: the median body length of the first frame. So births do not change
         it."""
         lengths = np.asarray(first["pscale"], np.float64)
         lengths = lengths[np.isfinite(lengths) & (lengths > 0)]
@@ -347,13 +353,14 @@ class Gallery:
 
 
 def place_digits(gallery: Gallery) -> str:
-    """Return the `%` format of a coordinate from the scene's zero point: float32 to its last bit, or with an origin float64 (a
-    millionth of a millimetre at 1000 km)."""
+    """Return the `%` format for a coordinate relative to the scene's zero point: all digits of float32.
+
+    With an origin it has the digits of float64 (a millionth of a millimetre at 1000 km)."""
     return "%.15g" if gallery.origin.any() else "%.9g"
 
 
 def _split_chosen(crowd: Crowd, agents: frozenset[int]) -> list[Crowd]:
-    """Return the crowd, or the given agents and the others as two crowds. Only the first has ids and velocities to show."""
+    """Return the crowd, or two crowds if `agents` are chosen: the chosen and the others. The others lose ids and velocities."""
     if not agents or crowd.ids is None:
         return [crowd]
     chosen = np.isin(crowd.ids, sorted(agents))

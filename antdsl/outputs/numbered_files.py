@@ -1,4 +1,4 @@
-"""Names of files with one per frame, and the reasons why a cache cannot be exported in some form."""
+"""Names of files with one per frame, and the error for caches that cannot be exported in some form."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from pathlib import Path
 
 
 class ExportUnavailable(Exception):
-    """Reason why a cache cannot be exported in this form; the message is complete without context. `help`: what to do."""
+    """Reason why a cache cannot be exported in this form. The message is complete without context; `help` says what to do."""
 
     def __init__(self, message: str, help: str = "") -> None:
         super().__init__(message)
@@ -15,8 +15,9 @@ class ExportUnavailable(Exception):
 
 
 def numbered_path(path: Path, frame: int) -> Path:
-    """Return the file of a frame. Its number replaces `####`, with as many digits, or is inserted before the suffix, with
-    four."""
+    """Return the path of a frame's file. The frame number replaces `####`, padded to as many digits.
+
+    Without `####`, the number is inserted before the suffix, with four digits."""
     match = re.search("#+", path.stem)
     if match:
         name = f"{path.stem[: match.start()]}{frame:0{len(match[0])}d}{path.stem[match.end() :]}"

@@ -1,5 +1,6 @@
-"""Where agents of a cache were and will be: their places in the frames before and after one, and their rows in the frame
-after, for what moves while a shutter is open."""
+"""Paths of agents in a cache: their positions in the frames before and after a frame.
+
+For motion blur, this module also finds the agents' rows in the next frame."""
 
 from __future__ import annotations
 
@@ -25,14 +26,15 @@ _READ_ARRAYS = frozenset(("P", "orient", "pscale", *IDENTITY))
 
 @dataclass(frozen=True, slots=True)
 class PathWindow:
-    """Seconds before a frame and after it."""
+    """The seconds before and after a frame that a path covers."""
 
     seconds_before: float = 1.0
     seconds_after: float = 2.0
 
     @staticmethod
     def of(text: str) -> PathWindow | None:
-        """Parse text such as `1..2`; None for other text, or for more than MOST_SECONDS."""
+        """Return the window of a text such as `1..2`. Return None for other text, or for more than MAX_WINDOW_SECONDS on one
+        side."""
         try:
             seconds = parse_number_range(text)
         except QuantityError:
@@ -41,7 +43,7 @@ class PathWindow:
 
 
 class AgentPaths:
-    """The frames around those that are drawn, each read once as long as the requested frames are in order."""
+    """Paths of agents around the drawn frames. Each frame is read only once if the requested frames ascend."""
 
     def __init__(self, cache: Cache, dt: float, window: PathWindow) -> None:
         self._cache, self._window = cache, window
@@ -50,7 +52,7 @@ class AgentPaths:
         self._kept: OrderedDict[int, dict[str, NDArray[Any]] | None] = OrderedDict()
 
     def at(self, frame: int, species: int, ids: NDArray[np.int64]) -> AgentPathLines:
-        """Return the paths of some agents of one species; NaN in frames that do not exist or lack the agent."""
+        """Return the paths of some agents of one species. Positions are NaN in frames that do not exist or lack the agent."""
         positions = np.full((len(ids), self._before + 1 + self._after, 3), np.nan)
         for k in range(positions.shape[1]):
             frame_agents = self._agents_at(frame - self._before + k)
@@ -72,7 +74,10 @@ class AgentPaths:
         return self._kept[frame]
 
     def _read(self, frame: int) -> dict[str, NDArray[Any]] | None:
-        """Return ids and species of agents, in ascending order of both, and `place` float32[n,3], slightly above the ground."""
+        """Return the agents of a frame, in ascending order of species and id, or None if the frame cannot be read.
+
+        `ids`, `species`: by agent.
+        `place` float32[n, 3]: positions slightly above the ground."""
         try:
             arrays = self._cache.frame(frame, _READ_ARRAYS)
         except CacheError:  # a damaged frame leaves a gap in the lines
@@ -86,8 +91,9 @@ class AgentPaths:
 
 
 def follow_agents(now: Crowd, later: Crowd) -> Crowd:
-    """Return the agents of `now`, in its order, with their values in `later`, which may have another order. Agents missing in
-    `later` are unchanged. Both have ids."""
+    """Return the agents of `now`, in its order, with the values that they have in `later`. Both crowds have ids.
+
+    The order of `later` may differ. Agents missing in `later` are unchanged."""
     own, ids = np.asarray(now.ids), np.asarray(later.ids)
     order = np.argsort(ids, kind="stable")
     at, is_present = match_ids(own, ids[order])

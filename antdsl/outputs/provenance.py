@@ -24,22 +24,25 @@ _MAX_COMMAND_CHARACTERS = 2000  # characters of a command
 
 
 def provenance(scene: str, frames: FrameRange, seed: int, inputs: Mapping[str, str]) -> Provenance:
-    """Return the provenance of a cache that this process makes. `scene` is the name of the scene's file, `inputs` are those of
-    the run."""
+    """Return the provenance of a cache that this process makes. `scene`: the name of the scene file; `inputs`: the inputs of the
+    run."""
     return Provenance(sources=sources(), command=command(scene, frames, seed, inputs), **_versions())
 
 
 def command(scene: str, frames: FrameRange, seed: int, inputs: Mapping[str, str]) -> str:
     """Return the command that makes the same frames.
 
-    It names no folder, and no option that does not change results, such as `--out` and `--threads`. So the same run gives the
-    same bytes anywhere, and a cache reveals nothing about the machine."""
+    It contains no folder, and no option that does not change results, such as `--out` and `--threads`. So the same run gives the
+    same
+    bytes anywhere, and a cache reveals nothing about the machine."""
     return shlex.join(_command_words(scene, frames, seed, inputs))[:_MAX_COMMAND_CHARACTERS]
 
 
 def resume_command(folder: Path) -> str:
-    """Return the command that completes a cache or makes its damaged frames again, as far as the manifest allows. Every word of
-    the manifest is quoted, since the manifest may come from a stranger."""
+    """Return the command that completes a cache or makes its damaged frames again, as far as the manifest contains what is
+    needed.
+
+    Every word of the manifest is quoted, since the manifest may come from a stranger."""
     try:
         manifest = read_manifest(folder)
     except ManifestError:
@@ -69,7 +72,7 @@ def _versions() -> Mapping[str, str]:
 
 
 def _llvm() -> str:
-    """Return the versions of LLVM and llvmlite; empty where machine code is not available."""
+    """Return the versions of LLVM and llvmlite. Empty if machine code is not available."""
     if machine.unavailable():
         return ""
     import llvmlite
@@ -79,7 +82,7 @@ def _llvm() -> str:
 
 
 def _installed_version(*names: str) -> str:
-    """The version of the first of these packages that is installed; empty without any."""
+    """Return the version of the first of these packages that is installed. Empty if none is."""
     for name in names:
         try:
             return version(name)

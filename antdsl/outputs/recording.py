@@ -1,5 +1,6 @@
-"""Simulates a shot into a cache, from the beginning or from the last good checkpoint, and yields after each frame for callers
-that watch."""
+"""Simulates a shot into a cache, from the beginning or from the last good checkpoint.
+
+After each frame it yields to the caller, which may report progress or stop the run."""
 
 from __future__ import annotations
 
@@ -42,7 +43,7 @@ from antdsl.scene.values import FrameRange
 
 @dataclass(slots=True, eq=False)
 class Recording:
-    """The progress of a run. If `stop` is set between frames, the run ends at the next frame, with a checkpoint."""
+    """The progress of a run. If `stop` is set, the run ends after the current frame, with a checkpoint."""
 
     shot: Shot
     folder: Path
@@ -51,18 +52,18 @@ class Recording:
     resumed_from: int | None = None
     kept_lines: dict[int, Line] = field(default_factory=dict)  # the lines of the frames up to there
     damaged: list[int] = field(default_factory=list)  # checkpoints of an earlier run that are of no use
-    notes: list[str] = field(default_factory=list)  # what of an earlier run was damaged, and is made again
-    static: dict[str, NDArray[Any]] = field(default_factory=dict)  # what stands in the cache for the whole run
+    notes: list[str] = field(default_factory=list)  # messages on damaged parts of an earlier run that are made again
+    static: dict[str, NDArray[Any]] = field(default_factory=dict)  # the arrays of `static.npz`
     frame: int | None = None  # the last that was passed to the writer
     stop: bool = False
     hash: str = ""  # of the last frame that is known to be written
-    surface_error: float | None = 0.0  # the greatest of all frames, in body lengths; None where those before are not known of
+    surface_error: float | None = 0.0  # the greatest of all frames, in body lengths; None if earlier ones are unknown
     steps: int = 0  # after the first
     seconds: dict[str, float] = field(default_factory=dict)
     frame_seconds: dict[str, float] = field(default_factory=dict)  # frames: parts of `hand_over`
     behind: dict[str, float] = field(default_factory=dict)  # frames and checkpoints written meanwhile
     started: float = field(default_factory=time.perf_counter)
-    scene_path: str | None = None  # from the cache to its scene, where that is not the one between the files that are used
+    scene_path: str | None = None  # path from the cache to its scene, if it differs from that between the files in use
     meter: StepMeter | None = None  # measures the steps after the first
 
     @property
@@ -70,11 +71,11 @@ class Recording:
         return self.frame == self.shot.frames.last
 
     def add_time(self, what: str, since: float) -> None:
-        """Count the time since `since` under a name."""
+        """Add the time since `since` to the seconds under the name `what`."""
         self.seconds[what] = self.seconds.get(what, 0.0) + time.perf_counter() - since
 
     def add_measures(self, measures: Mapping[str, Any]) -> None:
-        """Record the results of a frame that was written."""
+        """Record the measurements of a written frame."""
         for of, name in ((self.frame_seconds, "made"), (self.behind, "seconds")):
             for what, seconds in measures.get(name, {}).items():
                 of[what] = of.get(what, 0.0) + seconds
@@ -83,13 +84,13 @@ class Recording:
 
 
 class NothingToResume(Exception):
-    """No checkpoint of an earlier run can be used; the message says why."""
+    """No checkpoint of an earlier run can be used. The message says why."""
 
 
 def begin(shot: Shot, folder: Path, options: Options, *, resume: bool, force: bool) -> Recording:
-    """Bind the shot, with feet. With `resume`, restore the world from the last good checkpoint.
+    """Bind the shot and compute feet. With `resume`, restore the world from the last good checkpoint.
 
-    A good checkpoint has complete files for all frames up to it, and the world restored from it has the cached hash."""
+    A checkpoint is good if all frames up to it have complete files, and if the world restored from it has the stored hash."""
     inputs, options = {**shot.inputs, **start_hash(shot)}, replace(options, feet=True)
     intact: IntactPart | None = None
     if resume:
@@ -114,7 +115,7 @@ def begin(shot: Shot, folder: Path, options: Options, *, resume: bool, force: bo
 
 
 def _with_choices(shot: Shot, inputs: Mapping[str, str], problem: DifferentInputs) -> DifferentInputs:
-    """Return the exception with messages for the seed, the first frame and `--set`, where these differ."""
+    """Return the exception with added messages for the seed, the first frame and `--set`, if these differ."""
     then, scene, names = problem.manifest, shot.scene, list(problem.names)
     choices = []
     frames = FrameRange(then.first, max(then.first, shot.frames.last))
@@ -132,7 +133,7 @@ def _with_choices(shot: Shot, inputs: Mapping[str, str], problem: DifferentInput
 
 
 def _resume(recording: Recording, intact: IntactPart, options: Options) -> None:
-    """Restore the world from the last good checkpoint, and record what was damaged and will be made again."""
+    """Restore the world from the last good checkpoint. Record which damaged frames are made again."""
     shot, lines, notes = recording.shot, intact.cache.lines(), [] if intact.broken is None else [intact.broken]
     for frame in intact.points:
         why = _restore(recording, intact.cache, frame, lines[frame])
@@ -143,7 +144,7 @@ def _resume(recording: Recording, intact: IntactPart, options: Options) -> None:
             break
         notes.append(why)
         recording.surface_error = 0.0
-        recording.world = bind(shot.plan, shot.setting, options)  # what is bad has been put into the one before
+        recording.world = bind(shot.plan, shot.setting, options)  # the previous world contains data of a bad checkpoint
     if recording.resumed_from is not None:
         notes += _damaged_checkpoints(recording, intact.cache, lines, recording.resumed_from)
     first = shot.frames.first if recording.resumed_from is None else recording.resumed_from + 1
@@ -163,7 +164,7 @@ def _resume(recording: Recording, intact: IntactPart, options: Options) -> None:
 
 
 def _damaged_checkpoints(recording: Recording, cache: Cache, lines: Mapping[int, Line], limit: int) -> Iterator[str]:
-    """Yield why checkpoints before a frame are unusable, and mark them for removal."""
+    """Yield the reasons why checkpoints before the frame `limit` are unusable, and mark these checkpoints for removal."""
     for frame in cache.checkpoints():
         why = cache.checkpoint_damage(frame, lines.get(frame)) if frame < limit else None
         if why is not None:
@@ -172,8 +173,7 @@ def _damaged_checkpoints(recording: Recording, cache: Cache, lines: Mapping[int,
 
 
 def _restore(recording: Recording, cache: Cache, frame: int, line: Line) -> str | None:
-    """Restore the world and the measurements from a checkpoint. Return why that is not possible, complete without context, or
-    None."""
+    """Restore the world and the measurements from a checkpoint. Return None, or why that failed, complete without context."""
     world, path = recording.world, checkpoint_path(cache.folder, frame)
     why = cache.checkpoint_damage(frame, line)
     if why is not None:
@@ -191,9 +191,10 @@ def _restore(recording: Recording, cache: Cache, frame: int, line: Line) -> str 
 
 
 def record(recording: Recording, watch: Callable[[str, int], None] = lambda what, frame: None) -> Iterator[Recording]:
-    """Simulate and write; yield the recording after each frame. `watch(what, frame)` is called for the preroll's frames too.
+    """Simulate and write the frames. Yield the recording after each frame.
 
-    At the end, automatic or because `stop` was set, the last frame has a checkpoint."""
+    `watch(what, frame)` is called for each frame, including the preroll.
+    The last frame gets a checkpoint, also if `stop` ended the run."""
     shot, world = recording.shot, recording.world
     model = shot.scene.model
     pieces = PieceMaker(shot.frames.first, model.output.checkpoint, 1.0 / shot.setting.unit_mm)
@@ -234,7 +235,7 @@ def record(recording: Recording, watch: Callable[[str, int], None] = lambda what
                 _advance(recording, "preroll")
                 watch("preroll", world.frame)
             world.motion.reset()
-            take_emissions(world)  # what was before the first frame is no event of it
+            take_emissions(world)  # events of the preroll are no events of the first frame
             world.timings.clear()
             world.worked.clear()
             _write(recording, writer)
@@ -248,8 +249,8 @@ def record(recording: Recording, watch: Callable[[str, int], None] = lambda what
 
 
 def _advance(recording: Recording, what: str) -> None:
-    """Run one step and count its time as `what`. The very first step is counted separately, since it also loads kernels and
-    computes tables."""
+    """Run one step and add its time under the name `what`. The first step counts as `first_step`: it also loads kernels and
+    tables."""
     began = time.perf_counter()
     meter = recording.meter if what == "step" and "first_step" in recording.seconds else None
     if meter is not None:
@@ -267,8 +268,8 @@ def _advance(recording: Recording, what: str) -> None:
 
 
 def _is_checkpoint(recording: Recording, frame: int) -> bool:
-    """Return whether a frame has a checkpoint: the first frame and every n-th after it. A continued run has them at the same
-    frames."""
+    """Return whether a frame has a checkpoint: the first frame and every n-th after it. A continued run has the same
+    checkpoints."""
     return (frame - recording.shot.frames.first) % recording.shot.scene.model.output.checkpoint == 0
 
 
@@ -297,15 +298,16 @@ def _camera(shot: Shot, origin: NDArray[np.float64]) -> CameraEntry | Literal["f
 
 
 def _file_camera(camera: CameraData, origin: NDArray[np.float64], scale: float) -> CameraEntry:
-    """Return the entry of a camera from a file, as in the first frame."""
+    """Return the manifest's entry for a camera from a file, with the values of the first frame."""
     rows = ((camera.at[0] - origin) * scale, (camera.look_at[0] - origin) * scale, camera.up[0])
     at, look_at, up = (tuple(float(v) for v in row) for row in rows)
     return CameraEntry(at=at, look_at=look_at, focal=float(camera.focal[0]), up=up, moves=len(camera.at) > 1)  # type: ignore[arg-type]
 
 
 def looks_of(model: SceneModel) -> Mapping[str, Look | Mapping[str, Look]]:
-    """Return looks by name: of each mesh, and of all items from a USD file. Items with entries of their own have looks by item
-    name."""
+    """Return the looks that the scene sets, by name of a mesh or of items.
+
+    Items from a USD file have one look. Items with separate entries have a mapping of looks by item name."""
     looks: dict[str, Look | Mapping[str, Look]] = {}
     for name, thing in model.world.items():
         if isinstance(thing, dict):

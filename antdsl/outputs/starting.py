@@ -1,4 +1,4 @@
-"""Start of a run from the agents, items and fields of a frame of another cache."""
+"""Start of a run from another cache: from the agents, items and fields of one of its frames."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ _COINCIDENT_DISTANCE_MM = 1e-6  # mm
 
 
 class StartError(Exception):
-    """Error for another cache that a run cannot start from; `report` says why, at its location in the scene."""
+    """A run cannot start from the other cache. `report`: the reason, at its location in the scene."""
 
     def __init__(self, report: Report) -> None:
         super().__init__("; ".join(d.message for d in report.errors))
@@ -32,7 +32,7 @@ class StartError(Exception):
 
 
 def source_of(shot: Shot) -> Path | None:
-    """Return the folder of the cache that the scene begins with, or None. Raises StartError if its path is rejected."""
+    """Return the folder of the cache that the scene starts from, or None. Raises StartError if its path is rejected."""
     start = shot.scene.model.start
     if start is None:
         return None
@@ -43,7 +43,8 @@ def source_of(shot: Shot) -> Path | None:
 
 
 def start_hash(shot: Shot) -> dict[str, str]:
-    """Return a hash of what the scene begins with, for the inputs of its cache; empty if it begins with its crowd."""
+    """Return a hash of the frame that the scene starts from, as an input of the new cache. Empty if the scene starts with its
+    crowd."""
     folder, start = source_of(shot), shot.scene.model.start
     if folder is None or start is None:
         return {}
@@ -65,7 +66,7 @@ def start_hash(shot: Shot) -> dict[str, str]:
 
 
 def start_from_cache(shot: Shot, world: World) -> None:
-    """Restore the world from the other cache, at this scene's own first frame. Raises StartError when that is not possible."""
+    """Restore the world from the other cache, as the first frame of this scene. Raises StartError if that is not possible."""
     folder, start = source_of(shot), shot.scene.model.start
     if folder is None or start is None:
         return

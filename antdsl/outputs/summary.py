@@ -1,4 +1,4 @@
-"""The summary of a run as one JSON document: the keys of `--summary`."""
+"""The summary of a run as one JSON document, as `--summary` writes it."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ from antdsl.outputs.recording import Recording
 
 
 def summary(recording: Recording) -> dict[str, Any]:
-    """Return counts, speeds and measurements of a run. Equal inputs give equal values, except for `seconds`, `fps` and
-    `peak_memory`."""
+    """Return counts, speeds and measurements of a run. `seconds`, `fps` and `peak_memory` differ between equal runs, all others
+    do not."""
     world = recording.world
     stepping = recording.seconds.get("step", 0.0) + recording.seconds.get("hand_over", 0.0)
     steps = recording.steps
@@ -40,7 +40,7 @@ def summary(recording: Recording) -> dict[str, Any]:
 
 
 def states(recording: Recording) -> dict[str, int]:
-    """Return how many agents are in each state, by `species.state` (`species.machine.state` for named machines)."""
+    """Return the number of agents in each state, by `species.state`, or by `species.machine.state` for named machines."""
     import numpy as np
 
     agent_counts: dict[str, int] = {}
@@ -53,7 +53,7 @@ def states(recording: Recording) -> dict[str, int]:
 
 
 def carried_totals(recording: Recording) -> dict[str, float]:
-    """Return sums over agents of attributes that items also have, by `species.attribute`: the amounts in transit between
+    """Return, by `species.attribute`, the sums over agents of attributes that items also have: the amounts in transit between
     items."""
     import numpy as np
 
@@ -67,5 +67,5 @@ def carried_totals(recording: Recording) -> dict[str, float]:
 
 
 def summary_file(recording: Recording) -> bytes:
-    """The summary as a file has it."""
+    """Return the summary as the bytes of its file."""
     return (json.dumps(summary(recording), indent=1) + "\n").encode()

@@ -13,8 +13,9 @@ from antdsl.runtime import Population, World
 
 
 def surface_error(world: World) -> float:
-    """Return the greatest distance of an agent, as written (float32), from the triangle or the solid that it stands on, in body
-    lengths."""
+    """Return the greatest deviation of an agent's distance to its ground from its clearance, in body lengths.
+
+    The ground is the triangle or the solid that the agent stands on. Positions are rounded to float32, as written."""
     worst = 0.0
     for population in world.populations.values():
         if len(population):

@@ -1,4 +1,4 @@
-"""Leave out what no part of the plan reads: stores to temps, and the registers of those temps."""
+"""Removes stores to temps that no part of the plan reads, and the registers of these temps."""
 
 from __future__ import annotations
 
@@ -11,8 +11,9 @@ RESULT_TEMPS = frozenset(f"{name}.{axis}" for name in ("push", "~face") for axis
 
 
 def drop_unused(plan: Plan) -> Plan:
-    """Return an equivalent plan: attributes and memories are the state and stay; temps that are never read are removed. Their
-    nodes are removed by the next pass that builds nodes again."""
+    """Return an equivalent plan without temps that are never read. Attributes and memories are part of the state, so they remain.
+
+    The nodes that only these stores used are removed by the next pass that rebuilds nodes."""
     return replace(plan, species={name: _species(s) for name, s in plan.species.items()})
 
 

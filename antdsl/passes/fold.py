@@ -1,4 +1,4 @@
-"""Regions with a known condition: moved straight into their place, or left out."""
+"""Removes regions with a constant condition, or replaces them by their statements."""
 
 from __future__ import annotations
 
@@ -8,8 +8,10 @@ from antdsl.plan.simplify import constant_value
 
 
 def fold(plan: Plan) -> Plan:
-    """Return an equivalent plan: regions of no agents are removed, regions of all agents have no condition. What is constant in a
-    plan is a constant already: a Builder made its nodes."""
+    """Return an equivalent plan. Regions with a false condition are removed. Regions with a true condition are replaced by their
+    statements.
+
+    No constants are computed here: the PlanBuilder has done so for all nodes."""
     return with_blocks(plan, lambda species, block: _block(species, block))
 
 

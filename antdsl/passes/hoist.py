@@ -1,8 +1,9 @@
-"""Move what is invariant over all pairs of an agent out of the pairs. Share among x, y and z what is equal for all three.
+"""Moves factors that are equal for all pairs of an agent out of the pairs. Shares factors that are equal for x, y and z.
 
-A product within a set becomes component * (scalars of the pair * (factors of the agent)). The inner bracket is computed once an
-agent, the one around it once a pair and not once a component. Division by an agent's value is a factor; a sign goes outside, even
-of a sum. This may change the last bit of a result; every backend runs the resulting plan, so all still agree."""
+A product within a set becomes component * (scalars of the pair * (factors of the agent)). The inner bracket is computed once per
+agent. The outer bracket is computed once per pair instead of once per component.
+A division by an agent's value counts as a factor. A sign moves outside, even outside of a sum. The last bit of a result may
+change. Every backend runs the resulting plan, so all backends still agree."""
 
 from __future__ import annotations
 
@@ -17,7 +18,7 @@ _PAIR_OPERATIONS = frozenset(("pair.x", "pair.y", "pair.z", "other"))
 
 
 def hoist(plan: Plan, watched: dict[PlanNode, PlanNode] | None = None) -> Plan:
-    """The same plan with products and quotients of pairs in a better order. `watched` as in `rebuilt`."""
+    """Return the plan with the operands of products and quotients of pairs in a cheaper order. `watched`: as in `rebuild`."""
     return rebuild(plan, _make, watched)
 
 

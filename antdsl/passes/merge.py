@@ -1,4 +1,4 @@
-"""Merging of two neighbouring regions with the same condition, so that the agents are gathered once."""
+"""Merges two successive regions with the same condition, so that their agents are collected once."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ from antdsl.plan.verify import written_registers
 
 
 def merge(plan: Plan) -> Plan:
-    """Return a plan with merged regions and equal effects. The same node is the same condition, unless the first region writes a
-    register that it reads."""
+    """Return a plan with merged regions and equal effects. Regions with the same condition node are not merged if the first one
+    writes a register that the condition reads."""
     return with_blocks(plan, lambda species, block: _block(species, block))
 
 
@@ -30,6 +30,6 @@ def _block(species: SpeciesPlan, block: Block) -> Block:
 
 
 def _changes(block: Block, condition: PlanNode) -> bool:
-    """Whether the statements write a register that the condition loads."""
+    """Return whether the statements write a register that the condition loads."""
     loaded = registers_read(node for node in required_nodes([condition]) if node.op == "load")
     return any(name in loaded for _, statement in statements(block) for name in written_registers(statement))

@@ -1,4 +1,4 @@
-"""Evaluation of the cheap half of a condition first, and of the expensive half only for the remaining agents."""
+"""Splits conditions, so that the expensive half is evaluated only for agents for which the cheap half holds."""
 
 from __future__ import annotations
 
@@ -8,7 +8,8 @@ from antdsl.plan.traverse import required_nodes
 
 
 def narrow(plan: Plan) -> Plan:
-    """Split `where cheap and dear:` into two nested regions, where only the second half needs a sense."""
+    """Return a plan in which `where cheap and expensive:` is two nested regions. Only the conditions of the inner region need a
+    sense."""
     return with_blocks(plan, lambda species, block: _block(species, block))
 
 
@@ -34,7 +35,7 @@ def _statement(species: SpeciesPlan, statement: PlanStatement) -> PlanStatement:
 
 
 def _parts(condition: PlanNode) -> list[PlanNode]:
-    """The conditions that all must hold, in order."""
+    """Return the conditions that a condition joins by `and`, in order."""
     conditions: list[PlanNode] = []
     stack = [condition]
     while stack:

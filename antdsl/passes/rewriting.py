@@ -1,4 +1,4 @@
-"""Building a plan again: every node by a fresh Builder (which folds and shares), every statement copied."""
+"""Builds a plan again: every node by a new PlanBuilder, which folds constants and shares nodes, and a copy of every statement."""
 
 from __future__ import annotations
 
@@ -36,10 +36,10 @@ def with_blocks(plan: Plan, change: Callable[[SpeciesPlan, Block], Block]) -> Pl
 
 
 def rebuild(plan: Plan, make: NodeMaker | None = None, watched: dict[PlanNode, PlanNode] | None = None) -> Plan:
-    """Return the same plan with needed nodes only, simplified, shared and numbered without gaps.
+    """Return an equivalent plan with only the needed nodes, simplified, shared and numbered without gaps.
 
-    `make` may return another node for an operation with operands that are already rebuilt. `watched`: nodes that stay, in the
-    plan or outside it; each is mapped to its new node."""
+    - `make`: may return another node for an operation. The operands are already rebuilt.
+    - `watched`: nodes of the plan, or outside it, that must not be removed. On return, each is mapped to its new node."""
     builder = PlanBuilder()
     new: dict[PlanNode, PlanNode] = {}
     beside = {} if watched is None else watched
@@ -54,8 +54,8 @@ def rebuild(plan: Plan, make: NodeMaker | None = None, watched: dict[PlanNode, P
 
 
 def _renumber(plan: Plan, beside: dict[PlanNode, PlanNode]) -> Plan:
-    """Return the plan without the unused nodes that folding leaves. No two nodes are alike, as a Builder has just made them
-    all."""
+    """Return the plan without the unused nodes that folding leaves. A new PlanBuilder made all nodes, so no two nodes are
+    equal."""
     new: dict[PlanNode, PlanNode] = {}
     for number, node in enumerate(required_nodes([*roots(plan), *beside.values()])):
         args = tuple(new[a] for a in node.args)

@@ -1,12 +1,12 @@
-"""The plan: what the backends run. It is the program without the language.
+"""The plan: the intermediate form that backends run. It does not depend on the syntax of the language.
 
-`ir` is the definition: a closed table of operations with a sentence each, statements over nodes, and registers with one value per
-agent. A node is a scalar; a vector is three of them. Nodes are interned, so equal nodes are one object. A block is what one phase
-of a step does for one species: a list of statements with regions as conditions.
+`ir` defines it: a closed table of operations, statements over nodes, and registers with one value per agent. A node is a scalar;
+a vector is three nodes. Nodes are interned: equal nodes are one object. A block is the work of one phase of a step for one
+species, as a list of statements. A condition makes a region of statements.
 
-`lower` makes the plan from a checked program (`lowering`), `verify` checks its rules, also between passes, and `show` prints it.
-`traverse` goes over it for all readers. Nothing here knows NumPy, scenes or agents. The backends in `runtime.backends` run it;
-one of them is its definition in plain Python."""
+`lower` makes the plan from a checked program (`lowering`). `verify` checks its rules, also between passes. `show` prints it, and
+`traverse` iterates over it. Nothing in this package uses NumPy, scenes or agents. The backends in `runtime.backends` run plans.
+The `reference` backend, in plain Python, defines their meaning."""
 
 from antdsl.plan.builder import PlanError
 from antdsl.plan.lowering.lower import lower

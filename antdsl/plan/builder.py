@@ -1,5 +1,4 @@
-"""Builder of plan nodes: it checks operands against the table, folds constants, and returns the same object for the same
-operation."""
+"""Builds plan nodes. It checks operands against the table, folds constants, and returns the same object for equal operations."""
 
 from __future__ import annotations
 
@@ -14,11 +13,11 @@ _REGISTER_OPERATIONS = frozenset(("snap", "load", "other", "agent.get", "item.ge
 
 
 class PlanError(AssertionError):
-    """Error for a plan that breaks its own rules: a mistake of ours, never the author's."""
+    """Error for a plan that breaks the rules of plans. The cause is an error in antdsl, never in the author's program."""
 
 
 def operand_problem(op: str, args: tuple[PlanNode, ...], attrs: tuple[Any, ...]) -> str | None:
-    """What is wrong with operands and attributes of an operation, or None."""
+    """Return an error message about the operands and attributes of an operation, or None if they are valid."""
     shape = (op, len(attrs), *[arg.kind for arg in args])
     if shape in _CHECKED_SHAPES:
         return None
@@ -67,7 +66,7 @@ def result_kind(op: str, args: tuple[PlanNode, ...], attrs: tuple[Any, ...], kin
 
 
 def result_rate(op: str, args: tuple[PlanNode, ...]) -> UpdateRate:
-    """Return the highest rate of the operation and its operands; a reduction is at the agent's rate."""
+    """Return the rate of a result: the highest rate of the operation and its operands. A reduction has the agent's rate."""
     if op.startswith("reduce."):
         return UpdateRate.AGENT
     rate = OPERATION_BY_NAME[op].rate
@@ -78,7 +77,7 @@ def result_rate(op: str, args: tuple[PlanNode, ...]) -> UpdateRate:
 
 
 class PlanBuilder:
-    """One list of nodes. `span` is the location in the text of the next nodes."""
+    """Builds one list of nodes. `span`: the source location of the next nodes."""
 
     def __init__(self) -> None:
         self.nodes: list[PlanNode] = []
@@ -88,7 +87,7 @@ class PlanBuilder:
         self.false = self("const.bool", attrs=(False,))
 
     def __call__(self, op: str, *args: PlanNode, attrs: tuple[Any, ...] = (), kind: ValueKind | None = None) -> PlanNode:
-        """The node of an operation, simplified where its operands allow it."""
+        """Return the node of an operation, simplified if the operands allow it."""
         wrong = operand_problem(op, args, attrs)
         if wrong:
             raise PlanError(wrong)
@@ -98,7 +97,7 @@ class PlanBuilder:
     def intern(
         self, op: str, args: tuple[PlanNode, ...], attrs: tuple[Any, ...], kind: ValueKind, span: Span | None = None
     ) -> PlanNode:
-        """Return the node with these values, made only if there is none like it."""
+        """Return the node with these values. A new node is added only if there is no equal one."""
         key = (op, tuple([a.number for a in args]), repr(attrs) if attrs else "", kind)
         node = self._known.get(key)
         if node is None:
@@ -120,7 +119,7 @@ class PlanBuilder:
         return self("const.i64", attrs=(int(x),))
 
     def zero(self, kind: ValueKind, value: float | int | bool = 0) -> PlanNode:
-        """A constant of a kind."""
+        """Return a constant of a kind, 0 by default."""
         if kind is ValueKind.F32:
             return self.number(float(value))
         if kind is ValueKind.BOOL:
@@ -128,7 +127,7 @@ class PlanBuilder:
         return self.row(int(value)) if kind is ValueKind.I32 else self.agent(int(value))
 
     def all(self, *conditions: PlanNode) -> PlanNode:
-        """Conjunction, in the order given."""
+        """Return the conjunction of conditions, in their order."""
         result = self.true
         for condition in conditions:
             result = self("and", result, condition)

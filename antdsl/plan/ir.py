@@ -1,12 +1,11 @@
-"""The plan, the intermediate form of a program: scalar nodes in a closed table of operations, statements over them, registers per
+"""The plan, the intermediate form of a program: scalar nodes with operations of a closed table, statements, and registers per
 agent.
 
-A `Node` is pure and interned by its Builder (the same operation of the same operands is the same object); a vector is three
-nodes. A statement acts on the agents of its region: the complete species, narrowed by each enclosing `If`. Base units: mm, s, g,
-rad; positions are float32, relative to the scene's own origin."""
+A `PlanNode` is pure and interned by its builder: the same operation of the same operands is one object. A vector is three nodes.
+A statement acts on the agents of its region: all agents of the species for which each enclosing `If` holds. Base units: mm, s, g,
+rad. Positions are float32, relative to the origin of the scene."""
 
 # A table reads best with one row a line, and its kinds with one letter each.
-# ruff: noqa: E501
 
 from __future__ import annotations
 
@@ -57,7 +56,7 @@ class PlanNode:
 
 @dataclass(frozen=True, slots=True)
 class Operation:
-    """Table entry of an operation: kinds of its operands, attributes, kind of its result, lowest rate.
+    """Table entry of an operation: operand kinds, attributes, kind of the result, lowest rate of the result, meaning.
 
     `args` has one letter per operand: f F32, b BOOL, i I32, l I64, t TUPLE, s SET, x any scalar, * repeats the last one."""
 
@@ -188,7 +187,7 @@ class Block:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class If:
-    """A region: the agents for which the condition holds (never for NaN)."""
+    """A region: its statements apply to the agents for which the condition holds. A NaN condition does not hold."""
 
     condition: PlanNode
     then: Block
@@ -197,8 +196,8 @@ class If:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Store:
-    """Assignment to a register. A value that is not finite is not stored, and the agent is faulted (decision 24), unless
-    `infinite` and the value is +inf."""
+    """Assignment to a register. A value that is not finite is not stored, and the agent gets a fault (decision 24). If
+    `infinite`, +inf is stored."""
 
     register: str
     value: PlanNode
@@ -208,11 +207,11 @@ class Store:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Claim:
-    """Claim of `amount` (everything left if None) from an item's attribute or, where `item` is None, from the agent's own cell of
-    the field `of`.
+    """Claim of `amount` (None: all that is left) from an item's attribute. If `item` is None, it is from the agent's cell of the
+    field `of`.
 
-    Claims are resolved after decide, in the order of (draw, id), while the remaining amount suffices. `won` (BOOL register) is
-    set for the agents that got it. The amount is added to the agent's register `own`, if one is named."""
+    Claims are resolved after decide, in the order of (draw, id), while the remaining amount suffices. The BOOL register `won` is
+    set for agents with a successful claim. The amount is added to the agent's register `own`, if one is named."""
 
     of: str
     attribute: str
@@ -226,8 +225,8 @@ class Claim:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Give:
-    """Transfer of `amount` (at most what the agent has; everything if None) from the agent's register `own` to the item's
-    attribute at t+1."""
+    """Transfer from the agent's register `own` to the item's attribute at t+1. `amount`: at most the value of `own`; None gives
+    all."""
 
     items: str
     attribute: str
@@ -239,9 +238,9 @@ class Give:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Request:
-    """A request to the rest of the world. `op` is a row of `program.effects`, `of` the name of its target, `args` the row's
-    operands (None: absent). `own` is the agent's register that the result is added to after the step's blocks. `target_species`
-    is the species of the one agent (an I64 operand) that it is for."""
+    """A request to the world. `op`: a row of `program.tables.effects`. `of`: the name of its target. `args`: the row's operands
+    (None: absent). `own`: the agent's register to which the result is added after the step's blocks. `target_species`: the
+    species of the one agent, an I64 operand, that receives it."""
 
     op: str
     of: str
@@ -260,10 +259,9 @@ PlanStatement = If | Store | Claim | Give | Request
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Register:
-    """A value per agent. role: attribute (the author's or built in), memory (keep, latch, held, state of machines), pair (a slot of
-    a value per pair: `registers`), temp (this step only, starts each step at `zero`). All but temp are stored from step to step and
-    hashed. `holds`: the type of the language, if it has one. A reload retains the value only if the edited program declares the
-    name with the same type."""
+    """A value per agent. `role`: attribute, memory (keep, latch, held, state of machines), pair (a slot of a pair value) or temp.
+    A temp lasts one step and starts at `zero`. The others are stored from step to step and hashed. `holds`: the type in the
+    language, if there is one. A reload retains the value only if the edited program declares the name with the same type."""
 
     name: str
     kind: ValueKind
@@ -274,7 +272,8 @@ class Register:
 
 
 def birth_register(attribute: str) -> str:
-    """Return the temp with the scene's value of an agent's attribute at birth; infinite where the scene has none."""
+    """Return the name of the temp with the scene's value of an attribute at birth. The value is infinite if the scene has
+    none."""
     return f"~born.{attribute}"
 
 
@@ -297,9 +296,9 @@ class LayerPlan:
 
 @dataclass(frozen=True, slots=True)
 class ClipPlan:
-    """A clip of the body by its name, on the joints of a transform group ("": all).
+    """A clip of the body by its name, on the joints of a transform group (`on`; "": all).
 
-    `add`: its differences from the rest pose are added to all other clips. `left`, `right`, `up`, `down`: the clips that replace
+    `add`: the differences from the rest pose are added to all other clips. `left`, `right`, `up`, `down`: the clips that replace
     it as an agent turns, climbs or descends."""
 
     name: str
@@ -317,15 +316,15 @@ class ClipPlan:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SpeciesPlan:
-    """The plan of one species. `born` fills the registers at birth (position and velocity are already set) and runs `on spawn`.
-    `decide`, `act`, `blend` run in this order in each step; claims are resolved between decide and act.
+    """The plan of one species. `born` fills the registers at birth and runs `on spawn`; position and velocity are already set.
+    Each step runs `decide`, `act` and `blend` in this order. Claims are resolved between decide and act.
 
     Vectors are registers NAME.x NAME.y NAME.z. Every species has the registers: position velocity heading up (vectors), push
     (vector, temp), size mass radius clearance max_speed max_force max_turn response group. An infinite max_turn is no limit.
     `response` 0 or `kinematic`: the push changes the velocity at once.
 
-    All species have `moved` where the program reads how far contacts pushed an agent. A species with a minimum speed also has
-    min_speed. One with `face` lines has the temp ~face, which is zero where the agent faces its direction of motion."""
+    All species have `moved` if the program reads how far contacts pushed an agent. A species with a minimum speed also has
+    min_speed. One with `face` lines has the temp ~face, which is zero for agents that face their direction of motion."""
 
     name: str
     registers: dict[str, Register]
@@ -346,11 +345,10 @@ class SpeciesPlan:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FieldPlan:
-    """The plan of a field, with nodes at rate RUN. `keep` is a factor per step (half_life, evaporate and keeps are all converted
-    to it).
+    """The plan of a field, with nodes at rate RUN. `keep`: a factor per step, computed from half_life, evaporate or keeps.
 
-    `stencil`: the field diffuses to 4 or 8 neighbour cells. `deposits`: they are added before diffusion and evaporation, "first",
-    or after, "last"."""
+    `stencil`: the number of neighbour cells, 4 or 8, to which it diffuses. `deposits`: deposits are added before diffusion and
+    evaporation, "first", or after, "last"."""
 
     name: str
     surfaces: tuple[str, ...]
@@ -386,10 +384,10 @@ class Plan:
     nodes: tuple[PlanNode, ...] = field(default=())
 
     def of_kind(self, *kinds: str) -> tuple[str, ...]:
-        """The names of the things of some kinds."""
+        """Return the names of the things of some kinds."""
         return tuple(name for kind in kinds for name in self.things.get(kind, ()))
 
     @property
     def obstacles(self) -> tuple[str, ...]:
-        """The names of the things that agents cannot walk through."""
+        """Return the names of the things that agents cannot walk through."""
         return self.of_kind(*BLOCKING)

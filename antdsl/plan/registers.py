@@ -1,8 +1,9 @@
-"""Registers of agents: the names of registers for values per pair, their size in bytes, and when a block reads them.
+"""Registers of agents: the registers of pair values, sizes in bytes, and the times at which a block reads registers.
 
-Values per pair have slots, each with the id of another agent and the value that is stored about it.
-A `load` is evaluated at its first use. If one is used both before and after a store to its register, in regions that do not share
-a value, it is read before the region that contains both; `early_loads` returns which and where."""
+A pair value has slots. Each slot has the id of another agent and the value that is stored about it.
+A `load` is evaluated at its first use. A load may be used both before and after a store to its register, in regions that do not
+share values. Then it is read before the statement that contains both uses; `early_loads` returns these loads with their
+places."""
 
 from __future__ import annotations
 
@@ -24,7 +25,8 @@ def written(statement: ir.PlanStatement) -> str | None:
 
 
 def early_loads(block: ir.Block) -> dict[tuple[int, ...], list[ir.PlanNode]]:
-    """Loads to evaluate just before the statement at a place, in the region that holds it."""
+    """Return the loads to evaluate early, by place. The loads of a place are evaluated just before the statement at the place, in
+    its region."""
     read_paths: dict[ir.PlanNode, list[tuple[int, ...]]] = {}
     stores: dict[str, list[tuple[int, ...]]] = {}
     for path, statement in placed(block):
@@ -42,8 +44,8 @@ def early_loads(block: ir.Block) -> dict[tuple[int, ...], list[ir.PlanNode]]:
 
 
 def _common_place(paths: list[tuple[int, ...]]) -> tuple[int, ...]:
-    """Return the place where several paths meet: in the smallest block around all of them, the statement that contains the first
-    of them."""
+    """Return the place at which several paths meet. In the smallest block around all of them, it is the statement that contains
+    the first path."""
     first, depth = paths[0], min(len(p) for p in paths) - 1
     while any(p[:depth] != first[:depth] for p in paths):
         depth -= 1
@@ -51,20 +53,24 @@ def _common_place(paths: list[tuple[int, ...]]) -> tuple[int, ...]:
 
 
 def statement_numbers(species: ir.SpeciesPlan) -> dict[ir.PlanStatement, int]:
-    """Every statement of a species by its place in the text."""
+    """Return a number for every statement of a species: its position in the order of blocks and statements, from 0."""
     blocks = (species.born, species.decide, species.act, species.blend)
     return {statement: k for k, statement in enumerate(statement for block in blocks for _, statement in placed(block))}
 
 
 def cacheable_senses(species: ir.SpeciesPlan) -> tuple[ir.PlanNode, ...]:
-    """Return the lazy nodes with a value that holds for the whole step: none of its parts is written in between."""
+    """Return the nodes in `lazy` with a value that holds for the complete step, because no register that they read is written
+    during it."""
     return tuple(node for node in species.lazy if all(part.op != "load" for part in required_nodes((node,))))
 
 
 def bytes_by_purpose(species: SpeciesPlan) -> dict[str, int]:
-    """Return bytes per agent by use: `attribute` (the author's and those that every animal has), `memory` (states, `keep`,
-    latches, waiting times), `pair` (values per pair), and `temp`. All but `temp`, which is used during a step only, persist from
-    step to step."""
+    """Return bytes per agent by use.
+
+    - `attribute`: built-in attributes and those of the author.
+    - `memory`: states, `keep`, latches, waiting times.
+    - `pair`: pair values.
+    - `temp`: used during one step only. The others persist from step to step."""
     sizes = {"attribute": _ID_BYTES, "pair": 0, "memory": 0, "temp": 0}
     for register in species.registers.values():
         sizes[register.role] += _BYTES_BY_KIND[register.kind]
@@ -72,12 +78,13 @@ def bytes_by_purpose(species: SpeciesPlan) -> dict[str, int]:
 
 
 def slot_names(name: str, count: int) -> list[tuple[str, str]]:
-    """The registers of a value per pair, slot by slot: of the other's id (I64, -1 for a free slot), of the value (F32)."""
+    """Return the two registers of each slot of a pair value: the other agent's id (I64, -1 for a free slot) and the value
+    (F32)."""
     return [(f"{name}|{k}.id", f"{name}|{k}") for k in range(count)]
 
 
 def pair_values(registers: Iterable[str]) -> dict[str, list[tuple[str, str]]]:
-    """Return the pair values among the registers of a species, by name, each with its slots as in `slot_names`."""
+    """Return the pair values among the registers of a species, by name. Each has its slots as in `slot_names`."""
     counts: dict[str, int] = {}
     for register in registers:
         name, slot, number = register.partition("|")

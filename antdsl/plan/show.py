@@ -1,4 +1,4 @@
-"""A plan as text for people: what happens to each species at birth and in the phases of a step."""
+"""Prints a plan for people: the statements of each species at birth and in the phases of a step."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ _MAX_EXPRESSION_CHARACTERS = 100  # characters of an expression before its parts
 
 
 def show(plan: Plan) -> str:
-    """Readable text, the same for the same plan. A value that is used again has a name, `a1 = …`, from its first use on."""
+    """Return readable text, equal for equal plans. A value that is used several times gets a name, `a1 = …`, at its first use."""
     parts = [_head(plan)]
     for species in plan.species.values():
         parts.append("\n".join(_species(species)))
@@ -80,7 +80,7 @@ def _species(species: SpeciesPlan) -> list[str]:
 
 
 def _join_axes(names: list[str]) -> list[str]:
-    """position.x position.y position.z as position.xyz."""
+    """Return the names with the axes of each vector joined: position.x position.y position.z becomes position.xyz."""
     joined: list[str] = []
     for name in names:
         if name.endswith(".x") and f"{name[:-1]}y" in names:
@@ -91,7 +91,7 @@ def _join_axes(names: list[str]) -> list[str]:
 
 
 def _cost(nodes: list[PlanNode]) -> str:
-    """Return the number of operations per step, per agent and per pair, and of senses, as text."""
+    """Return text with the number of operations per step, per agent and per pair, and the number of senses."""
     work = [n for n in nodes if n.op not in _LEAF_OPERATIONS]
     plain = [n.rate for n in work if n.op not in SENSE_OPERATIONS and n.op != "get"]
     count = Counter("pair" if rate is UpdateRate.PAIR else "agent" if rate is UpdateRate.AGENT else "step" for rate in plain)
@@ -108,7 +108,7 @@ def _number(x: float) -> str:
 
 
 class _ExpressionFormatter:
-    """Expressions as text, with names for nodes that have one."""
+    """Formats expressions as text, with names for nodes that have one."""
 
     def __init__(self) -> None:
         self.names: dict[PlanNode, str] = {}
@@ -150,7 +150,7 @@ class _ExpressionFormatter:
 
 
 def _needs_brackets(text: str) -> bool:
-    """Whether text like `a(b) + c(d)` would be read wrongly without brackets around it."""
+    """Return whether text such as `a(b) + c(d)` needs brackets as an operand."""
     depth = 0
     for character in text:
         depth += (character in "([") - (character in ")]")
@@ -160,7 +160,7 @@ def _needs_brackets(text: str) -> bool:
 
 
 class _PhaseFormatter(_ExpressionFormatter):
-    """The statements of one phase."""
+    """Formats the statements of one phase."""
 
     def __init__(self, block: Block, species: SpeciesPlan) -> None:
         super().__init__()
@@ -176,7 +176,7 @@ class _PhaseFormatter(_ExpressionFormatter):
         self.shared |= self._nodes_to_name(required_nodes(roots))
 
     def _nodes_to_name(self, nodes: list[PlanNode]) -> set[PlanNode]:
-        """Nodes to name so that no expression grows beyond a line."""
+        """Return the nodes that need names, so that no expression is longer than a line."""
         named: set[PlanNode] = set()
         size: dict[PlanNode, int] = {}
         for node in nodes:
@@ -227,7 +227,7 @@ class _PhaseFormatter(_ExpressionFormatter):
 
 
 def _source_place(statement: PlanStatement) -> str:
-    """Return the line of the text that a statement is from."""
+    """Return the source line that a statement comes from."""
     if statement.span is None:
         return ""
     return f"line {statement.span.source.line_column(statement.span.start)[0]}"

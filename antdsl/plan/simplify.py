@@ -1,8 +1,8 @@
-"""Safe algebra on one operation: what is known is computed, what changes nothing is left out.
+"""Safe algebra on one operation: computes results that are known, and removes operations without effect.
 
-Only rewrites that give the same value for every operand, NaN and infinity included; the sign of a zero may change. Constants
-are float32, to the bit as the backends compute them: a float64 result rounded once more. Double rounding is harmless for + - *
-/ and the square root, since 53 >= 2 * 24 + 2 (Figueroa, "When is double rounding innocuous?", 1995)."""
+A rewrite must give the same value for every operand, including NaN and infinity; only the sign of a zero may change.
+Constants are float32 with the same bits that backends compute: a float64 result rounded once more. Double rounding is harmless
+for + - * / and the square root, since 53 >= 2 * 24 + 2. The source is Figueroa, "When is double rounding innocuous?", 1995."""
 
 from __future__ import annotations
 
@@ -22,12 +22,12 @@ _CONSTANT_OPERATIONS = frozenset(("const", "const.bool", "const.i32", "const.i64
 
 
 def constant_value(node: PlanNode) -> Any:
-    """The value of a constant node (float, int or bool), None of any other."""
+    """Return the value of a constant node (float, int or bool); None for any other node."""
     return node.attrs[0] if node.op in _CONSTANT_OPERATIONS else None
 
 
 def simplify(b: PlanBuilder, op: str, args: tuple[PlanNode, ...], attrs: tuple[Any, ...]) -> PlanNode | None:
-    """A node that stands for the operation, or None if nothing simpler is known."""
+    """Return a simpler node with the same value as the operation, or None if none is known."""
     if not args:
         return None
     values = [constant_value(a) for a in args]
@@ -190,7 +190,7 @@ COMPARISON_FUNCTIONS: dict[str, Callable[..., bool]] = {
 
 
 def least(a: float, b: float) -> float | None:
-    """Return the minimum as the backends compute it; None where the sign of a zero would depend on the order."""
+    """Return the minimum as the backends compute it; None if the sign of a zero would depend on the order of the operands."""
     if a == b == 0:
         return None
     if math.isnan(a) or math.isnan(b):
@@ -199,7 +199,7 @@ def least(a: float, b: float) -> float | None:
 
 
 def greatest(a: float, b: float) -> float | None:
-    """max, with the same care as `least`."""
+    """Return the maximum as the backends compute it; None if the sign of a zero would depend on the order of the operands."""
     if a == b == 0:
         return None
     if math.isnan(a) or math.isnan(b):

@@ -1,4 +1,4 @@
-"""Going over a plan: statements in order, the nodes a statement names, and all that they need."""
+"""Iterates over a plan: its statements in order, the nodes that a statement uses directly, and all nodes that these require."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ PHASES = ("born", "decide", "act", "blend")
 
 
 def operands(statement: PlanStatement) -> tuple[PlanNode, ...]:
-    """The nodes that a statement itself asks for."""
+    """Return the nodes that a statement itself uses."""
     match statement:
         case If():
             return (statement.condition,)
@@ -46,7 +46,7 @@ def statements(block: Block) -> Iterator[tuple[Block, PlanStatement]]:
 
 
 def placed(block: Block, path: tuple[int, ...] = ()) -> Iterator[tuple[tuple[int, ...], PlanStatement]]:
-    """All statements in order, each with its place: the index in every block around it."""
+    """Yield all statements in order, each with its place: its index in every block around it, outermost first."""
     for k, statement in enumerate(block.statements):
         yield (*path, k), statement
         if isinstance(statement, If):
@@ -74,7 +74,7 @@ def field_nodes(field: FieldPlan) -> tuple[PlanNode, ...]:
 
 
 def roots(plan: Plan) -> list[PlanNode]:
-    """Return every node that is named from outside the list of nodes."""
+    """Return every node that the plan uses outside of the operands of other nodes."""
     nodes: list[PlanNode] = []
     for species in plan.species.values():
         for _, block in blocks(species):
@@ -87,12 +87,13 @@ def roots(plan: Plan) -> list[PlanNode]:
 
 
 def registers_read(nodes: Iterable[PlanNode]) -> set[str]:
-    """Names of the agent's own registers that the nodes read."""
+    """Return the names of the agent's own registers that the nodes read."""
     return {node.attrs[0] for node in nodes if node.op in ("snap", "load")}
 
 
 def find_shared_senses(*phases: Block) -> tuple[PlanNode, ...]:
-    """Return the senses with two or more users, in order of their numbers. A user is a block, or a stored sense itself."""
+    """Return the senses with two or more users, in order of their numbers. A user is a block, or a shared sense that needs the
+    sense as an operand."""
     users: dict[PlanNode, set[object]] = {}
     for phase in phases:
         for block, statement in statements(phase):
@@ -113,7 +114,7 @@ def find_shared_senses(*phases: Block) -> tuple[PlanNode, ...]:
 
 
 def nearest_senses(roots: Iterable[PlanNode]) -> set[PlanNode]:
-    """Senses that are reached from the nodes without passing through another sense."""
+    """Return the senses that the nodes use without another sense in between."""
     senses: set[PlanNode] = set()
     visited: set[PlanNode] = set()
     stack = list(roots)

@@ -1,4 +1,4 @@
-"""The rules of a legal plan. Checked between passes and in tests. A broken plan is an internal error, so it raises."""
+"""The rules of a valid plan, checked between passes and in tests. A broken plan is an internal error, so `verify` raises."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ _BUILTIN_ITEM_VALUES = {"position", "velocity", "heading", "up"}
 
 
 def verify(plan: Plan) -> None:
-    """Raise PlanError, with all that is wrong, if the plan breaks a rule."""
+    """Raise PlanError if the plan breaks a rule. The message lists all errors."""
     wrong = [*_check_nodes(plan), *_check_names(plan)]
     for species in plan.species.values():
         wrong += [f"{species.name}: {text}" for text in _check_species(plan, species)]
@@ -48,7 +48,7 @@ def verify(plan: Plan) -> None:
 
 
 def _check_nodes(plan: Plan) -> Iterator[str]:
-    """Check that each node matches the table, follows its operands, and is in the list."""
+    """Check that each node matches the table of operations, follows its operands, and is in the plan's list of nodes."""
     known = set(plan.nodes)
     for node in roots(plan):
         if node not in known:
@@ -71,7 +71,7 @@ def _check_nodes(plan: Plan) -> Iterator[str]:
 
 
 def _check_names(plan: Plan) -> Iterator[str]:
-    """Check that the names in nodes exist. A species may be in another file."""
+    """Check that the names in nodes exist. Names of species may be missing, because a species may be in another file."""
     things = names_by_kind(plan)
     known: dict[str, Container[str]] = {
         **{row.op: things[row.of] for row in SENSE_BY_OPERATION.values() if row.of and row.of != "species"},
@@ -90,7 +90,7 @@ def _check_names(plan: Plan) -> Iterator[str]:
 
 
 def names_by_kind(plan: Plan) -> dict[str, Container[str]]:
-    """Return the names of the things of a plan, by the kind in the rows of senses and effects."""
+    """Return the names of the things of a plan, by the kinds that rows of senses and effects use."""
     return {
         **{kind: plan.of_kind(kind) for kind in KIND_BY_WORD}, "items": plan.items, "species": plan.species,
         "field": plan.fields, "target": plan.of_kind(*replacements("obstacle")),
@@ -118,7 +118,7 @@ def _check_elements(plan: Plan, reduce: PlanNode) -> Iterator[str]:
 
 
 def _pair_nodes(nodes: tuple[PlanNode, ...]) -> Iterator[PlanNode]:
-    """Nodes at the rate of pairs that belong to this reduction and not to one inside it."""
+    """Yield the nodes at pair rate that belong to this reduction and not to a reduction inside it."""
     stack, visited = list(nodes), set()
     while stack:
         node = stack.pop()
@@ -218,7 +218,8 @@ def _check_request(plan: Plan, species: SpeciesPlan, statement: Request) -> Iter
 
 
 class _LoadState:
-    """Per register: the version last loaded, and whether something was stored since."""
+    """The state of a check of loads, by register. `version`: the version of the last load. `stale`: the registers with a store
+    after it."""
 
     def __init__(self) -> None:
         self.version: dict[str, int] = {}
@@ -226,7 +227,7 @@ class _LoadState:
 
 
 def _check_load_order(block: Block) -> Iterator[str]:
-    """Check that a load after a store differs from the load before it, and that versions only increase."""
+    """Check that a load after a store differs from the load before the store, and that versions only increase."""
     state = _LoadState()
     yield from _check_block_order(block, state)
 
@@ -251,7 +252,7 @@ def _check_block_order(block: Block, state: _LoadState) -> Iterator[str]:
 
 
 def written_registers(statement: PlanStatement) -> tuple[str, ...]:
-    """Registers that the statement itself may change."""
+    """Return the registers that the statement itself may change."""
     match statement:
         case Store():
             return (statement.register,)

@@ -1,5 +1,4 @@
-"""The preview: a scene that is simulated while its files are edited. Edited files replace the running ones, and time can go
-back."""
+"""The preview: simulates a scene while its files are edited. Edited files replace the running ones, and time can go back."""
 
 from antdsl.preview.compiling import Compiler
 from antdsl.preview.live import Client, Live, QueueFull

@@ -1,4 +1,4 @@
-"""Arrays of the agents of one species as the page gets them, by id, under their names in packets."""
+"""Arrays of the agents of one species for the page, sorted by id, under their names in packets."""
 
 from __future__ import annotations
 
@@ -20,15 +20,15 @@ OTHERS = [column for column in _PACKET if not column.light]
 
 
 def light_frame(population: Population, previous: Arrays | None = None) -> Arrays:
-    """Return what is stored of each frame, with the states of each machine. `previous`: the same of the frame before; an array
-    that equals its predecessor is the same object."""
+    """Return the arrays that are stored of each frame, with the states of each machine. `previous`: the arrays of the previous
+    frame; an array that equals its predecessor is the same object."""
     rows = population.in_id_order()
     states = {f"state/{m.name}": population.now[f"{m.name}.state"][rows].astype(np.uint8) for m in population.plan.machines}
     return reuse_arrays(packet_arrays(population, _LIGHT) | states, previous or {})
 
 
 def reuse_arrays(arrays: Arrays, previous: Arrays) -> Arrays:
-    """Return the arrays, with those of the frame before in place of equal ones."""
+    """Return the arrays. An array that equals that of the previous frame is replaced by the same object."""
     return {
         name: previous[name] if name in previous and np.array_equal(previous[name], array) else array
         for name, array in arrays.items()
@@ -36,7 +36,7 @@ def reuse_arrays(arrays: Arrays, previous: Arrays) -> Arrays:
 
 
 def packet_arrays(population: Population, columns: Iterable[Column]) -> Arrays:
-    """Return the arrays of some columns. Directions are 127 times as long, in bytes."""
+    """Return the arrays of some columns. Directions are bytes: unit vectors times 127."""
     rows = population.in_id_order()
     return {column.packet.split()[0]: _array(population, column, rows) for column in columns}
 

@@ -1,5 +1,5 @@
-"""Where agents will be: the next seconds of a session, simulated in a separate world that is discarded. The session's world is
-read once, when that branch begins, and never changed."""
+"""The future positions of agents: the next seconds of a session, simulated in a separate world that is discarded. The session's
+world is copied once, when this simulation begins, and never changed."""
 
 from __future__ import annotations
 
@@ -13,11 +13,12 @@ _MAX_POSITION_BYTES = 1 << 26  # of places, at most
 
 
 class Ahead:
-    """The frames of the next 2 seconds, or as many as fit in 64 MiB. `frames` has ids and positions of all species by frame; the
+    """The frames of the next 2 seconds, or as many as fit in 64 MiB. `frames`: ids and positions of all species by frame; the
     first is the session's current frame.
 
-    Without edits, the session later reaches these frames, so only new frames at the far end are simulated. They end at an edit,
-    at the end of a history that the session went back in, and where a step fails."""
+    Without edits, the session later reaches these frames, so only new frames at the far end are simulated. The frames end at an
+    edit, at the end of the existing history after the session went back, or where a step fails.
+    """
 
     def __init__(self) -> None:
         self.frames: dict[int, dict[str, Arrays]] = {}
@@ -27,14 +28,14 @@ class Ahead:
         self._stopped = False
 
     def clear(self) -> None:
-        """Store nothing; the next request begins a new branch."""
+        """Drop all frames. The next request starts again from the session's frame."""
         if self._world is not None:
             self.frames, self._of, self._world, self._stopped = {}, None, None, False
             self.version += 1
 
     def lacks(self, session: Session) -> bool:
-        """Return whether more frames are to be simulated. Forgets frames of another run than the session's, and frames before the
-        current one."""
+        """Return whether more frames must be simulated. Drop frames that belong to another run than the session's, and frames
+        before the current one."""
         stretch = session.timeline.at(session.frame)
         of = (stretch, tuple(stretch.changes))
         if of != self._of or session.frame not in self.frames:
@@ -46,7 +47,7 @@ class Ahead:
         return not self._stopped and max(self.frames) < self._last_frame(session)
 
     def go_on(self, session: Session) -> None:
-        """Simulate one more frame if one is missing; the first call takes the session's current frame."""
+        """Simulate one more frame if one is missing. The first call stores the session's current frame."""
         stretch, world = session.timeline.at(session.frame), self._world
         if world is None:
             world = self._world = stretch.world(checkpoint(session.world), session.options, session.compiler.built)
@@ -66,7 +67,7 @@ class Ahead:
         self.version += 1
 
     def _last_frame(self, session: Session) -> int:
-        """The frame that it goes to."""
+        """Return the last frame to simulate."""
         count = max(
             1, min(round(LOOK_AHEAD_SECONDS / session.world.dt), _MAX_POSITION_BYTES // (12 * max(1, len(session.world))))
         )

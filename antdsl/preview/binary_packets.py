@@ -1,4 +1,5 @@
-"""Arrays as one binary message: `ant1`, the header's length, the header as JSON, the arrays, each at a multiple of 8 bytes."""
+"""Arrays as one binary message: `ant1`, the length of the header, the header as JSON, then the arrays. Each array begins at a
+multiple of 8 bytes."""
 
 from __future__ import annotations
 
@@ -15,8 +16,8 @@ _ALLOWED_DTYPES = frozenset(("f4", "i4", "u4", "u1", "i1", "u2", "i2"))
 
 
 def pack(slot: str, arrays: Mapping[str, NDArray[Any]], **header: Any) -> bytes:
-    """Return a packet of a slot. Arrays have 1, 2 or 4 bytes per element. The header holds the name, type, count and offset of
-    each. Raises TypeError for arrays of other types."""
+    """Return a packet of a slot. The header holds the name, type, count and offset of each array. The elements must have 1, 2 or
+    4 bytes; for other arrays, raises TypeError."""
     listed: list[tuple[str, str, int, int]] = []
     little = {name: np.ascontiguousarray(array) for name, array in arrays.items()}
     types = {name: f"{array.dtype.kind}{array.dtype.itemsize}" for name, array in little.items()}
@@ -48,7 +49,7 @@ def pack(slot: str, arrays: Mapping[str, NDArray[Any]], **header: Any) -> bytes:
 
 
 def unpack(packet: bytes) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
-    """Header and flat arrays of a packet. ValueError for anything else."""
+    """Return the header and the flat arrays of a packet. Raises ValueError for other bytes."""
     if packet[:4] != PACKET_MAGIC or len(packet) < 8:
         raise ValueError("not a packet")
     (length,) = struct.unpack("<I", packet[4:8])

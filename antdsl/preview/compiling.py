@@ -1,4 +1,4 @@
-"""Opens one scene repeatedly: what has not changed since is not read, parsed or computed a second time."""
+"""Opens one scene repeatedly. Parts that have not changed are not read, parsed or computed again."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from antdsl.source import Source
 
 @dataclass(eq=False)
 class Compiler:
-    """One scene's file. `instead` has texts that replace files: unsaved edits."""
+    """Compiles the file of one scene. `instead`: texts that replace files, such as unsaved edits."""
 
     scene: Path
     instead: dict[Path, str] = field(default_factory=dict)
@@ -32,7 +32,7 @@ class Compiler:
     _foreseen: PrecompiledShot | None = None
 
     def precompile(self, choices: RunChoices | None = None) -> None:
-        """Open the shot ahead of time, for an `open` that soon follows. `open` then checks whether the files are unchanged."""
+        """Compile the shot ahead of time, for an `open` that soon follows. `open` then checks whether the files are unchanged."""
         self._foreseen = None
         choices = choices or RunChoices()
         shot, report = self.open(choices)
@@ -40,7 +40,7 @@ class Compiler:
             self._foreseen = PrecompiledShot(shot, report, choices, dict(self.instead), dict(self._parsed))
 
     def open(self, choices: RunChoices | None = None) -> tuple[Shot | None, Report]:
-        """Return the shot of the current files, or None if it cannot be made; and the findings."""
+        """Return the shot of the current files, or None if they have errors, and the findings."""
         self._forget_changed()
         foreseen, self._foreseen = self._foreseen, None
         if foreseen is not None and foreseen.is_current(choices or RunChoices(), self.instead, self._parsed):
@@ -53,7 +53,7 @@ class Compiler:
         return shot, report
 
     def take_over(self, world: World, shot: Shot) -> tuple[World | None, Migration, Report]:
-        """Return a world of `shot` that continues from `world`; None and errors if it cannot be made."""
+        """Return a world of `shot` that continues from `world`, or None with errors in the report."""
         with _without_garbage_collection():
             try:
                 new_world, migration = take_over(world, shot.plan, shot.setting, self.built)
@@ -63,15 +63,16 @@ class Compiler:
         return new_world, migration, Report()
 
     def files(self) -> RequestedPaths:
-        """All files that the scene was last made of, and those that it was tried with since: some may not be there yet. Each with
-        the root below which no link is followed."""
+        """Return all files of the last shot, and those of later attempts, which may not exist yet. Each has the root below which
+        no link is followed."""
         roots_by_path: RequestedPaths = {self.scene: None, **self._files, **self._tried}
         for path in map(Path, self._parsed):
             roots_by_path.setdefault(path, path.parent)
         return roots_by_path
 
     def open_file(self, path: Path) -> int:
-        """Return a handle on one of these files; the caller closes it. Raises OSError if it is missing or not a regular file."""
+        """Return a handle on one of the files from `files`; the caller closes it. Raises OSError if it is missing or not a
+        regular file."""
         return reopen(path, self.files().get(path, path.parent))
 
     def _forget_changed(self) -> None:
@@ -87,7 +88,7 @@ class Compiler:
 
 @contextmanager
 def _without_garbage_collection() -> Iterator[None]:
-    """Pause garbage collection. A compile creates tens of thousands of small live objects; scanning them takes as long as
+    """Pause garbage collection. Compiling creates tens of thousands of small live objects, and scanning them takes as long as
     creating them."""
     was = gc.isenabled()
     gc.disable()

@@ -1,4 +1,4 @@
-"""Layers that are switched off by hand: the texts of their programs without them, which replace the files until they are
+"""Layers that are switched off in the preview. The program texts without these layers replace the files until the files are
 saved."""
 
 from __future__ import annotations
@@ -15,8 +15,8 @@ DisabledLayers = Mapping[tuple[str, str], Path]
 
 
 def texts_without_layers(off: DisabledLayers) -> tuple[dict[Path, str], list[tuple[str, str]]]:
-    """Return the files' texts without the layers that are off (by species and text), and the layers that no longer exist. An
-    unreadable file is left unchanged; compiling it reports the error."""
+    """Return the files' texts without the disabled layers, and the disabled layers that no longer exist, by species and text. An
+    unreadable file is left out; compiling it reports the error."""
     texts: dict[Path, str] = {}
     missing_layers: list[tuple[str, str]] = []
     for path in dict.fromkeys(off.values()):

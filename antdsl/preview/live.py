@@ -1,5 +1,5 @@
-"""The thread that owns a session: between two steps it carries out requests of pages, keeps the clock's pace, loads saved files
-and displays the state. No other thread touches the session."""
+"""The thread that owns a session. Between two steps it carries out requests of pages, keeps the pace of the clock, loads saved
+files, and displays the state. No other thread accesses the session."""
 
 from __future__ import annotations
 
@@ -39,17 +39,17 @@ O = TypeVar("O")  # noqa: E741
 
 
 class Client(Protocol):
-    """One page. Safe to call from any thread, and never waits."""
+    """One page. Its methods may be called from any thread, and never wait."""
 
     def tell(self, message: dict[str, Any]) -> None:
-        """A message; all of them arrive, in order."""
+        """Send a message. All messages arrive, in order."""
 
     def show(self, slot: str, packet: bytes) -> None:
-        """Arrays; only the latest of a slot need arrive."""
+        """Send arrays. Only the latest packet of a slot must arrive."""
 
 
 class QueueFull(Exception):
-    """Too much waits to be done already."""
+    """The queue of requests is full."""
 
 
 class Live:
@@ -62,7 +62,7 @@ class Live:
     def open(
         cls, scene: Path, choices: RunChoices | None = None, options: Options | None = None, *, watch: bool = True, **how: int
     ) -> Live:
-        """Return a Live of a scene file. If the file has errors, the session opens as soon as they are fixed. `how` as in
+        """Return a Live for a scene file. If the file has errors, the session opens as soon as they are fixed. `how`: as in
         `Session.open`."""
         live, compiler = cls.__new__(cls), Compiler(scene)
         session, report = Session.open(scene, choices, options, compiler=compiler, **how)
@@ -129,13 +129,13 @@ class Live:
 
     @property
     def session(self) -> Session:
-        """The session; handlers are called only when there is one."""
+        """Return the session. Only for handlers, which are called only if there is a session."""
         assert self._session is not None
         return self._session
 
     @property
     def is_seeking(self) -> bool:
-        """Whether it is on its way to a frame."""
+        """Return whether the session is still on its way to a frame."""
         return self._target is not None or self._steps > 0
 
     @property
@@ -143,7 +143,7 @@ class Live:
         return self._session is not None
 
     def observer(self, kind: type[O]) -> O:
-        """The one of a kind that this makes use of."""
+        """Return the observer of a kind."""
         return next(each for each in self.observers if isinstance(each, kind))
 
     def tell_all(self, message: dict[str, Any]) -> None:
@@ -151,8 +151,7 @@ class Live:
             client.tell(message)
 
     def show_exact_frame(self) -> None:
-        """Bring the session to the frame that the page shows, if that frame is only remembered or the session is still on its way
-        there."""
+        """Bring the session to the frame that the page displays. Does nothing if the session is there already."""
         frame = self.light if self._target is None else self._target
         self.light = self._target = None
         if frame is not None:
@@ -160,15 +159,15 @@ class Live:
             self.screen.on_seek_end()
 
     def show_stored_frame(self, frame: int) -> None:
-        """Show the remembered agents of a frame, or of the nearest remembered one, without simulation."""
+        """Display the stored agents of a frame, or of the nearest stored frame, without simulation."""
         remembered = self.session.timeline.light
         self._target = None
         nearest = min(remembered, key=lambda each: abs(each - frame), default=None)
         self.light = nearest if frame != self.session.frame else None
 
     def go_to(self, frame: int) -> None:
-        """Bring the session to a frame as it was. This may take many steps; requests are handled between them. Meanwhile the
-        remembered frame is displayed."""
+        """Bring the session to a frame. This may take many steps, between which requests are handled. Meanwhile the stored agents
+        of the frame are displayed."""
         self.show_stored_frame(frame)
         self._target = frame
         session = self.session
@@ -176,24 +175,24 @@ class Live:
             session.seek(session.checkpoint_frame(frame))
 
     def set_pace(self, times: float) -> None:
-        """How fast the clock goes, from now on."""
+        """Set the speed of play."""
         self.speed, self._due = times, monotonic()
 
     def play(self) -> None:
         self.session.playing, self.stop_at, self._due = True, None, monotonic()
 
     def pause(self, why: PauseReason | None = None) -> None:
-        """Pause, and drop pending steps. After an automatic stop the frame is marked."""
+        """Pause, and drop pending steps. `why`: the reason of an automatic pause; the frame is then marked."""
         if why is not None:
             self.session.timeline.stop(self.session.frame, why.line)
         self.session.playing, self.stop_at, self._steps = False, why, 0
 
     def start_steps(self, count: int) -> None:
-        """Make `count` steps as fast as possible; requests are handled between them."""
+        """Start `count` steps as fast as possible. Requests are handled between them."""
         self.stop_at, self._steps = None, count
 
     def step(self) -> bool:
-        """Make one step and run the observers. Return whether the session may go on."""
+        """Make one step and run the observers. Return whether the session may continue."""
         session = self.session
         for observer in self.observers:
             observer.before_step(session)
@@ -206,7 +205,7 @@ class Live:
         return session.fault is None and self.stop_at is None
 
     def reload(self, of: str) -> None:
-        """Load the files as they are, and send the outcome to all clients."""
+        """Load the current files, and send the outcome to all clients."""
         from antdsl.preview.viewing.messages import outcome
 
         if self._session is None:
@@ -219,7 +218,7 @@ class Live:
         self.screen.edited(files=True)
 
     def on_files_read(self, report: Report) -> None:
-        """Record that the files were read, with these findings. A file that was being saved will be read again."""
+        """Record that the files were read, with these findings. A file that was still being saved will be read again."""
         self.report = report
         if self._watch is not None:
             self._watch.recheck_changing()
@@ -261,7 +260,7 @@ class Live:
         self._sleep()
 
     def _advance(self, session: Session) -> None:
-        """Advance: a part of the way back, a requested step, or the next one of playing."""
+        """Advance by one part: a part of a seek, a requested step, or the next step of play."""
         if self._target is not None:
             end = monotonic() + _MAX_SEEK_SECONDS
             while session.frame != self._target and monotonic() < end:
@@ -278,8 +277,8 @@ class Live:
             self._due = now if self.speed == 0 else max(self._due + session.world.dt / self.speed, now - _MAX_CATCH_UP_SECONDS)
 
     def _look_ahead(self, session: Session) -> None:
-        """Simulate future frames while a page shows them and no other request waits. During play, a frame for each one played,
-        and more in the time that is left before the next."""
+        """Simulate future frames while a page displays them and no other request waits. During play, simulate one for each played
+        frame, and more in the time that is left before the next frame."""
         version = self.ahead.version
         if not self.screen.needs_look_ahead(session):
             self.ahead.clear()
@@ -321,7 +320,7 @@ class Live:
             self._handle(what, client)
 
     def _is_superseded(self, ask: Ask, client: Client) -> bool:
-        """Return whether a later request makes this one unnecessary, for example while a slider moves or agents are selected in
+        """Return whether a later request makes this one unnecessary. This happens while a slider moves or agents are selected in
         quick succession."""
         following, sender = self._queue[0] if self._queue else (None, None)
         if isinstance(ask, Set):
@@ -360,7 +359,7 @@ class Live:
                     self._handle(ask, client)
 
     def _attach_to_session(self) -> None:
-        """Observe each world that the session enters, the current one first."""
+        """Register for each new world of the session, and pass the current world to the observers."""
         if self._session is not None:
             self._session.on_world = self._on_new_world
             self._on_new_world(self._session)

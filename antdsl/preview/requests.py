@@ -1,4 +1,5 @@
-"""The requests that a page may send: one model per `op`, and nothing else. No request can write a file or name a path."""
+"""The requests that a page may send: one model per `op`. All other messages are rejected. No request can write a file or name a
+path."""
 
 from __future__ import annotations
 
@@ -14,7 +15,7 @@ MAX_PLANNED_AGENTS = 300  # agents with planned paths displayed all at once, at 
 
 
 class Refusal(Exception):
-    """What was requested cannot be done: why, and what to do instead."""
+    """A request that cannot be carried out: the reason, and an alternative."""
 
     def __init__(self, message: str, help: str = "") -> None:
         super().__init__(message)
@@ -39,14 +40,15 @@ class Step(_Model):
 
 
 class Speed(_Model):
-    """The speed of the clock: 1 is the scene's own, 0 as fast as possible."""
+    """Set the speed of play: 1 is the scene's own speed, 0 is as fast as possible."""
 
     op: Literal["speed"]
     times: float = Field(ge=0, le=64)
 
 
 class Seek(_Model):
-    """Go to a frame. Without `exact`: show what is remembered of it without simulation, as while a slider is dragged."""
+    """Go to a frame. `exact` is false while a slider is dragged: then the stored agents of the frame are displayed without
+    simulation."""
 
     op: Literal["seek"]
     frame: Frame
@@ -60,7 +62,7 @@ class Set(_Model):
 
 
 class Layer(_Model):
-    """Switch a layer of a species, by its text."""
+    """Switch a layer of a species on or off. The layer is identified by its text."""
 
     op: Literal["layer"]
     species: Name
@@ -93,8 +95,13 @@ class AgentRef(_Model):
 
 
 class Look(_Model):
-    """What a page shows in addition to the agents: all of it each time. `planned`: the agents with displayed future paths. If it
-    is empty, those of all agents are displayed, up to 300."""
+    """Set all that a page displays in addition to the agents. A new request replaces the previous one.
+
+    `columns`, `fields`, `flows`: the displayed ones, by name.
+    `solids`: whether solids are displayed.
+    `follow`: the followed agent.
+    `planned`: the agents with displayed future paths; None for none. An empty tuple means all agents, if there are at most 300.
+    """
 
     op: Literal["look"]
     columns: tuple[Column, ...] = Field((), max_length=64)
@@ -120,7 +127,7 @@ class StateBreak(_Model):
 
 
 class ConditionBreak(_Model):
-    """`text`: a condition in the language of specs."""
+    """A breakpoint on a condition. `text`: the condition in the language of specs."""
 
     kind: Literal["condition"]
     text: Words
@@ -139,7 +146,7 @@ Break = Annotated[StateBreak | ConditionBreak | SpecBreak | FaultBreak, Field(di
 
 
 class Breaks(_Model):
-    """Set all breakpoints; earlier ones are removed. `tried` is an extra one, added if it fits the program."""
+    """Replace all breakpoints. `tried`: one more breakpoint, which is added only if it matches the program."""
 
     op: Literal["breaks"]
     breaks: tuple[Break, ...] = Field((), max_length=64)

@@ -33,8 +33,13 @@ _MAX_LAYER_CHARACTERS = 60  # letters of a layer in messages
 
 @dataclass(frozen=True, slots=True)
 class Outcome:
-    """The result of an edit. `did` says what was edited, `line` what persists, moved and was reset. `text` is what to write into
-    a file for the same permanent effect. With errors in the report nothing has changed."""
+    """The result of an edit.
+
+    `report`: if it has errors, nothing has changed.
+    `line`: what persists, what moved, and what was reset.
+    `text`: the text to write into a file for the same permanent effect.
+    `did`: what was edited.
+    """
 
     report: Report = field(default_factory=Report)
     line: str = ""
@@ -47,7 +52,7 @@ class Outcome:
 
 
 class Session:
-    """Make one with `Session.open`."""
+    """A running scene with its history. Create one with `Session.open`."""
 
     world: World  # to be read only
 
@@ -71,8 +76,12 @@ class Session:
         budget: int = limits.GIB // 4,
         compiler: Compiler | None = None,
     ) -> tuple[Session | None, Report]:
-        """Return a session at the scene's first simulated frame, or None, and a report. A checkpoint each `every` frames;
-        `budget` bytes of memory for all that is stored. `compiler`: one that has tried this scene before."""
+        """Return a session at the scene's first simulated frame, or None, and a report.
+
+        `every`: frames between checkpoints.
+        `budget`: bytes of memory for all stored data.
+        `compiler`: one that has tried this scene before.
+        """
         session = cls(compiler or Compiler(scene), options or Options(), Timeline(every, budget))
         report = session._start_over(choices or RunChoices(), {}).report
         return (session if report.ok else None), report
@@ -85,7 +94,7 @@ class Session:
 
     @property
     def disabled_layers(self) -> DisabledLayers:
-        """Layers that are off, by species and text, with the file that each stands in."""
+        """Return the layers that are off, by species and text, with the file of each."""
         return self._stretch.off
 
     @property
@@ -98,7 +107,7 @@ class Session:
 
     @property
     def last_frame(self) -> int:
-        """The last frame that was simulated."""
+        """Return the last frame that was simulated."""
         return self.timeline.last_frame
 
     @property
@@ -107,18 +116,18 @@ class Session:
 
     @property
     def edited(self) -> bool:
-        """Return whether something was changed during the run and not undone at the same frame. If so, the session differs from a
-        fresh run."""
+        """Return whether the session differs from a fresh run: whether a change was made during the run and not undone at the
+        same frame."""
         return any(not stretch.fresh or stretch.changes for stretch in self.timeline.stretches)
 
     @property
     def choices(self) -> RunChoices:
-        """What was set by hand, as of this frame."""
+        """Return the values that were set by hand, as of this frame."""
         changed = {c.name: c.text for c in self._stretch.changes if c.frame <= self.frame}
         return replace(self._stretch.choices, params={**self._stretch.choices.params, **changed})
 
     def step(self) -> None:
-        """Go one frame on: first through the recorded history, then further. A fault only stops `playing`."""
+        """Go on by one frame: through the recorded history first, then by simulation. A fault only stops `playing`."""
         self._step()
         later = self.timeline.next_stretch(self._stretch)
         if later is not None and later.first == self.frame:
@@ -134,7 +143,7 @@ class Session:
             self._step()
 
     def is_ahead(self, frame: int) -> bool:
-        """Return whether simulating on from the current frame reaches a frame at least as fast as from any checkpoint."""
+        """Return whether simulating from the current frame reaches a frame at least as fast as from any checkpoint."""
         stretch = self.timeline.at(frame)
         return stretch is self._stretch and nearest_checkpoint(stretch, frame) <= self.frame <= frame
 
@@ -170,13 +179,13 @@ class Session:
             self.meter.end(self.world)
 
     def measure(self, on: bool) -> None:
-        """Start or stop measuring what each step spends its time on, in `meter`. Results do not change."""
+        """Start or stop measuring the time of each part of a step, in `meter`. Results do not change."""
         if self.meter is not None:
             self.meter.stop()
         self.meter = StepMeter() if on else None
 
     def _restore(self, stretch: SimulationStretch, frame: int) -> None:
-        """Restore a stretch at a checkpoint, in a world without digging yet."""
+        """Restore a stretch at a checkpoint, in a new world without digging yet."""
         world = stretch.world(stretch.checkpoints[frame], self.options, self.compiler.built)
         world.watchers = self.world.watchers
         self._enter(world, stretch)
@@ -189,7 +198,7 @@ class Session:
     # --- edits ---------------------------------------------------------------------------------------------------------
 
     def reload(self) -> Outcome:
-        """Go on from the current frame with the current files. If they have errors, the last good program continues."""
+        """Go on from the current frame with the current files. If they have errors, the last valid program continues."""
         outcome = self._recompile(self.choices, self._stretch.off)
         if outcome.ok or not (self.choices.params or self._stretch.off):
             return outcome
@@ -200,7 +209,7 @@ class Session:
         return replace(outcome, line=" · ".join([outcome.line, *dropped])) if outcome.ok else outcome
 
     def precompile(self) -> None:
-        """Compile the current files before they settle, so that a reload finds the result. This has no other effect, whatever the
+        """Compile the current files before they settle, so that a reload finds the result. There is no other effect, whatever the
         files contain."""
         instead = self.compiler.instead
         self.compiler.instead, _ = texts_without_layers(self._stretch.off)
@@ -208,7 +217,8 @@ class Session:
         self.compiler.instead = instead
 
     def set(self, name: str, value: str) -> Outcome:
-        """Set a param, or a setting of a field, to a number with its unit. The text is the scene's line for it."""
+        """Set a param, or a setting of a field, to a number with its unit. `text` of the result is the line of the scene that
+        sets it."""
         text, did = f"set: {{{name}: {value}}}", f"`{name}` is {value}"
         quantity, report = _parse_quantity(self.shot, name, value)
         if quantity is None:
@@ -221,7 +231,7 @@ class Session:
         return Outcome(report, "from the next frame on", text, did)
 
     def switch_field(self, name: str, on: bool) -> Outcome:
-        """Switch a field on, or nearly off: deposits then stay below a millionth and vanish after one step."""
+        """Switch a field on or off. Off means that deposits stay below a millionth and vanish after one step."""
         off = silencing_settings(name)
         if name not in self.shot.plan.fields:
             return _error_outcome(f"no program has a field `{name}`")
@@ -235,7 +245,8 @@ class Session:
         return self._recompile(replace(self.choices, params=params if on else {**params, **off}), self._stretch.off, text, did)
 
     def layer(self, species: str, layer: str, on: bool) -> Outcome:
-        """Switch a layer of a species, by its text, off or on again. The text is its lines, commented out."""
+        """Switch a layer of a species off or on again. The layer is identified by its text. `text` of the result is its lines,
+        commented out."""
         key, off = (species, layer), dict(self._stretch.off)
         if on:
             if off.pop(key, None) is None:
@@ -250,8 +261,8 @@ class Session:
         return self._recompile(self.choices, off, text, f"layer `{_short_text(layer)}` is off")
 
     def restart(self) -> Outcome:
-        """Simulate the files as they are, with manual settings, from the first frame. This is a clean run: its hashes are those
-        of `antdsl run` once the files contain the lines for the settings."""
+        """Simulate the current files from the first frame, with the settings made by hand. This run has the hashes of `antdsl
+        run` once the files contain the lines for these settings."""
         return self._start_over(self.choices, self._stretch.off)
 
     def _start_over(self, choices: RunChoices, off: DisabledLayers) -> Outcome:
@@ -271,7 +282,7 @@ class Session:
         return Outcome(report, f"{len(self.world):,} agents from frame {self.frame}", did=_RESTARTED_TEXT)
 
     def _compile(self, choices: RunChoices, off: DisabledLayers) -> tuple[Shot | None, Report, list[tuple[str, str]]]:
-        """Return the shot of the files with these choices, and the layers that no longer exist."""
+        """Return the shot of the files with these choices, its report, and the layers that no longer exist."""
         previous_texts = self.compiler.instead
         self.compiler.instead, missing_layers = texts_without_layers(off)
         shot, report = self.compiler.open(choices)
@@ -280,7 +291,7 @@ class Session:
         return shot, report, missing_layers
 
     def _recompile(self, choices: RunChoices, off: DisabledLayers, text: str = "", did: str | None = None) -> Outcome:
-        """Go on with the current files and other choices. Without `did`, it is the files that may have changed."""
+        """Go on with the current files and other choices. `did`: what was edited; None if only the files may have changed."""
         shot, report, missing_layers = self._compile(choices, off)
         if shot is None or not report.ok:
             return Outcome(report)
@@ -305,7 +316,7 @@ class Session:
         return Outcome(report, line, text, did)
 
     def _forget_undone_edit(self) -> str:
-        """If the files are again as they were at this frame, drop the later frames that came from the undone edit."""
+        """If the files are again as they were at this frame, drop the later frames of the undone edit. Return its description."""
         later = [each for each in self.timeline.stretches if each.first > self.frame and each.off == self._stretch.off]
         if all(_file_texts(each.shot) == _file_texts(self.shot) for each in later):
             return ""
@@ -314,7 +325,7 @@ class Session:
         return line
 
     def _drop_unknown(self, choices: RunChoices, off: DisabledLayers) -> tuple[RunChoices, list[str]]:
-        """Return the choices without values that the current files cannot use, and a text for each dropped value."""
+        """Return the choices without the values that the current files cannot use, and a text for each dropped value."""
         shot, report, _ = self._compile(replace(choices, params={}), off)
         if shot is None or not report.ok:
             return choices, []
@@ -324,18 +335,18 @@ class Session:
 
 
 def _short_text(text: str) -> str:
-    """A layer's text in a line."""
+    """Return a layer's text, shortened to one line."""
     words = " ".join(text.split())
     return words if len(words) <= _MAX_LAYER_CHARACTERS else f"{words[: _MAX_LAYER_CHARACTERS - 1]}…"
 
 
 def silencing_settings(field: str) -> dict[str, str]:
-    """Return the settings that keep a field's content near 0."""
+    """Return the settings that keep a field's values near 0."""
     return {f"{field}.limit": "0.000001", f"{field}.keeps": "0 %/step"}
 
 
 def _file_texts(shot: Shot) -> dict[str, str]:
-    """Return the files that a shot was made of, without values set by hand."""
+    """Return the texts of the files from which a shot was compiled, without values set by hand."""
     return {name: known for name, known in shot.inputs.items() if not name.startswith("--set ")}
 
 
@@ -362,7 +373,7 @@ def _error_outcome(message: str) -> Outcome:
 
 
 def find_binding_params(plan: Plan) -> frozenset[str]:
-    """Params that fields, other params or newborn agents are made with. All others may change between two steps."""
+    """Return the params on which fields, other params or newborn agents depend. All other params may change between two steps."""
     nodes = [node for field_plan in plan.fields.values() for node in field_nodes(field_plan)]
     nodes += [param.default for param in plan.params.values()]
     for species in plan.species.values():

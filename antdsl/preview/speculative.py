@@ -1,4 +1,4 @@
-"""A shot that was made ahead of time, and what of a scene's files differs from what it was made of: which file, which lines."""
+"""A shot that was compiled ahead of time, and the differences between the files of two shots: which files, and which lines."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _MAX_NAMED_FILES = 3  # files reported by name
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PrecompiledShot:
-    """A shot with all that it was made of."""
+    """A shot with all inputs from which it was compiled."""
 
     shot: Shot
     report: Report
@@ -29,8 +29,8 @@ class PrecompiledShot:
     parsed: ParsedFileCache
 
     def is_current(self, choices: RunChoices, instead: Mapping[Path, str], parsed: ParsedFileCache) -> bool:
-        """Return whether opening again would give the same shot. `parsed` has the current programs: equal texts give identical
-        objects."""
+        """Return whether opening the scene again would give the same shot. `parsed` has the current programs; equal texts give
+        identical objects."""
         return (
             (choices, instead) == (self.choices, self.instead)
             and parsed.keys() == self.parsed.keys()
@@ -40,7 +40,7 @@ class PrecompiledShot:
         )
 
     def _has_same_inputs(self) -> bool:
-        """Whether meshes and whatever else the scene names have the bytes that were read."""
+        """Return whether meshes and other files that the scene names have the same bytes as when they were read."""
         roots = self.shot.scene.roots
         for name, known in self.shot.inputs.items():
             try:
@@ -59,7 +59,7 @@ class PrecompiledShot:
 
 
 def sources(document: DocumentNode) -> Iterator[Source]:
-    """Yield the texts that contain parts of a scene, including an extended scene."""
+    """Yield the texts that contain parts of a scene, including those of scenes that it extends."""
     known_sources: set[Source] = set()
     stack: list[DocumentNode] = [document]
     while stack:
@@ -82,8 +82,8 @@ def _is_same_text(source: Source) -> bool:
 
 
 def changed_files_text(old: Shot, new: Shot) -> str:
-    """Return the files in which two shots differ, with lines: `forager.ant line 34, scene.yaml lines 9–12`; empty if none
-    differs."""
+    """Return the files in which two shots differ, with lines, such as `forager.ant line 34, scene.yaml lines 9–12`. Return "" if
+    none differs."""
     old_texts, new_texts = _texts(old), _texts(new)
     differences = [
         _changed_lines_text(name, old_texts.get(name), text) for name, text in new_texts.items() if old_texts.get(name) != text
@@ -101,7 +101,7 @@ def _texts(shot: Shot) -> dict[str, str]:
 
 
 def _changed_lines_text(name: str, old: str | None, new: str) -> str:
-    """Return a file's name with its changed lines, from the first to the last."""
+    """Return a file's name and its range of changed lines."""
     if old is None:
         return f"{name} is new"
     old_lines, new_lines = old.splitlines(), new.splitlines()

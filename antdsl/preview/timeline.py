@@ -1,4 +1,5 @@
-"""The simulated history: stretches of time, each of one program, with checkpoints to restore and light frames to show."""
+"""The simulated history: stretches of time, each simulated by one program, with checkpoints to restore and light frames to
+display. A light frame has only a part of the arrays that pages display."""
 
 from __future__ import annotations
 
@@ -24,7 +25,7 @@ _MAX_STOPS = 256
 
 
 class LightFrames(dict[int, Mapping[str, Arrays]]):
-    """Light frames by frame and species. `nbytes`: of all arrays, each counted once in however many frames it is."""
+    """Light frames by frame and species. `nbytes`: bytes of all arrays; an array that several frames share counts once."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -48,15 +49,15 @@ class LightFrames(dict[int, Mapping[str, Arrays]]):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SpeciesPoses:
-    """What agents of one species did with their bodies at a frame, as sent to pages: arrays by name, valid only for the body and
-    the clips of `worn`."""
+    """The poses of agents of one species at a frame, as sent to pages. `arrays`: by name; valid only for the body and the clips
+    of `worn`."""
 
     worn: object
     arrays: Arrays
 
 
 class Poses(dict[int, Mapping[str, SpeciesPoses]]):
-    """Poses of bodies by frame and species, `nbytes` in total."""
+    """Poses of bodies by frame and species. `nbytes`: total bytes."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -73,7 +74,7 @@ class Poses(dict[int, Mapping[str, SpeciesPoses]]):
 
 @dataclass(frozen=True, slots=True)
 class ParamChange:
-    """A param's value from a frame on, as written and in base units; `was` is the one before."""
+    """A new value of a param from a frame on. `text`: as written. `value`: in base units. `was`: the previous value."""
 
     frame: int
     name: str
@@ -84,9 +85,13 @@ class ParamChange:
 
 @dataclass(slots=True, eq=False)
 class SimulationStretch:
-    """Frames from `first` on that one shot made. `line` says how it came about; `choices` and `off` are the manual settings at
-    that time. `off` has layers by species and text, with the file of each. `changes` are params set on the way. `fresh`: up to
-    its first frame, all is as in a run without edits."""
+    """The frames from `first` on that one shot simulated.
+
+    `line`: the reason for the stretch.
+    `choices` and `off`: the settings made by hand when it began; `off` has layers by species and text, with the file of each.
+    `changes`: params that were set during the stretch.
+    `fresh`: whether everything up to its first frame is as in a run without edits.
+    """
 
     shot: Shot
     first: int
@@ -100,8 +105,8 @@ class SimulationStretch:
     _unedited: tuple[object, str] | None = None  # what an unedited run to its first frame is made of, and the hash there
 
     def replace(self, previous: SimulationStretch, old: World, world: World) -> None:
-        """Replace the stretch `previous` at the frame of `old`, with `world`, which was made from `old`. The stretch still counts
-        as a fresh run if an edit was undone at the frame of the edit and nothing was lost."""
+        """Replace the stretch `previous` at the frame of the world `old` by this stretch. `world` was made from `old`. This
+        stretch still counts as a fresh run if an edit was undone at the frame of the edit and nothing was lost."""
         if previous.first == old.frame and previous._unedited is not None:
             self._unedited = previous._unedited
         elif previous.fresh and not previous.changes:
@@ -113,7 +118,7 @@ class SimulationStretch:
         return dict(self.shot.inputs), frozenset(self.off)
 
     def change_param(self, world: World, name: str, text: str, value: float) -> None:
-        """Set a param from the world's frame on. A value that is put back at the frame at which it was set leaves no change."""
+        """Set a param from the world's frame on. If a value is set and reset at the same frame, no change is stored."""
         current_changes = [each for each in self.changes if (each.frame, each.name) == (world.frame, name)]
         was = current_changes[0].was if current_changes else float(world.params[name])
         self.changes = [each for each in self.changes if each not in current_changes]
@@ -122,7 +127,7 @@ class SimulationStretch:
         set_param(world, name, value)
 
     def world(self, arrays: Arrays, options: Options, built: BindingCache) -> World:
-        """Return a separate world, as a checkpoint has it."""
+        """Return a separate world with the state of a checkpoint."""
         world = bind_empty(self.shot.plan, self.shot.setting, options, built=built, origin=self.origin)
         restore(world, arrays)
         return world
@@ -146,11 +151,14 @@ class TimelineBranch:
 class Timeline:
     """Stretches in order of time, with a checkpoint every `every` frames.
 
-    Above `budget` bytes, data is dropped in this order: poses of the oldest frames, until poses take an eighth; the oldest light
-    frames, until they take a quarter; checkpoints between others, where they are closest; whole stretches, oldest first.
+    If the data exceeds `budget` bytes, parts are dropped in this order: poses of the oldest frames, until poses take an eighth;
+    the oldest light frames, until they take a quarter; checkpoints between others, where they are closest; complete stretches,
+    oldest first.
 
-    `curves` holds the last 50,000 frames in order, `branches` the last 8. `stops` are the last 256 frames at which play was
-    stopped, with the reason."""
+    `curves`: the last 50,000 frames, in order.
+    `branches`: the last 8.
+    `stops`: the last 256 frames at which play was stopped, with the reason.
+    """
 
     def __init__(self, every: int, budget: int) -> None:
         self.every, self.budget = every, budget
@@ -164,16 +172,16 @@ class Timeline:
 
     @property
     def last_frame(self) -> int:
-        """The last frame that was simulated."""
+        """Return the last frame that was simulated."""
         return next(reversed(self.curves), self.stretches[-1].first if self.stretches else 0)
 
     @property
     def nbytes(self) -> int:
-        """Return the memory of all that is stored but curves."""
+        """Return the bytes of all stored data except curves."""
         return self._bytes + self.light.nbytes + self.poses.nbytes
 
     def at(self, frame: int) -> SimulationStretch:
-        """The stretch that a frame belongs to: where two meet, the later one."""
+        """Return the stretch that a frame belongs to. A frame at which two stretches meet belongs to the later one."""
         return next(stretch for stretch in reversed(self.stretches) if stretch.first <= frame)
 
     def next_stretch(self, stretch: SimulationStretch) -> SimulationStretch | None:
@@ -226,7 +234,7 @@ class Timeline:
         self.branches = [*self.branches[1 - _MAX_BRANCHES :], branch]
 
     def store_frame(self, stretch: SimulationStretch, world: World) -> None:
-        """Store the state of a world at its frame, once per frame, even if the frame is simulated again."""
+        """Store the state of a world at its frame. A frame is stored once, even if it is simulated again."""
         frame = world.frame
         fresh = not self.curves or frame > self.last_frame
         if fresh:
@@ -244,7 +252,7 @@ class Timeline:
         self._enforce_budget(stretch)
 
     def _drop_frame(self, frame: int) -> None:
-        """What agents were like at a frame."""
+        """Drop the light frame and the poses of a frame."""
         self.light.drop(frame)
         self.poses.drop(frame)
 
@@ -257,7 +265,7 @@ class Timeline:
             pass
 
     def _drop_least_useful(self, current: SimulationStretch) -> bool:
-        """Drop the data that is missed least. Return False if only one light frame and the first checkpoints of stretches are
+        """Drop the data that is least useful. Return False if only one light frame and the first checkpoints of stretches are
         left."""
         if self.poses.nbytes > _POSES_BUDGET_SHARE * self.budget:
             self.poses.drop(next(iter(self.poses)))
@@ -279,15 +287,15 @@ class Timeline:
 
 
 def _droppable_checkpoints(stretch: SimulationStretch) -> Iterator[tuple[bool, int, int, SimulationStretch]]:
-    """Yield the checkpoints of a stretch except the first: whether it is the last one, the longest simulation without it
-    (frames), its frame, the stretch."""
+    """Yield the checkpoints of a stretch except the first. Each has: whether it is the last one, the longest simulation without
+    it (in frames), its frame, and the stretch."""
     frames = sorted(stretch.checkpoints)
     for previous_frame, frame, next_frame in zip(frames, frames[1:], [*frames[2:], None], strict=False):
         yield next_frame is None, (frame if next_frame is None else next_frame) - previous_frame, frame, stretch
 
 
 def count_agents(world: World) -> dict[str, float]:
-    """Counts of agents by species and by state, and totals of items, by the names that specs have for them."""
+    """Return the numbers of agents by species and by state, and the totals of items, under their names in specs."""
     values: dict[str, float] = {}
     for name, population in world.populations.items():
         values[name] = len(population)

@@ -1,5 +1,5 @@
-"""Notices when files get other contents: by asking for them again and again, so that it works on every disk and for every way in
-which editors save. A file counts once it has stopped changing."""
+"""Detects changed contents of files by polling. So it works on every disk and with every way in which editors save files. A
+change is reported once the file has stopped changing."""
 
 from __future__ import annotations
 
@@ -35,10 +35,11 @@ class _WatchedFile:
 
 
 class FileWatch:
-    """Watched files, from `paths` at each poll, because an edit may add files. `opened` gives a handle on a regular file, or
-    raises OSError; `clock` returns seconds.
+    """Watches files. `paths` is called at each poll, because an edit may add files. `opened` returns a handle on a regular file,
+    or raises OSError. `clock` returns seconds.
 
-    A file that is not regular counts as missing until a regular one replaces it."""
+    A path that is not a regular file counts as missing until a regular file replaces it.
+    """
 
     def __init__(
         self,
@@ -53,7 +54,7 @@ class FileWatch:
         self.poll()
 
     def poll(self) -> tuple[Path, ...]:
-        """Return the files with other contents than when they were last reported, or first seen, that no longer change."""
+        """Return the files that have stopped changing and have other contents than when they were last reported or first read."""
         now, paths, self._left = self._clock(), list(dict.fromkeys(self._paths())), _REREAD_BYTES_PER_POLL
         changed = [path for path in paths if path in self._files and self._is_changed(path, self._files[path], now)]
         for path in paths:
@@ -64,21 +65,21 @@ class FileWatch:
         return tuple(changed)
 
     def recheck_changing(self) -> None:
-        """Note that the files were read elsewhere: those that are changing right now count as changed once they rest, even if
-        they have their first contents then."""
+        """Note that other code has just read the files. A file that is changing at this time counts as changed once it stops,
+        even if its contents are then the same as before."""
         for path, file in self._files.items():
             if _stamp(path) != file.held:
                 file.contents = _UNKNOWN_HASH
 
     def is_being_written(self) -> bool:
-        """Return whether a file changed and may still be being written. Reports each change once."""
+        """Return whether a file has changed and may still be incomplete. Each change is reported once."""
         changed_files = [file for file in self._files.values() if file.stirred]
         for file in changed_files:
             file.stirred = False
         return any(file.stamp is not None and file.stamp[1] > 0 for file in changed_files)
 
     def wait_for_changes(self, stop: Event, every: float = 0.02) -> Iterator[tuple[Path, ...]]:
-        """Wait for changes and yield them until `stop` is set."""
+        """Wait for changes, and yield the changed files, until `stop` is set. `every`: seconds between two polls."""
         while not stop.wait(every):
             changed = self.poll()
             if changed:
@@ -110,7 +111,7 @@ class FileWatch:
         return other
 
     def _contents(self, path: Path) -> bytes | None:
-        """Return a hash of a regular file's content; for a large file, of its stamp."""
+        """Return a hash of a regular file's content; for a large file, a hash of its stamp."""
         hashed = blake2b(digest_size=16)
         try:
             handle = self._opened(path)

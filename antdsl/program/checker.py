@@ -1,4 +1,5 @@
-"""Checks the files of one program and returns a Program: names first, then types, then the checks of the whole program."""
+"""Checks the files of one program and returns a Program: first the names, then the types, then the checks of the complete
+program."""
 
 from __future__ import annotations
 
@@ -33,11 +34,13 @@ def check(
     strict: bool = False,
     memo: CheckMemo | None = None,
 ) -> tuple[model.Program, Report]:
-    """Check names, types, units, rates and everything else that can be known of one or more files without a run.
+    """Check names, types, units and rates of one or more files, and everything else that is decidable without a run.
 
-    `library` gives the file behind `use NAME`, or None. `modules` has the files behind `use "PATH" as NAME`, by `Source.path` or
-    by the path as in the text. `strict` adds warnings about legal code that depends on the frames per second. `memo` supplies
-    results of an earlier check for unchanged parts. A program with errors in the report can be inspected, but not lowered."""
+    - `library`: returns the file behind `use NAME`, or None.
+    - `modules`: the files behind `use "PATH" as NAME`, by `Source.path` or by the path as in the text.
+    - `strict`: adds warnings about legal code that depends on the number of frames per second.
+    - `memo`: supplies results of an earlier check for unchanged parts.
+    If the report has errors, the program can be inspected but not lowered."""
     files = [files] if isinstance(files, nodes.File) else list(files)
     report = Report()
     declared = Declarations(TYPING_RULES, report, strict, memo=memo)
@@ -71,7 +74,8 @@ def check(
 
 
 def _run_check(checked: CheckContext, look: Check, report: Report) -> None:
-    """Run a check of the whole program; one that looks at each species alone runs again only where something has changed."""
+    """Run one check of the complete program. With a memo, checks in OF_EACH and OF_STATES run again only for changed species or
+    states."""
     program = checked.program
     if checked.declared.memo is None or look not in OF_EACH:
         look(checked, report)
@@ -100,7 +104,8 @@ def _keep_one_state(species: model.Species, machine: model.Machine, state: model
 
 
 def _map_to_files(loader: FileLoader, report: Report, recovered: Sequence[Span]) -> tuple[Report, list[Span]]:
-    """The same complaints and recovered places, in whole files instead of in parts of them."""
+    """Return the report and the recovered spans, with each location in a part of a file converted to the location in that
+    file."""
     files = {part: file.node for file in loader.known.values() for part in file.node.parts}
     if not files:
         return report, list(recovered)
@@ -112,7 +117,7 @@ def _map_to_files(loader: FileLoader, report: Report, recovered: Sequence[Span])
 
 
 def _outside_key(declared: Declarations, loader: FileLoader) -> Hashable:
-    """All that a part of the program can see of the others before the types of attributes are known."""
+    """Return a key of all declarations that a part of the program can see of the other parts, except the types of attributes."""
     things = [(t.name, t.kind, tuple((a.name, a.type) for a in t.attributes)) for t in declared.things.values()]
     machines = [
         (s.name, s.node is None, tuple((m.name, *m.states) for m in s.machines.values())) for s in declared.species.values()
@@ -126,7 +131,7 @@ def _outside_key(declared: Declarations, loader: FileLoader) -> Hashable:
 
 
 def _known_types(species: SpeciesNames) -> Hashable:
-    """Return the types of a species' members, as far as they are known."""
+    """Return the name of a species with the types of its attributes and params, as far as they are known."""
     return (species.name, *species.attributes.items(), *species.each.items(), *species.params.items())
 
 
@@ -158,7 +163,7 @@ def _assemble_program(
 
 
 def _check_spec_names(declared: Declarations, file: FileNames) -> None:
-    """Check that each spec of a file has its own name: names distinguish specs in reports and stored results."""
+    """Report specs of one file that have the same name. Reports and stored results identify specs by name."""
     first: dict[str, Span] = {}
     for spec in (item for item in file.node.items if isinstance(item, nodes.Spec)):
         if spec.name.text in first:
@@ -170,7 +175,7 @@ def _check_spec_names(declared: Declarations, file: FileNames) -> None:
 
 
 def _unique_modules(names: Sequence[FileNames]) -> list[FileNames]:
-    """Every file that is used by path, once."""
+    """Return every file that is used by path, each once."""
     modules: dict[int, FileNames] = {}
     stack = list(names)
     while stack:
@@ -182,8 +187,8 @@ def _unique_modules(names: Sequence[FileNames]) -> list[FileNames]:
 
 
 def _check_behaviours(declared: Declarations, names: Sequence[FileNames]) -> None:
-    """Check behaviours of the program's own files even if nothing calls them; those of the library are checked when they are
-    called."""
+    """Check the behaviours of the program's own files, also those that no code calls. Library behaviours are checked when they
+    are called."""
     for file in names:
         for info in file.own.values():
             check_behaviour(declared, info)

@@ -1,7 +1,7 @@
-"""One finding per cause: drops findings that follow only from an earlier error, and reports one that is missing in many places
-once, with all of them.
+"""Reduces a report to one finding per cause. It drops findings that follow from an earlier error, and merges findings about one
+missing name into one.
 
-Near an error, idle code is not searched for at all (`checks.OF_SOUND`). This module handles errors that follow from errors."""
+`checks.OF_SOUND` are not run at all for programs with errors. This module handles the other findings."""
 
 from __future__ import annotations
 
@@ -37,7 +37,8 @@ class _UnreadLines:
 
 
 def drop_consequences(report: Report, recovered: Iterable[Span]) -> Report:
-    """Return the report without what follows from `recovered` places, which parsing has reported, and from misspelt names."""
+    """Return the report without findings that follow from unparsed text or from misspelt names. `recovered`: the spans that the
+    parser skipped and reported."""
     doubts: dict[Source, _UnreadLines] = {}
     for span in recovered:
         _note_unread_lines(doubts.setdefault(span.source, _UnreadLines()), span)
@@ -49,14 +50,14 @@ def drop_consequences(report: Report, recovered: Iterable[Span]) -> Report:
 
 
 def add_all_places(report: Report, repeated_spans: Mapping[Span, Sequence[Span]]) -> Report:
-    """Return the report in which a finding about the first of several places also names the others."""
+    """Return the report in which a finding about the first of several spans lists the other spans too."""
     return Report(
         [replace(d, labels=_other_labels(d, repeated_spans)) if d.span in repeated_spans else d for d in report.diagnostics]
     )
 
 
 def merge_repeats(report: Report) -> Report:
-    """Return the report with one finding for equal messages about several places of one file, with all of the places."""
+    """Return the report with one finding in place of several with equal messages in one file. It lists all spans."""
     groups: dict[tuple[str, str, str], list[Diagnostic]] = {}
     for each in report.diagnostics:
         groups.setdefault((each.code, each.message, each.span.source.path if each.span else ""), []).append(each)
@@ -82,7 +83,8 @@ def _repeat_labels(others: Sequence[Span]) -> list[Label]:
 
 
 def _is_misspelt_declaration(diagnostic: Diagnostic, twice: set[tuple[Source, str]]) -> bool:
-    """Whether a name is missing, and two others of its kind are alike: one of them was to have it."""
+    """Return whether a missing name probably belongs to a duplicate declaration: two declarations of its kind have the same name,
+    and one was meant to have the missing one."""
     if diagnostic.span is None or diagnostic.code not in _MISSING_NAME_CODES:
         return False
     return any(

@@ -1,5 +1,6 @@
-"""The estimated cost of a program in each state: senses, fields, draws and sums, each with a rough weight. It compares states
-before a run. Nothing is measured."""
+"""Estimates the cost of a program in each state, from senses, fields, draws and sums. Each has a rough weight.
+
+The estimate compares states before a run. Nothing is measured."""
 
 from __future__ import annotations
 
@@ -20,7 +21,8 @@ _TAKE_COST = UseCost(40, "takes {thing}")
 
 @dataclass(frozen=True, slots=True)
 class CostEntry:
-    """One thing that is used: its kind, in the words of the table, how often in a step, and the weight of all."""
+    """One use of a sense, field or draw. `kind`: senses, fields or draws. `words`: the text of the table's row, with the count
+    per step. `weight`: the weight of all these uses."""
 
     kind: str  # senses, fields or draws
     words: str
@@ -29,7 +31,8 @@ class CostEntry:
 
 @dataclass(frozen=True, slots=True)
 class StateCost:
-    """The uses of one state, or of every state: `name` is `MACHINE.STATE`, or `every state`."""
+    """The uses of one state, named `MACHINE.STATE` (`STATE` if there is only one machine), or those common to all states, named
+    `every state`."""
 
     name: str
     uses: tuple[CostEntry, ...]
@@ -41,7 +44,7 @@ class StateCost:
 
 
 def costs(program: model.Program, species: model.Species) -> list[StateCost]:
-    """Return the costs of every state of a species in text order, and last those common to all states."""
+    """Return the costs of every state of a species in text order, and last the costs that all states share."""
     state_parts = [
         StateCost(
             state.name if len(species.machines) == 1 else f"{machine.name}.{state.name}",
@@ -61,7 +64,8 @@ def costs(program: model.Program, species: model.Species) -> list[StateCost]:
 
 
 def _state_parts(species: model.Species, machine: model.Machine, state: model.State) -> object:
-    """Return what is computed in each step in which an agent is in the state; what is done once, on entry or exit, is not."""
+    """Return the parts that are computed in each step of an agent in the state. Entry and exit actions happen once and are left
+    out."""
     still = species.rest.push if species.rest is not None and state.index in species.rest.silent.get(machine.name, ()) else None
     changes = [(change.condition, change.delay, change.held, change.take) for change in state.transitions]
     return state.body, still, changes
@@ -81,7 +85,7 @@ def _count_uses(program: model.Program, root: object) -> tuple[tuple[CostEntry, 
 
 
 def _inside_sets(root: object) -> set[int]:
-    """Return what is computed for each member of a set."""
+    """Return the ids of the parts that are computed for each member of a set."""
     return {
         id(inner) for part in parts(root) if isinstance(part, (model.ReduceExpr, model.SetExpr)) for inner in _member_parts(part)
     }
@@ -106,7 +110,7 @@ def _operations(part: object) -> int:
 
 
 def _cost_entries(part: object) -> Iterable[CostEntry]:
-    """What one node of the program asks for."""
+    """Return the uses of one node of the program."""
     match part:
         case model.SetExpr():
             cost = SET_SENSE_BY_OPERATION[part.source].cost
@@ -124,7 +128,7 @@ def _cost_entries(part: object) -> Iterable[CostEntry]:
 
 
 def _make_entry(cost: UseCost, thing: str, args: tuple[model.Expr | None, ...] = (), op: str = "") -> CostEntry:
-    """Return a use as its row describes it: count, thing and distance."""
+    """Return the entry of a use, with count, thing and distance as its row describes."""
     count = 1
     if cost.times is not None:
         times = args[cost.times] if len(args) > cost.times else None
@@ -137,7 +141,7 @@ def _make_entry(cost: UseCost, thing: str, args: tuple[model.Expr | None, ...] =
 
 
 def _argument_text(expr: model.Expr | None) -> str:
-    """Return an argument's text: that of the call of the behaviour, or that in the behaviour."""
+    """Return the source text of an argument. For a parameter of a behaviour, it is the text in the call of the behaviour."""
     while isinstance(expr, model.BindingRef) and expr.binding.role == "argument" and expr.binding.value is not None:
         expr = expr.binding.value
     return " ".join(expr.span.text.split()) if expr is not None else "any distance"

@@ -1,4 +1,4 @@
-"""A checked spec: what is expected and when, and the expressions that only specs can have."""
+"""Data classes of a checked spec: its expectations and their times, and the expressions that only specs can have."""
 
 from __future__ import annotations
 
@@ -9,10 +9,12 @@ from antdsl.syntax import nodes
 
 @expression_class
 class AggregateExpr(Expr):
-    """A number or bool about a whole population. `how`: total mean min max share count any every. `over`: a SPECIES, ITEMS, FIELD
-    or SOLID (its total is the volume).
+    """A number or bool about a complete population.
 
-    `where` and `body` are expressions about one agent or item. `elements` are the names bound to it."""
+    - `how`: total, mean, min, max, share, count, any or every.
+    - `over`: a type of kind SPECIES, ITEMS, FIELD or SOLID. The total of a solid is its volume.
+    - `elements`: the names bound to the current agent or item.
+    - `where`, `body`: expressions about one agent or item."""
 
     how: str
     over: ValueType
@@ -23,43 +25,43 @@ class AggregateExpr(Expr):
 
 @expression_class
 class AtStart(Expr):
-    """The value of a number at the first frame of the spec, or in the first frame of each agent."""
+    """The value of a number in the first frame of the spec or, for a number of an agent, in the agent's first frame."""
 
     value: Expr
 
 
 @expression_class
 class OtherRun(Expr):
-    """The value of a number about the whole in the spec's reference run, at the same frame."""
+    """The value of a number in the spec's reference run, at the same frame. The number is about the complete run, not about one
+    agent."""
 
     value: Expr
 
 
 @expression_class
 class BodyMeasure(Expr):
-    """The pose of an agent's body, by its name in GEOMETRY: values that agents themselves do not sense."""
+    """A value of an agent's pose, by its name in GEOMETRY. Agents themselves do not sense it."""
 
     name: str
 
 
 @expression_class
 class CellValue(Expr):
-    """The amount of a field in a cell, where cells are evaluated one by one."""
+    """The amount of a field in the current cell, in expressions that are evaluated cell by cell."""
 
     field: str
 
 
 @expression_class
 class MotionMeasure(Expr):
-    """A measure of motion over the whole run, by its name in a run's summary."""
+    """A measure of motion over the complete run, by its name in the summary of a run."""
 
     name: str
 
 
 @expression_class
 class ExpectationReading:
-    """A part of a condition with a value that is reported if it fails; `unit` is one that the author wrote there, or a usual
-    one."""
+    """A value in a condition that is reported if the condition fails. `unit`: a unit of the source, or a default one."""
 
     expr: Expr
     unit: str
@@ -67,9 +69,14 @@ class ExpectationReading:
 
 @expression_class
 class Expectation:
-    """One expectation. `kind`: always never eventually finally sooner within for until. `species`: judged for each of its agents;
-    None: for the whole. `held`: the condition counts once it has held for that time. `since`: the time starts whenever this
-    condition becomes true."""
+    """One expectation.
+
+    - `kind`: always, never, eventually, finally, sooner, within, for or until.
+    - `block`: the number of its `each` block from 1; 0 outside of such blocks.
+    - `species`: the species of which each agent is judged separately; None for the complete run.
+    - `at_end`: it uses a measure that is known only at the end of the run.
+    - `held`: the condition counts after it has held for this time.
+    - `since`: the time starts whenever this condition becomes true."""
 
     kind: str
     block: int  # 0 is the spec itself, then the `each` blocks in their order
@@ -85,7 +92,7 @@ class Expectation:
 
 @expression_class
 class SpecChange:
-    """`set NAME = V`: a param by its qualified name, or a setting of a field (`trail.half_life`)."""
+    """A line `set NAME = V`. `name`: a param by its qualified name, or a setting of a field such as `trail.half_life`."""
 
     name: str
     value: Expr
@@ -94,7 +101,7 @@ class SpecChange:
 
 @expression_class
 class ComparisonRun:
-    """The run that a spec compares with: another scene, or the same, with changes in addition to the spec's own."""
+    """The reference run of a spec: another scene or the same one (None), with changes in addition to those of the spec."""
 
     scene: nodes.Text | None
     changes: tuple[SpecChange, ...]
@@ -103,7 +110,8 @@ class ComparisonRun:
 
 @expression_class
 class Spec:
-    """`share`: of the seeds that must pass."""
+    """A checked spec. `share`: the share of the seeds that must pass, from 0 to 1. `against`: the reference run, if there is
+    one."""
 
     name: str
     scene: nodes.Text | None

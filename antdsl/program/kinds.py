@@ -1,4 +1,4 @@
-"""Dimensions, kinds, types and rates of values: what the checker infers for every expression."""
+"""Dimensions, kinds, types and rates of values. The checker infers them for every expression."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from antdsl.program.tables.things import KIND_BY_WORD
 
 
 class Dimension(NamedTuple):
-    """Exponents of length (mm), time (s), mass (g) and angle (rad). May be fractions after `sqrt`."""
+    """The exponents of length (mm), time (s), mass (g) and angle (rad). They may be fractions, for example after `sqrt`."""
 
     length: float = 0
     time: float = 0
@@ -18,7 +18,7 @@ class Dimension(NamedTuple):
 
 
 class TypeKind(Enum):
-    """The kinds of things of the world are members too."""
+    """The kind of a type. The kinds of things of the world are members too."""
 
     _ignore_ = "word row"
     NUMBER = "number"
@@ -59,7 +59,7 @@ PER_SECOND_TYPE = ValueType(TypeKind.NUMBER, Dimension(time=-1))
 
 
 class ChangeRate(IntEnum):
-    """How often a value changes; an expression has the greatest rate of its parts."""
+    """How often a value changes. The rate of an expression is the greatest rate of its parts."""
 
     CONST = 0
     RUN = 1  # params, dt, the scene's unit

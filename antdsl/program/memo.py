@@ -1,5 +1,4 @@
-"""Results of an earlier check for parts of a program, reused in a check of a slightly edited program. An editor checks at every
-key press."""
+"""Caches results about parts of a program, for the next check of an edited program. An editor checks at every key press."""
 
 from __future__ import annotations
 
@@ -19,21 +18,29 @@ _PartKey = tuple[tuple[Any, ...], int]  # what a part is and depends on, and a n
 
 
 def cached_part(declared: Declarations, key: tuple[Any, ...], make: Callable[[], T]) -> T:
-    """Return what `make` returns, or returned in an earlier check with a retained memo. The key holds all that it depends on,
-    apart from `declared.outside`."""
+    """Return the result of `make`, or its cached result from an earlier check.
+
+    `key`: all inputs on which the result depends, except `declared.outside`."""
     return make() if declared.memo is None else declared.memo.cached_part(declared, (key, declared.outside), make)
 
 
 def update_outside(declared: Declarations, outside: Hashable) -> int:
-    """Set `declared.outside` to a number for everything that parts can see of the others from here on, and return it. The visible
-    state may be large, so it is compared once, not with each part's key."""
+    """Set `declared.outside` to a number that stands for the value `outside`, and return it. Equal values have equal numbers.
+
+    `outside`: all declarations that a part can see of other parts. It may be large, so it is compared once and not with the key
+    of each part."""
     declared.outside = 0 if declared.memo is None else declared.memo.number(outside)
     return declared.outside
 
 
 @dataclass(frozen=True, slots=True)
 class _CachedPart:
-    """The result of a part. `expanded`: the number of operations of behaviours expanded for it."""
+    """The cached result of a part, with its effects on the declarations.
+
+    - `said`: the findings.
+    - `used`, `written`: the names that it uses, and the attributes that it writes.
+    - `expanded`: the number of operations in the behaviours that were expanded for it.
+    - `bound`: the names that it resolved."""
 
     result: Any
     said: tuple[Diagnostic, ...]
@@ -44,7 +51,8 @@ class _CachedPart:
 
 
 class _UnknownNames(dict[tuple[str, ...], list[Span]]):
-    """Unknown names that were reported. A part that was silent because of them may have to report another time."""
+    """The unknown names that were reported. If `silenced`, a part omitted a finding because of an earlier one. Its result must
+    not be cached."""
 
     silenced = False
 
@@ -55,7 +63,7 @@ class _UnknownNames(dict[tuple[str, ...], list[Span]]):
 
 
 class CheckMemo:
-    """Results of parts by all that they depend on. What a whole check did not use is forgotten after it."""
+    """Cached results of parts by their inputs. Entries that a complete check did not use are removed after it."""
 
     def __init__(self) -> None:
         self.known: dict[_PartKey, _CachedPart] = {}
@@ -65,8 +73,8 @@ class CheckMemo:
         self.given = 0
 
     def number(self, value: Hashable) -> int:
-        """Return a number for a value. Equal values get the same number while the value, or a part that used it, is
-        remembered."""
+        """Return a number for a value. Equal values get the same number as long as the value, or a part that used it, is
+        cached."""
         if value not in self.numbers:
             self.given += 1
             self.numbers[value] = self.given
@@ -74,8 +82,8 @@ class CheckMemo:
         return self.numbers[value]
 
     def cached_part(self, declared: Declarations, key: _PartKey, make: Callable[[], T]) -> T:
-        """Return the result of `make`, or its earlier result for the same key. Its findings, resolved names and counted uses and
-        writes come with it."""
+        """Return the result of `make`, or the cached result for the same key. A cached result also restores its findings,
+        resolved names, uses and writes."""
         self.asked.add(key)
         known = self.known.get(key)
         if known is None:
@@ -105,11 +113,12 @@ class CheckMemo:
         return result
 
     def mark_used(self, kinds: Collection[Hashable]) -> None:
-        """Count the results of some kinds of parts, by the first of their key, as used: they were left out this time."""
+        """Mark all results of some kinds of parts as used, because this check left them out. The kind is the first element of the
+        key."""
         self.asked |= {key for key in self.known if key[0][0] in kinds}
 
     def drop_unused(self) -> None:
-        """Drop entries that the completed check did not use."""
+        """Remove entries that the completed check did not use."""
         self.known = {key: value for key, value in self.known.items() if key in self.asked}
         used_numbers = self.seen.union(outside for _, outside in self.known)
         self.numbers = {value: number for value, number in self.numbers.items() if number in used_numbers}

@@ -1,7 +1,6 @@
 """The checked program: every name resolved, every expression with its type and rate, every behaviour call expanded.
 
-`check` makes these values and nothing else does. All are frozen and compare by identity; each keeps its Span.
-"""
+Only `check` makes these values. They are frozen, compare by identity, and have a Span."""
 
 from __future__ import annotations
 
@@ -47,7 +46,7 @@ class Steer:
 
 @expression_class
 class FaceLine:
-    """Turn the body towards `direction`; only its direction counts."""
+    """Turns the body towards `direction`. The length of the vector has no effect."""
 
     direction: Expr
     span: Span
@@ -55,7 +54,9 @@ class FaceLine:
 
 @expression_class
 class Assign:
-    """`op` is `=`, `+=` or `-=`. In a state's body an added value is a rate (per second; `per_second` True: multiply by dt)."""
+    """An assignment. `op` is `=`, `+=` or `-=`.
+    - `per_second`: the added value is a rate, to be multiplied by dt. This is so in a state's body.
+    - `of`, `over`, `element`: for a pair value, the other agent, or the set of others and the name bound to each."""
 
     attribute: str
     op: str
@@ -69,9 +70,11 @@ class Assign:
 
 @expression_class
 class EffectRequest:
-    """A request of the row `op` of `antdsl.program.tables.effects` to `of`. `args` are the row's `numbers` in order (None:
-    absent). `own` is the attribute that the result is added to. `per_second`: the first of `args` is a rate, to be multiplied by
-    dt. `key`: the site of its random numbers."""
+    """A request to `of`, as the row `op` of `antdsl.program.tables.effects` defines.
+    - `args`: the row's `numbers` in order; None if absent.
+    - `own`: the agent's attribute to which the result is added.
+    - `per_second`: the first of `args` is a rate, to be multiplied by dt.
+    - `key`: the site of its random numbers."""
 
     op: str
     of: str
@@ -84,7 +87,7 @@ class EffectRequest:
 
 @expression_class
 class Give:
-    """`amount` None gives all. `to` has type ITEM, or ITEMS for the nearest one."""
+    """Gives an amount to an item. `amount` None gives all. `to` has type ITEM, or ITEMS for the nearest item."""
 
     attribute: str
     amount: Expr | None
@@ -95,9 +98,12 @@ class Give:
 
 @expression_class
 class Play:
-    """`clip` is played as long as the state lasts, on the joints of the transform group `on` ("": all). It runs at `speed` times
-    its own speed and with the share `weight` (None: 1). Where `again` holds as an agent comes into the state, it restarts. `add`:
-    it is added to other clips that play."""
+    """Plays a clip as long as the state lasts.
+    - `on`: the transform group that it moves; "" for all joints.
+    - `speed`, `weight`: factor on the clip's own speed, and its share of the pose; None: 1.
+    - `again`: if this holds as an agent enters the state, the clip restarts.
+    - `add`: it is added to other clips that play.
+    - `blend_clips`: the clips for turning left and right, and for going up and down; "" if absent."""
 
     clip: str
     on: str
@@ -111,7 +117,8 @@ class Play:
 
 @expression_class
 class Wear:
-    """Agents in the state show the geometry layer `layer` of their body beside its own, if `when` holds for them (None: all)."""
+    """Shows the geometry layer `layer` of the body, in addition to the other geometry, on agents in the state. `when`: only on
+    agents for which it holds (None: all)."""
 
     layer: str
     when: Expr | None
@@ -120,7 +127,7 @@ class Wear:
 
 @expression_class
 class Channel:
-    """A channel of the body has this value for agents in the state, and overrides clips."""
+    """Sets a channel of the body for agents in the state. It overrides the clips."""
 
     channel: str
     value: Expr
@@ -129,8 +136,9 @@ class Channel:
 
 @expression_class
 class Look:
-    """A transform group turns towards a place, at most `within` (None: 60 deg) from straight ahead. `over` (None: 0.2 s) sets how
-    fast."""
+    """Turns a transform group towards a point.
+    - `within`: the largest angle from straight ahead (None: 60 deg).
+    - `over`: the time constant of the turn (None: 0.2 s)."""
 
     group: str
     at: Expr
@@ -144,8 +152,9 @@ Statement = Steer | FaceLine | Assign | EffectRequest | Give | Play | Wear | Cha
 
 @expression_class
 class Take:
-    """`source` has type ITEM, or FIELD for the cell below the feet. `amount` None takes all. Without an `attribute`, the amount
-    taken from a field disappears."""
+    """Takes an amount from an item or a field. `source` has type ITEM, or FIELD for the cell below the agent's feet.
+    - `amount`: None takes all.
+    - `attribute`: where the amount goes; None: an amount from a field disappears."""
 
     attribute: str | None
     amount: Expr | None
@@ -158,8 +167,10 @@ FROM_ANY_KEY = "from any"  # in the keys of those changes: no state can have thi
 
 @expression_class
 class Transition:
-    """`condition` None is always true. All conditions that are present must hold: `delay` (time in the state), and `condition`
-    for `held`."""
+    """A transition. It happens if all conditions that are present hold.
+    - `condition`: None is always true.
+    - `delay`: the least time in the state.
+    - `held`: the time for which `condition` must have held."""
 
     key: str  # forager.main.search->approach#1
     interrupt: bool
@@ -199,8 +210,9 @@ class Machine:
 
 @expression_class
 class AttributeDecl:
-    """`default` is evaluated once, at birth (params and draws allowed). `is_builtin` marks built-in attributes such as size and
-    max_speed."""
+    """A declared attribute. `default` is evaluated once, at birth; it may use params and draws.
+    - `is_builtin`: a built-in attribute, such as size or max_speed.
+    - `each`: for a pair value, the species of the other agents. `strongest`: its number of slots."""
 
     name: str
     type: ValueType
@@ -216,7 +228,7 @@ class AttributeDecl:
 
 @expression_class
 class Param:
-    """`name` is qualified with its species. Numbers in base units; `unit` as the author wrote it."""
+    """A param. `name` is qualified with its species. Numbers are in base units; `unit` is as in the source."""
 
     name: str
     type: ValueType
@@ -230,7 +242,8 @@ class Param:
 
 @expression_class
 class Handler:
-    """`event`: spawn, collision, or an emitted one. For a collision, `other` is bound to the other agent, of the species `of`."""
+    """The actions for an event. `event`: spawn, collision, or the name of an emitted event.
+    In a collision, `other` is bound to the other agent, which is of the species `of`."""
 
     event: str
     other: Binding | None
@@ -241,7 +254,8 @@ class Handler:
 
 @expression_class
 class Layer:
-    """`push` None is the word `state`: what the states steer. `faces`: a `face` line; its `push` turns the body alone."""
+    """A line of the layers. `push` None: the word `state`, which stands for the pushes that states steer.
+    `faces`: a `face` line. Its `push` only turns the body."""
 
     push: Expr | None
     condition: Expr | None
@@ -260,8 +274,10 @@ class LayerStack:
 
 @expression_class
 class RestingPush:
-    """How agents stand still that no state steers. `silent`: of each machine that steers in some state, by its name, the indices
-    of those states that steer nothing. An agent in silent states of all these machines requests `push`."""
+    """The push of agents that stand still because no state steers them.
+
+    `silent`: for each machine that steers in at least one state, by name, the indices of its states that do not steer. An agent
+    requests `push` if it is in such a state in all of these machines."""
 
     silent: dict[str, tuple[int, ...]]
     push: Expr
@@ -284,7 +300,7 @@ class Species:
 
     @property
     def own_types(self) -> Mapping[str, ValueType]:
-        """Return the types of the named values of each agent: attributes, lets and latches."""
+        """Return the types of the values that each agent has by name: attributes, lets and latches."""
         lines: tuple[AttributeDecl | Binding, ...] = (*self.attributes, *self.lets, *self.latches)
         return {each.name: each.type for each in reversed(lines)}
 
@@ -300,7 +316,7 @@ class ItemAttribute:
 
 @expression_class
 class WorldThing:
-    """`kind`: the word of its row in `program/tables/things.py`."""
+    """A thing of the world. `kind`: the word of its row in `program/tables/things.py`."""
 
     name: str
     kind: str
@@ -311,8 +327,9 @@ class WorldThing:
 
 @expression_class
 class Field:
-    """Settings absent are None. `keeps` is a factor per step; `combine` is add or max, `stencil` 4 or 8 and
-    `deposits` last or first."""
+    """A field. Absent settings are None.
+    - `keeps`: a factor per step.
+    - `combine`: add or max. `stencil`: 4 or 8. `deposits`: last or first."""
 
     name: str
     surfaces: tuple[str, ...]
@@ -330,7 +347,7 @@ class Field:
 
 @expression_class
 class Program:
-    """All files together. A species of one file may be met by one of another."""
+    """The program of all files together. Agents may meet agents of a species that another file declares."""
 
     species: dict[str, Species]
     world: dict[str, WorldThing]
@@ -342,5 +359,5 @@ class Program:
     bindings: NameBindings = field(default=NameBindings())
 
     def of_kind(self, kind: str) -> list[str]:
-        """Return the names of the things of the world of a kind."""
+        """Return the names of the things of one kind."""
         return [name for name, thing in self.world.items() if thing.kind == kind]

@@ -1,4 +1,4 @@
-"""Walks typed expressions or syntax trees: each part once, without recursion."""
+"""Iterates over typed expressions or syntax trees. Each part is visited once, without recursion."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ _CHILD_FIELDS: dict[type, tuple[str, ...]] = {}  # by type, the fields with some
 
 
 def parts(root: object) -> Iterator[object]:
-    """Every value of the checked program below `root`, bindings behind names included."""
+    """Yield every value of the checked program below `root`, including the bindings that names refer to."""
     visited: set[int] = set()
     stack: list[object] = [root]
     while stack:
@@ -46,7 +46,7 @@ def _child_fields(kind: type) -> tuple[str, ...]:
 
 
 def bindings_in(expr: model.Expr) -> set[model.Binding]:
-    """Every binding that an expression uses, however deep."""
+    """Return every binding that an expression uses, at any depth."""
     return {part.binding for part in parts(expr) if isinstance(part, model.BindingRef)}
 
 
@@ -54,7 +54,7 @@ _WRITTEN_FIELDS: dict[type, tuple[str, ...]] = {}
 
 
 def written_nodes(root: object) -> Iterator[tuple[object, int]]:
-    """Every node of a tree as written with its depth below `root`, in text order."""
+    """Yield every node of a syntax tree with its depth below `root`, in text order."""
     stack: list[tuple[object, int]] = [(root, 0)]
     while stack:
         part, depth = stack.pop()
@@ -73,14 +73,14 @@ def written_nodes(root: object) -> Iterator[tuple[object, int]]:
 
 
 def names_in(root: object) -> Iterator[nodes.Name]:
-    """Every bare name that is used as a value below `root`."""
+    """Yield every bare name below `root` that is used as a value."""
     for part, _ in written_nodes(root):
         if isinstance(part, nodes.NameRef):
             yield part.name
 
 
 def inside(expr: model.Expr) -> Iterator[object]:
-    """Yield every expression and binding inside an expression, each once, the expression itself first."""
+    """Yield an expression, then all expressions and bindings inside it, each once."""
     stack: list[object] = [expr]
     visited_ids: set[int] = set()
     while stack:
@@ -93,7 +93,7 @@ def inside(expr: model.Expr) -> Iterator[object]:
 
 
 def _parts(each: object) -> list[object]:
-    """What an expression or a binding is made of."""
+    """Return the direct parts of an expression or a binding."""
     if isinstance(each, tuple):
         return list(each)
     if isinstance(each, model.BindingRef):

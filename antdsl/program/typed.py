@@ -1,4 +1,4 @@
-"""Expressions of the checked program: each with its type, its rate and its place in the text."""
+"""Expressions of the checked program. Each has a type, a rate and a span."""
 
 from __future__ import annotations
 
@@ -32,12 +32,12 @@ class Constant(Expr):
 
 @expression_class
 class NoneRef(Expr):
-    """No item or no agent; the type says of what."""
+    """The value `none`: no item or no agent, depending on the type."""
 
 
 @expression_class
 class StateConstant(Expr):
-    """A state's index within its machine."""
+    """A state, as its index in its machine."""
 
     machine: str
     index: int
@@ -45,7 +45,8 @@ class StateConstant(Expr):
 
 @expression_class
 class ClipTest(Expr):
-    """Whether the clip of a machine has been played to its end, or has come to a `mark` ("": its end) in the last step."""
+    """Tests the clip of a machine. With `mark` "", it is true if the clip has been played to its end; otherwise if the clip
+    passed the mark in the last step."""
 
     machine: str
     mark: str
@@ -62,10 +63,12 @@ class ParamRef(Expr):
 class AttributeRef(Expr):
     """An attribute of the agent itself (`of` None), or of the agent, item, hit or set element in `of`.
 
-    Built-in names are attributes too: position velocity heading up speed id age group size mass radius clearance max_speed
-    max_force max_turn response; items' position and radius; a hit's distance, normal and position. A machine has `MACHINE.state`,
-    `MACHINE.previous`, `MACHINE.next` and `MACHINE.time_in_state`, always with the machine. `likes[n]`, the agent's own value
-    about another, has that other as `of`; its declaration uses `each`."""
+    - Built-in names of agents: position velocity heading up speed id age group size mass radius clearance max_speed max_force
+      max_turn response.
+    - Of items: position and radius. Of hits: distance, normal and position.
+    - Of machines, always with the machine's name: `MACHINE.state`, `MACHINE.previous`, `MACHINE.next` and
+      `MACHINE.time_in_state`.
+    - Pair values: `likes[n]` is the agent's own value about another agent, which is in `of`. Its declaration uses `each`."""
 
     of: Expr | None
     name: str
@@ -73,9 +76,15 @@ class AttributeRef(Expr):
 
 @expression_class
 class Binding:
-    """A named value: `let` (value), `argument` (value), `keep` (value is the first, `then` the next), `element` of a set,
-    `latch` (value switches on, `then` off). `key` is the stable identity of memories: `forager.main.search.wander#1.bearing`.
-    A species-level `let` reads the agent as it was at the start of the step (`snapshot`)."""
+    """A named value. `role` is one of the following.
+
+    - `let`, `argument`: `value` is the value.
+    - `keep`: `value` is the first value, `then` the next one.
+    - `latch`: `value` switches it on, `then` off.
+    - `element`: the current element of a set.
+
+    `key`: the stable identity of a memory, such as `forager.main.search.wander#1.bearing`. `snapshot`: a `let` of a species,
+    which reads the agent's state at the start of the step."""
 
     name: str
     role: str
@@ -90,22 +99,24 @@ class Binding:
 
 @expression_class
 class BindingRef(Expr):
-    """A use of a binding."""
+    """A use of a named value."""
 
     binding: Binding
 
 
 @expression_class
 class ThingRef(Expr):
-    """A thing of the world or a species as an argument: its name, and the kind of thing. `self` (AGENT) is the agent."""
+    """A thing of the world or a species as an argument, by name. The type has the kind of the thing. `self` (AGENT) is the
+    agent."""
 
     name: str
 
 
 @expression_class
 class OperationExpr(Expr):
-    """A built-in operation of vocabulary.OPS with its arguments in the vocabulary's order, defaults filled in (an absent
-    optional argument is None). `site` is the stable identity of a draw (`….uniform#1`) or of a ray, else empty."""
+    """A built-in operation of the vocabulary, with its arguments in the vocabulary's order and defaults filled in. An absent
+    optional argument is None.
+    `site`: the stable identity of a draw (`….uniform#1`) or of a ray, else empty."""
 
     name: str
     args: tuple[Expr | None, ...]
@@ -114,8 +125,11 @@ class OperationExpr(Expr):
 
 @expression_class
 class SetExpr(Expr):
-    """A set: `source` is `neighbours` (args radius, fov), `all` (args within or None), `feelers` (args count, spread, reach);
-    `of` names the species, items or obstacle; `where` is the condition on `element` (or None)."""
+    """A set.
+
+    - `source`: `neighbours` (args radius, fov), `all` (args within or None), or `feelers` (args count, spread, reach).
+    - `of`: the name of the species, items or obstacle.
+    - `where`: the condition on `element`, or None."""
 
     source: str
     of: str
@@ -126,8 +140,11 @@ class SetExpr(Expr):
 
 @expression_class
 class ReduceExpr(Expr):
-    """`how`: sum mean min max count any every best (the element with the greatest body) nearest (the element with the least
-    distance; body None). `element` is bound in `body`; it may differ from `over.element`, which is bound in its `where`."""
+    """A reduction over a set.
+
+    - `how`: sum, mean, min, max, count, any, every, best (the element with the greatest `body`) or nearest (the nearest element;
+      `body` is None).
+    - `element`: the name bound in `body`. It may differ from `over.element`, the name bound in the condition of the set."""
 
     how: str
     over: SetExpr
@@ -137,7 +154,8 @@ class ReduceExpr(Expr):
 
 @expression_class
 class InlinedBehaviour(Expr):
-    """A behaviour call, expanded for the types of this call: bind `arguments`, then `body` (lets, keeps), then `result`."""
+    """A behaviour call, expanded for its argument types. The evaluation order is `arguments`, `body` (lets and keeps),
+    `result`."""
 
     behaviour: str
     key: str

@@ -1,10 +1,14 @@
-"""Foreign formats that C and C++ libraries parse are read in a separate, confined process.
+"""Reads foreign formats that C and C++ libraries parse, in a separate, confined process.
 
-A request goes in (`ask` in `client`), plain values and arrays come out. `protocol` defines the messages, `child` is the program
-of the process, `sandbox` confines it, and `private_folder` holds the files that it may open. READERS lists all requests.
+The process receives a request (`ask` in `client`), and returns plain values and arrays. READERS lists all requests.
 
-Nothing that the process returns is trusted: it may be under the control of the file that it read. A requester checks each count,
-shape, type and index of an answer before it uses them."""
+- `protocol`: the messages
+- `child`: the program of the process
+- `sandbox`: the confinement of the process
+- `private_folder`: the folder of files that the process may open
+
+Nothing that the process returns is trusted: the file that it has read may control the process. A requester checks each count,
+shape, type and index of an answer before use."""
 
 from __future__ import annotations
 

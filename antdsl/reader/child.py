@@ -1,8 +1,8 @@
-"""The program of the reader's process. Run by its path: `python -P -S child.py CONFIGURATION`.
+"""The program of the reader's process. It is run by its path: `python -P -S child.py CONFIGURATION`.
 
-The configuration is a JSON object: `paths` for `sys.path`, `readable` folders, `modules` to import. The process confines itself,
-reports what holds and then answers requests from its standard input until that is closed. After one that runs out of memory it
-ends."""
+The configuration is a JSON object: `paths` for `sys.path`, `readable` folders, `modules` to import. The process confines itself
+and reports the active layers of confinement. It then answers requests from its standard input until that is closed. After a
+request that ran out of memory, it ends."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from typing import Any
 
 
 def main() -> None:
-    """Answer until the pipe is closed."""
+    """Answer requests until the pipe is closed."""
     configuration = json.loads(sys.argv[1])
     sys.path[:] = configuration["paths"]
     requests, answers = os.fdopen(os.dup(0), "rb", buffering=1 << 16), os.fdopen(os.dup(1), "wb", buffering=1 << 16)
@@ -47,7 +47,7 @@ def main() -> None:
 
 
 def _answer(request: Any) -> tuple[dict[str, Any], dict[str, Any], bool]:
-    """The answer to a request, its arrays, and whether it is the last one."""
+    """Return the answer to a request, its arrays, and whether it is the last answer of the process."""
     from antdsl.reader import READER_FUNCTIONS
     from antdsl.reader.protocol import ReadRefusal
 

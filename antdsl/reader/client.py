@@ -1,6 +1,7 @@
-"""The one reader of this process: started on demand, reused for each request, replaced when it dies, hangs or takes too much.
+"""The one reader of this process. It is started on demand, used for all requests, and replaced if it dies, hangs or uses too
+much.
 
-`ask` is safe from any thread; a process that was forked from this one starts its own reader."""
+`ask` is safe in any thread. A process that was forked from this one starts its own reader."""
 
 from __future__ import annotations
 
@@ -33,9 +34,10 @@ REFUSAL_CODES: Final = frozenset(["bad-image", "bad-mesh", "bad-path", "bad-rig"
 
 
 class ReaderFailure(Exception):
-    """The reader gave no answer: it died, took too long or too much memory, sent something else, or cannot be started. The text
-    says so in words that fit after the name of a file; `help` says what to do. `is_lasting`: the same request fails again.
-    `is_heavy`: it took too much time or memory, so that other requests about the same files would too."""
+    """Error if the reader gives no answer: it died, used too much time or memory, sent something invalid, or cannot be started.
+
+    The text is worded to follow the name of a file; `help` says what to do. `is_lasting`: the same request would fail again.
+    `is_heavy`: it used too much time or memory, so other requests about the same files would too."""
 
     def __init__(self, message: str, help: str | None = None, *, is_lasting: bool = True, is_heavy: bool = False) -> None:
         super().__init__(message)
@@ -43,7 +45,7 @@ class ReaderFailure(Exception):
 
 
 class _ReaderProcess:
-    """A running child, and what confines it."""
+    """A running child process, and the layers that confine it."""
 
     def __init__(self, folder: Path, modules: Sequence[str]) -> None:
         readable = [*confinement.readable_folders(), str(folder)]
@@ -63,7 +65,7 @@ class _ReaderProcess:
         self._seconds = 0.0
 
     def read_greeting(self) -> dict[str, int]:
-        """Return the layers that confine it, from its start message."""
+        """Read the start message of the child, and return the layers that confine it."""
         if self.active is None:
             said = read_message(self.answers, 0).document.get("active")
             names = ("rlimits", "landlock", "seccomp")
@@ -73,8 +75,7 @@ class _ReaderProcess:
         return self.active
 
     def new_seconds(self, reported: object = None) -> float:
-        """Return the CPU seconds used since the last call. The `reported` seconds are used if the system does not provide the
-        time."""
+        """Return the CPU seconds used since the last call; if the system does not provide them, the `reported` seconds."""
         total = self._seconds
         try:
             total = time.clock_gettime(~self.process.pid << 3 | 2)  # Linux: the number of the clock of a process
@@ -84,7 +85,7 @@ class _ReaderProcess:
         return self._add(total)
 
     def end(self) -> tuple[int, float]:
-        """Kill it; return its exit status and the value of `new_seconds`."""
+        """Kill the child; return its exit status and the value of `new_seconds`."""
         self.kill()
         for pipe in (self.requests, self.answers):
             with suppress(OSError):
@@ -96,8 +97,8 @@ class _ReaderProcess:
         return self.process.wait(), 0.0
 
     def kill(self) -> None:
-        """Kill it. A child that has already died is not reaped, unlike with the method of Popen: its end says how much time it
-        took."""
+        """Kill the child. Unlike Popen's method, this does not reap a child that has already died: reaping it later returns the
+        CPU time it used."""
         if self.process.returncode is None:
             with suppress(OSError):
                 os.kill(self.process.pid, getattr(signal, "SIGKILL", signal.SIGTERM))
@@ -107,7 +108,7 @@ class _ReaderProcess:
         return self._seconds - previous_seconds
 
     def close_pipes(self) -> None:
-        """Close this process's ends of the pipes: the child belongs to the process that this one was forked from."""
+        """Close this process's ends of the pipes, in a forked process: the child belongs to its parent."""
         nothing = os.open(os.devnull, os.O_RDWR)
         for pipe in (self.requests, self.answers):
             with suppress(OSError, ValueError):
@@ -117,7 +118,7 @@ class _ReaderProcess:
 
 
 class FileReader:
-    """A reader with its private folder; see `ask`."""
+    """A reader with its private folder; see the function `ask`."""
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
@@ -129,19 +130,20 @@ class FileReader:
         self._known: set[str] = set()  # `files` of this scene
 
     def begin_scene(self) -> None:
-        """As the function `begin_scene`."""
+        """Start a new scene, as the function `begin_scene`."""
         with self._lock:
             self._heavy.clear()
             self._known.clear()
             self._seconds, self._allowed = 0.0, float(limits.READER_CPU_SECONDS_PER_SCENE)
 
     def folder(self) -> Path:
-        """Return a new folder with files that the child may open. Raises OSError."""
+        """Return a new folder for files that the child may open. Raises OSError."""
         with self._lock:
             return self._private_folder().new_folder()
 
     def active_layers(self) -> dict[str, int]:
-        """Which layers confine the child: `rlimits`, `landlock` (its ABI), `seccomp`; 0 for one that this system has not."""
+        """Return the layers that confine the child: `rlimits`, `landlock` (its ABI), `seccomp`; 0 for a layer that this system
+        does not have."""
         with self._lock:
             try:
                 running = self._start()
@@ -156,7 +158,7 @@ class FileReader:
     def ask(
         self, kind: str, document: Mapping[str, Any], arrays: Arrays, *, size: int, seconds: int, digest: str, files: str
     ) -> ReaderMessage:
-        """As the function `ask`."""
+        """Return the answer to a request, as the function `ask`."""
         with self._lock:
             if files and files not in self._known:
                 self._known.add(files)
@@ -179,7 +181,7 @@ class FileReader:
                 raise
 
     def _refuse_repeat(self, digest: str, files: str) -> None:
-        """Raise ReaderFailure for a request that failed before, and for every request once the scene has used its CPU time."""
+        """Raise ReaderFailure for a request that failed before, and for any request after the scene has used its CPU time."""
         for failures, key in ((self._failures, digest), (self._heavy, files)):
             if key and key in failures:
                 raise ReaderFailure(*failures[key])
@@ -218,7 +220,7 @@ class FileReader:
         return self._check_answer(answer, memory)
 
     def _count_seconds(self, seconds: float) -> None:
-        """Add CPU time of the child to that of this scene, and charge it to the budget of the check."""
+        """Add CPU time of the child to that of this scene, and to the budget of the check."""
         self._seconds += seconds
         cpu_budget.charge(seconds)
 
@@ -239,7 +241,7 @@ class FileReader:
         raise ReaderFailure(_INVALID_ANSWER_MESSAGE, _DAMAGED_FILE_HELP)
 
     def prepare(self, format: str) -> None:
-        """As the function `prepare`."""
+        """Start the reader in advance, as the function `prepare`."""
         with self._lock, suppress(OSError):  # a request says why it cannot be started
             self._start(PRELOADED_MODULES[format])
 
@@ -276,7 +278,7 @@ class FileReader:
             self._folder = None
 
     def forget(self) -> None:
-        """After a fork: leave the child to its owner."""
+        """Forget the child after a fork: it belongs to the parent process."""
         if self._running is not None:
             self._running.close_pipes()
 
@@ -290,7 +292,7 @@ _INVALID_ANSWER_MESSAGE = "cannot be read: the process that reads it gave an ans
 
 @contextmanager
 def _deadline(running: _ReaderProcess, seconds: float, late: threading.Event | None = None) -> Iterator[None]:
-    """Kill a child that has not finished after `seconds` of wall-clock time, and set `late`."""
+    """Within the context, kill a child that has not finished after `seconds` of wall-clock time, and set `late`."""
 
     def stop() -> None:
         if late is not None:
@@ -307,8 +309,9 @@ def _deadline(running: _ReaderProcess, seconds: float, late: threading.Event | N
 
 
 def _death_failure(running: _ReaderProcess, status: int, is_late: bool, memory: int) -> ReaderFailure:
-    """Return why a child ended without an answer to a request that may use `memory` bytes. Raises MemoryError if this process
-    cannot grant that much."""
+    """Return why a child ended without an answer to a request that may use `memory` bytes.
+
+    Raises MemoryError if this process cannot grant that much."""
     if is_late or status == _OVERDUE_STATUS:
         words = "cannot be read: it takes too long to be read"
         return ReaderFailure(words, _LIGHTER_FILE_HELP, is_lasting=not is_late, is_heavy=True)
@@ -323,7 +326,7 @@ def _death_failure(running: _ReaderProcess, status: int, is_late: bool, memory: 
 
 def _memory_failure(needed: int) -> ReaderFailure:
     """Return the failure of a request that ran out of memory. Raises MemoryError if the limit of this process is the cause, not
-    that of the request."""
+    the limit of the request."""
     if address_space() < needed:
         raise MemoryError("the process that reads foreign files has no memory")
     return ReaderFailure("cannot be read: it takes too much memory", _LIGHTER_FILE_HELP, is_heavy=True)
@@ -345,34 +348,35 @@ def ask(
 ) -> ReaderMessage:
     """Return the answer to a request of READERS.
 
-    `size`: bytes of its files, which allow it more time and memory. `seconds`: additional CPU time. `digest`: a hash of
-    everything that the answer depends on; a request that failed is not repeated. `files`: a hash of the files alone. After a
-    request took too much time or memory, all others about the same files fail until the next scene.
+    - `size`: the bytes of its files, for which it gets more time and memory
+    - `seconds`: additional CPU time
+    - `digest`: a hash of all input of the request; a request that failed is not repeated
+    - `files`: a hash of the files alone; after a request used too much time or memory, other requests about them fail until the
+      next scene
 
-    Raises Refusal if the child reports why it does not read something, and ReaderFailure if it gives no answer. Raises
-    MemoryError if this process cannot grant enough, and CpuBudgetSpent if the budget of a check is spent. No answer is
-    trusted."""
+    Raises ReadRefusal if the child reports why it does not read something, and ReaderFailure if it gives no answer. Raises
+    MemoryError if this process cannot grant enough, and CpuBudgetSpent if the budget of a check is spent. No answer is trusted.
+    """
     return _file_reader.ask(kind, document, arrays or {}, size=size, seconds=seconds, digest=digest, files=files)
 
 
 def begin_scene() -> None:
-    """Start a new scene: later requests belong to it, with the full `limits.READER_CPU_SECONDS_PER_SCENE`."""
+    """Start a new scene. Later requests belong to it, with the full `limits.READER_CPU_SECONDS_PER_SCENE`."""
     _file_reader.begin_scene()
 
 
 def prepare(format: str) -> None:
-    """Start the reader for a key of PREPARED and return at once, so that it loads libraries while this process does something
-    else."""
+    """Start the reader for a key of PREPARED and return at once. It loads libraries while this process continues."""
     _file_reader.prepare(format)
 
 
 def new_folder() -> Path:
-    """An empty folder that the reader may open, to be removed by the caller; the end of this process removes it too."""
+    """Return an empty folder that the reader may open. The caller should remove it; the end of this process removes it too."""
     return _file_reader.folder()
 
 
 def active_layers() -> dict[str, int]:
-    """Return the layers that confine the reader on this system; ReaderFailure if it cannot be started."""
+    """Return the layers that confine the reader on this system. Raises ReaderFailure if the reader cannot be started."""
     return _file_reader.active_layers()
 
 
@@ -380,7 +384,7 @@ _inherited_readers: list[FileReader] = []  # never freed: a thread that is not i
 
 
 def end_reader() -> None:
-    """End the reader and remove the private folder now, in a process that leaves without the functions of `atexit`."""
+    """End the reader and remove the private folder now, for a process that exits without the functions of `atexit`."""
     _file_reader.end()
 
 

@@ -29,25 +29,26 @@ _SET_VARIABLES = {
 
 
 def is_usd_trusted() -> bool:
-    """Whether the person trusts the USD files that are read, so that no sandbox is needed."""
+    """Return whether the user trusts all USD files, so that they need no sandbox."""
     return os.environ.get(TRUST_VARIABLE) == "1"
 
 
 def trust_usd() -> None:
-    """Trust USD files from here on, in the processes that this one starts too."""
+    """Trust USD files from now on, in this process and in processes that it starts."""
     os.environ[TRUST_VARIABLE] = "1"
 
 
 def environment() -> dict[str, str]:
-    """The environment of the child: what it needs, and nothing that names code or files of a project."""
+    """Return the environment of the child: the variables that it needs, and none that names code or files of a project."""
     isolate()
     variables = {name: value for name, value in os.environ.items() if name in _PASSED_VARIABLES or name.startswith("NPY_")}
     return variables | _SET_VARIABLES
 
 
 def module_folders() -> list[str]:
-    """Folders of modules for the child: those of this process without relative ones and the working directory, then that of
-    antdsl itself."""
+    """Return folders of modules for the child.
+
+    They are those of this process without relative ones and the working directory, then the folder of antdsl itself."""
     try:
         working_folder = os.path.realpath(os.getcwd())
     except OSError:
@@ -61,7 +62,7 @@ def module_folders() -> list[str]:
 
 
 def readable_folders() -> list[str]:
-    """Folders and files that the child may read: Python, installed packages and the system's libraries."""
+    """Return folders and files that the child may read: Python, installed packages and the system's libraries."""
     readable_paths = {sys.prefix, sys.base_prefix, sys.exec_prefix, str(_package()), *_SYSTEM_FOLDERS}
     if sys.prefix == "/usr" or sys.base_prefix == "/usr":
         readable_paths -= {"/usr"}
@@ -71,12 +72,12 @@ def readable_folders() -> list[str]:
 
 
 def _package() -> Path:
-    """The folder of antdsl's own code."""
+    """Return the folder of antdsl's own code."""
     return Path(__file__).resolve().parents[1]
 
 
 def _is_package_folder(path: str) -> bool:
-    """Whether a folder of modules is Python's own, or packages are installed in it."""
+    """Return whether a folder of modules is Python's own, or has installed packages."""
     real_path = os.path.realpath(path)
     roots = [sys.prefix, sys.base_prefix, *_site_packages()]
     if any(real_path == root or real_path.startswith(root + os.sep) for root in map(os.path.realpath, roots) if root != os.sep):

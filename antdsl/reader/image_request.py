@@ -25,7 +25,7 @@ SAMPLE_TYPE_BY_MODE = {
 
 
 class ImageError(Exception):
-    """Why a file is not a usable image, worded to follow its name; `help` says what to do."""
+    """Error for a file that is not a usable image. The message is worded to follow the file's name; `help` says what to do."""
 
     def __init__(self, message: str, help: str | None = None) -> None:
         super().__init__(message)
@@ -34,8 +34,11 @@ class ImageError(Exception):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ImageFile:
-    """The content of an image file. `samples` is (rows, columns) or (rows, columns, channels). It is None if the image has
-    several pages, more pixels than requested or another mode. `texts` are those of a PNG file by name."""
+    """The content of an image file.
+
+    - `samples`: (rows, columns) or (rows, columns, channels); None if the image has several pages, more pixels than requested or
+      another mode
+    - `texts`: the texts of a PNG file by name"""
 
     mode: str
     rows: int
@@ -46,8 +49,11 @@ class ImageFile:
 
 
 def read_image_file(data: bytes, format: str, modes: Collection[str], pixels: int) -> ImageFile:
-    """Return the image in a file's bytes. `format`: Pillow's name of it, such as `PNG`; `modes`: keys of MODES. Raises ImageError
-    with the reason if there is none."""
+    """Return the image in a file's bytes. Raises ImageError with the reason if there is none.
+
+    - `format`: Pillow's name of the file format, such as `PNG`
+    - `modes`: the accepted modes, keys of MODES
+    - `pixels`: the maximum number of pixels"""
     said = {"format": format, "modes": [mode for mode in modes if mode in SAMPLE_TYPE_BY_MODE], "pixels": pixels}
     digest = blake2b(repr(sorted(said.items())).encode() + data, digest_size=16).hexdigest()
     try:

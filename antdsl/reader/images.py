@@ -19,9 +19,11 @@ _MAX_TEXT_CHARACTERS = 1000
 
 
 def read_image(request: ReaderMessage) -> tuple[dict[str, Any], Mapping[str, NDArray[Any]]]:
-    """Return an image from the file in the array `data`: its `mode`, `columns`, `rows`, number of `pages` and `texts`, and the
-    array `samples` (rows, columns) or (rows, columns, channels). `format` is Pillow's name of the format. There are no samples if
-    the image has several pages, more than `pixels`, or a mode that is not one of `modes`."""
+    """Return an image from the file in the array `data`.
+
+    The result has its `mode`, `columns`, `rows`, number of `pages` and `texts`, and the array `samples` (rows, columns) or (rows,
+    columns, channels). There are no samples if the image has several pages, more than `pixels` pixels, or a mode that is not one
+    of `modes`. `format` is Pillow's name of the format."""
     from PIL import Image
 
     said = request.document
@@ -43,7 +45,7 @@ def read_image(request: ReaderMessage) -> tuple[dict[str, Any], Mapping[str, NDA
 
 
 def _require_all_parts(image: Any) -> None:
-    """Reject a file with strips or tiles that do not cover the image: Pillow leaves the rest black."""
+    """Reject a file with strips or tiles that do not cover the image: Pillow leaves the other pixels black."""
     boxes = [part[1] for part in image.tile]
     if boxes and all(boxes):
         covered = sum((right - left) * (bottom - top) for left, top, right, bottom in boxes)

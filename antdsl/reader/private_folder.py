@@ -1,5 +1,6 @@
-"""The private folder of a process: files that its reader may open. It is removed when the process ends. If the process was
-killed, the next one removes it."""
+"""The private folder of a process: files that its reader may open.
+
+It is removed when the process ends. If the process was killed, the next process of antdsl removes it."""
 
 from __future__ import annotations
 
@@ -15,7 +16,7 @@ _FILES_FOLDER_NAME = "files"
 
 
 class PrivateFolder:
-    """A new folder below the system's folder for temporary files, which the user alone can open. Raises OSError."""
+    """A new folder below the system's folder for temporary files, which only the user can open. Raises OSError."""
 
     def __init__(self) -> None:
         remove_stale()
@@ -27,14 +28,14 @@ class PrivateFolder:
         self._count = 0
 
     def new_folder(self) -> Path:
-        """An empty folder in it."""
+        """Return an empty folder in the private folder."""
         self._count += 1
         folder = self.path / str(self._count)
         folder.mkdir(mode=0o700)
         return folder
 
     def remove(self) -> None:
-        """Remove it with all that is in it; nothing in a process that was forked from its owner."""
+        """Remove the folder with all its contents. In a process that was forked from its owner, do nothing."""
         if self._process == os.getpid():
             shutil.rmtree(self._whole, ignore_errors=True)
             if self._lock is not None:
@@ -62,7 +63,8 @@ def _remove_if_stale(folder: Path) -> None:
 
 
 def _try_lock(path: Path, flags: int) -> int | None:
-    """A handle that holds the lock of a folder until its process ends; None where another process holds it, or it is missing."""
+    """Return a handle that holds the lock of a folder until its process ends. None if another process holds the lock, or the
+    folder is missing."""
     try:
         import fcntl
     except ImportError:  # Windows: an open file cannot be removed, which is a lock as well

@@ -31,11 +31,11 @@ Arrays = Mapping[str, NDArray[Any]]
 
 
 class ProtocolError(Exception):
-    """Bytes that are no message."""
+    """Error for bytes that are not a valid message."""
 
 
 class EndOfMessages(ProtocolError):
-    """The other side closed the pipe before a message was complete."""
+    """Error if the other side closed the pipe before a message was complete."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -46,8 +46,8 @@ class ReaderMessage:
     arrays: dict[str, NDArray[Any]] = field(default_factory=dict)
 
     def array(self, name: str, dtype: str, *shape: int | None) -> NDArray[Any]:
-        """Return an array of exactly this type and shape; None means any length. Raises ProtocolError if it is missing or
-        differs."""
+        """Return an array of exactly this type and shape; None in `shape` means any length. Raises ProtocolError if it is missing
+        or different."""
         found = self.arrays.get(name)
         if found is None or found.dtype != np.dtype(dtype) or found.ndim != len(shape):
             raise ProtocolError(f"`{name}` is not an array of the requested type")
@@ -56,28 +56,28 @@ class ReaderMessage:
         return found
 
     def indices(self, name: str, dtype: str, count: int, *shape: int | None, lowest: int = 0) -> NDArray[Any]:
-        """Like `array`, with every number at least `lowest` and below `count`."""
+        """Return an array as `array`. Raises ProtocolError unless every number is at least `lowest` and below `count`."""
         array = self.array(name, dtype, *shape)
         if array.size and (array.min() < lowest or array.max() >= count):
             raise ProtocolError(f"`{name}` has an index that is out of range")
         return array
 
     def number(self, name: str) -> float:
-        """A finite number of the document."""
+        """Return a finite number of the document. Raises ProtocolError for any other value."""
         found = self.document.get(name)
         if isinstance(found, bool) or not isinstance(found, int | float) or not -_MAX_NUMBER < found < _MAX_NUMBER:
             raise ProtocolError(f"`{name}` is not a finite number")
         return float(found)
 
     def texts(self, name: str, most: int = 1_000_000) -> list[str]:
-        """A list of texts of the document."""
+        """Return a list of texts of the document, at most `most`. Raises ProtocolError for any other value."""
         found = self.document.get(name)
         if not isinstance(found, list) or len(found) > most or not all(isinstance(each, str) for each in found):
             raise ProtocolError(f"`{name}` is not a list of texts")
         return found
 
     def packed_texts(self, name: str, count: int | None = None) -> tuple[str, ...]:
-        """Texts that `pack_texts` turned into two arrays."""
+        """Return the texts that `pack_texts` packed into two arrays."""
         lengths = self.array(f"{name}:lengths", "<i8", count)
         blob = self.array(f"{name}:bytes", "|u1", None)
         if len(lengths) and (lengths.min() < 0 or lengths.max() > len(blob)):
@@ -92,7 +92,7 @@ class ReaderMessage:
 
 
 def pack_texts(name: str, texts: tuple[str, ...] | list[str]) -> dict[str, NDArray[Any]]:
-    """Many texts as two arrays of a message: all their bytes, and the length of each."""
+    """Return many texts as two arrays of a message: all their bytes, and the length of each."""
     encoded = [text.encode("utf-8", "replace") for text in texts]
     return {
         f"{name}:lengths": np.array([len(each) for each in encoded], np.int64),
@@ -101,7 +101,7 @@ def pack_texts(name: str, texts: tuple[str, ...] | list[str]) -> dict[str, NDArr
 
 
 def write_message(file: IO[bytes], document: Mapping[str, Any], arrays: Arrays) -> None:
-    """Write a message; ValueError where the document is not JSON or too large, or an array is of another type."""
+    """Write a message. Raises ValueError if the document is not JSON or too large, or an array has an unsupported type."""
     listed, parts = [], []
     for name, array in arrays.items():
         little = np.ascontiguousarray(array, array.dtype.newbyteorder("<"))
@@ -120,7 +120,7 @@ def write_message(file: IO[bytes], document: Mapping[str, Any], arrays: Arrays) 
 
 
 def read_message(file: IO[bytes], most: int) -> ReaderMessage:
-    """Return the next message; its arrays have at most `most` bytes together. Raises ProtocolError for anything else."""
+    """Return the next message. Its arrays have at most `most` bytes in total. Raises ProtocolError for anything else."""
     magic, length = _PREFIX_STRUCT.unpack(_read_bytes(file, _PREFIX_STRUCT.size).tobytes())
     if magic != MESSAGE_MAGIC or length > limits.MAX_READER_HEADER_BYTES:
         raise ProtocolError("a message begins with the wrong bytes")
@@ -141,7 +141,7 @@ def read_message(file: IO[bytes], most: int) -> ReaderMessage:
 
 
 def _parse_entry(entry: object) -> tuple[str, str, tuple[int, ...], int]:
-    """Name, type, shape and size in bytes of an array that a header announces."""
+    """Return name, type, shape and size in bytes of an array that a header announces."""
     if not isinstance(entry, list) or len(entry) != 3:
         raise ProtocolError("an array is announced in another form")
     name, dtype, shape = entry
@@ -171,21 +171,25 @@ def _refuse_constant(word: str) -> NoReturn:
 
 
 class ReadRefusal(Exception):
-    """The reader's reason for not reading something. `code` is a diagnostic's code, the text its message, `help` what to do
-    instead, `key` the key of the scene concerned. `about`: the subject of the message, "" for the whole file, or a word on which
-    the requester and the function agree."""
+    """The reader's reason for not reading something.
+
+    - `code`: the code of a diagnostic; the text of the error is its message
+    - `help`: what to do instead
+    - `key`: the key of the scene concerned
+    - `about`: the subject of the message: "" for the complete file, or a word that the requester and the reading function define
+    """
 
     def __init__(self, code: str, message: str, help: str | None = None, key: str = "", subject: str = "") -> None:
         super().__init__(message)
         self.code, self.help, self.key, self.about = code, help, key, subject
 
     def as_document(self) -> dict[str, Any]:
-        """As it goes through the pipe."""
+        """Return the refusal as a document that can be sent through the pipe."""
         return {"code": self.code, "message": str(self), "help": self.help, "key": self.key, "about": self.about}
 
     @classmethod
     def of_document(cls, document: Any, codes: Any) -> ReadRefusal | None:
-        """Return the refusal that a process sent; None if it is not one, or its code is not in `codes`."""
+        """Return the refusal that a process sent. None if the document is not a refusal, or if its code is not in `codes`."""
         if not isinstance(document, dict):
             return None
         texts = {name: document.get(name) for name in ("code", "message", "key", "about")}

@@ -25,7 +25,7 @@ _STACK_BYTES = 8 << 20
 
 
 def limit_resources() -> bool:
-    """Set the limits that hold for all requests; False where the system has none (Windows)."""
+    """Set the limits that apply to all requests. Return False if the system has none (Windows)."""
     try:
         import resource
     except ImportError:
@@ -40,7 +40,7 @@ def limit_resources() -> bool:
 
 
 def limit_request(seconds: int, memory: int) -> None:
-    """Seconds of CPU and bytes of address space for the next request."""
+    """Set the CPU seconds and the bytes of address space for the next request."""
     try:
         import resource
     except ImportError:
@@ -51,7 +51,7 @@ def limit_request(seconds: int, memory: int) -> None:
 
 
 def allow_memory(extra_bytes: int) -> None:
-    """Allow `extra_bytes` bytes of address space for this request, for work counted in advance. No effect in a process without a
+    """Allow `extra_bytes` more bytes of address space for this request, for work of known size. No effect in a process without a
     limit."""
     try:
         import resource
@@ -86,8 +86,8 @@ _FILE_RIGHT_BITS_BY_ABI = {1: 13, 2: 14, 3: 15, 4: 15, 5: 16}  # bits that each 
 
 
 def restrict_files(folders: Sequence[str]) -> int:
-    """Allow files to be opened only below these folders (or these files), and only for reading. Return the ABI in use, 0 if there
-    is none."""
+    """Allow files to be opened only below these folders (or these files), and only for reading. Return the Landlock ABI in use, 0
+    if there is none."""
     libc = _load_libc()
     if libc is None or sys.platform != "linux":
         return 0
@@ -161,7 +161,7 @@ BpfInstruction = tuple[int, int, int, int]
 
 
 def refuse_calls() -> bool:
-    """Install the seccomp filter for this process; return False if there is none."""
+    """Install the seccomp filter for this process. Return False if the system does not support it."""
     libc = _load_libc()
     if libc is None or sys.platform != "linux" or os.uname().machine not in _ARCHITECTURE_BY_MACHINE or sys.maxsize < 1 << 32:
         return False
@@ -176,7 +176,7 @@ def refuse_calls() -> bool:
 
 
 def _filter_program(which: int, architecture: int, process: int) -> list[BpfInstruction]:
-    """The filter as instructions (code, jump where true, jump where false, operand) of the classic packet filter."""
+    """Return the filter as instructions (code, jump if true, jump if false, operand) of the classic packet filter."""
     refused = _FAIL_ACTION | errno.EPERM
     lines: list[BpfInstruction] = [
         (_LOAD_OPCODE, 0, 0, 4),
@@ -225,7 +225,7 @@ def _filter_program(which: int, architecture: int, process: int) -> list[BpfInst
 
 
 def _match_call(number: int | None, then: list[BpfInstruction]) -> list[BpfInstruction]:
-    """Return the instructions for one system call. The call's number stays loaded for the next test."""
+    """Return the instructions for one system call. The number of the call stays loaded for the next test."""
     return [] if number is None else [(_JUMP_EQUAL_OPCODE, 0, len(then), number), *then]
 
 

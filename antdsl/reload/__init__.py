@@ -1,9 +1,9 @@
-"""An edited program continues from the state of the old one.
+"""An edited program continues from the state of the running one.
 
-`take_over` binds the edited plan to the setting (`migrate`), which gives a new world, and reads the old one, which never changes:
-an error leaves it as it was. Agents retain their rows, attributes and states where a name still means the same (`agents`). They
-stay at their positions, or move to the nearest position of a ground that changed (`footing`). One line says what was retained,
-moved and reset (`summary`)."""
+`take_over` (in `migrate`) binds the edited plan to the setting and moves the state of the old world into the new one. The old
+    world never changes, so an error leaves it usable. Agents retain their rows. They also retain attributes and states that
+    have the same name and meaning in both programs (`agents`). They stay at their positions, or move to the nearest position
+    of a ground that changed (`footing`). `migration_line` describes in one line what was retained, moved and reset."""
 
 from antdsl.reload.migrate import Migration, migration_line, take_over
 

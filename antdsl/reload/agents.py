@@ -1,4 +1,5 @@
-"""Moves agents of a running world to one of an edited program. They keep all values with the same name and meaning."""
+"""Moves agents of a running world to the world of an edited program. Values with the same name and meaning in both are
+retained."""
 
 from __future__ import annotations
 
@@ -30,7 +31,7 @@ _MIGRATED = [name for name, column in FIXED.items() if column.migrated]
 
 @dataclass(slots=True)
 class MigratedSpecies:
-    """The result for the agents of one species. Names are attributes, or states as `machine.state`."""
+    """The result of a migration for the agents of one species. Names in lists are attributes, or states as `machine.state`."""
 
     species: str
     agents: int = 0
@@ -46,8 +47,9 @@ class MigratedSpecies:
 
 
 def migrate_agents(old: World, world: World, name: str, rows: Rows) -> tuple[MigratedSpecies, dict[str, NDArray[Any]]]:
-    """Move the agents in some rows of a species into a world that has none of it. Return the result and the registers that they
-    keep. `complete` fills the other registers once all species exist."""
+    """Move agents, given by their rows in `old`, to a world that has no agents of the species yet.
+
+    Return the result, and the registers with retained values. `fill_registers` fills the others once all species are migrated."""
     old_population, new_population = old.populations[name], world.populations[name]
     migrated = MigratedSpecies(name, len(rows))
     footing, place, moved = find_footings(old, world, old_population)
@@ -70,8 +72,10 @@ def migrate_agents(old: World, world: World, name: str, rows: Rows) -> tuple[Mig
 
 
 def fill_registers(world: World, name: str, values: dict[str, NDArray[Any]]) -> None:
-    """Fill the registers of a species that are not among `values` as those of an agent that is born here and now. Other requests
-    at birth have no effect."""
+    """Fill the registers of a species that are missing in `values`, with the values of an agent born at the current position
+    and frame.
+
+    Requests that the species makes at birth have no effect."""
     population = world.populations[name]
     lasting = (register for register, each in population.plan.registers.items() if each.role != "temp")
     if not len(population) or all(register in values for register in lasting):
@@ -86,7 +90,7 @@ def fill_registers(world: World, name: str, values: dict[str, NDArray[Any]]) -> 
 
 
 def write_registers(population: Population, values: Mapping[str, NDArray[Any]]) -> None:
-    """Write registers of all agents, also as they are at the start of the next step."""
+    """Write registers of all agents: the current values, and the values at the start of the next step."""
     for name, array in values.items():
         population.now[name][:] = array
         if population.start[name] is not population.now[name]:
@@ -99,7 +103,7 @@ def write_registers(population: Population, values: Mapping[str, NDArray[Any]]) 
 def _matching_registers(
     old: World, world: World, old_plan: ir.SpeciesPlan, new_plan: ir.SpeciesPlan, migrated: MigratedSpecies
 ) -> list[str]:
-    """Return the registers with values that continue, by name; findings about the others go into `migrated`."""
+    """Return the registers with values that are retained, by name; write findings about the other registers to `migrated`."""
     matching = [
         name
         for name, register in new_plan.registers.items()
@@ -135,14 +139,13 @@ def _register_meaning(register: ir.Register) -> tuple[object, ...]:
 
 
 def _is_complete(memory: str, new_plan: ir.SpeciesPlan, matching: list[str]) -> bool:
-    """Return whether the values that a `keep`'s mark stands for continue too: else it has to begin again."""
+    """Return whether the values of a `keep` are retained together with its mark. If not, the `keep` has to start again."""
     values = [name for name in (memory, *(f"{memory}.{axis}" for axis in "xyz")) if name in new_plan.registers]
     return all(name in matching for name in values)
 
 
 def _changed_defaults(old: World, world: World, old_plan: ir.SpeciesPlan, new_plan: ir.SpeciesPlan) -> set[str]:
-    """Return the attributes that are set only at birth, before and now, and have another birth value now. These take the new
-    value."""
+    """Return the attributes with a changed birth value that both plans set only at birth. Agents get the new value."""
     one, other = birth_values(old_plan, params_at_birth(old)), birth_values(new_plan, params_at_birth(world))
     stored = stored_registers(old_plan) | stored_registers(new_plan) | set(MIGRATED_REGISTERS)
     attributes = {name for name, register in new_plan.registers.items() if register.role == "attribute"}
@@ -155,12 +158,12 @@ def _changed_defaults(old: World, world: World, old_plan: ir.SpeciesPlan, new_pl
 
 
 def _place_digests(setting: WorldSetting, species: str, attribute: str) -> list[str]:
-    """Return digests of the attribute's values at the start places of the scene, line by line."""
+    """Return a digest of the attribute's values at the start places of each crowd line of the scene."""
     return [digest(crowd.place.values.get(attribute)) for crowd in setting.crowds if crowd.species == species]
 
 
 def _add_register_name(names: list[str], register: str) -> None:
-    """A vector's three registers are one name."""
+    """Add the author's name of a register to a list. The three registers of a vector have one name."""
     name = register[:-2] if register[-2:] in (".x", ".y", ".z") else register
     if name not in names:
         names.append(name)
@@ -172,7 +175,7 @@ def _add_register_name(names: list[str], register: str) -> None:
 def _migrate_states(
     old_plan: ir.SpeciesPlan, new_plan: ir.SpeciesPlan, values: dict[str, NDArray[Any]], migrated: MigratedSpecies
 ) -> None:
-    """Convert numbers of states into the current ones, by name; agents in a removed state start again."""
+    """Convert the numbers of states to those of the new plan, by name. Agents in a removed state start in the initial state."""
     machines = {machine.name: machine for machine in old_plan.machines}
     for machine in new_plan.machines:
         known = machines.get(machine.name)
@@ -197,7 +200,7 @@ def _migrate_states(
 
 
 def _migrate_clips(old_plan: ir.SpeciesPlan, new_plan: ir.SpeciesPlan, values: dict[str, NDArray[Any]]) -> None:
-    """Renumber clips to their current numbers; a clip that is no longer played becomes none."""
+    """Convert the numbers of clips to those of the new plan. A clip that is no longer used becomes none."""
     number = np.array([new_plan.clips.index(clip) if clip in new_plan.clips else -1 for clip in old_plan.clips] + [-1])
     for machine in new_plan.machines:
         for register in (f"{machine.name}.{part}" for part in ("clip", "clip_before", "clip_earlier")):
@@ -208,8 +211,10 @@ def _migrate_clips(old_plan: ir.SpeciesPlan, new_plan: ir.SpeciesPlan, values: d
 def _migrate_pairs(
     old_population: Population, world: World, new_plan: ir.SpeciesPlan, rows: Rows, values: dict[str, NDArray[Any]]
 ) -> None:
-    """Reduce values per pair if fewer are stored now: of each agent the strongest remain. Those are farthest from the value that
-    they begin with and return to in the edited program, the lesser id first."""
+    """Remove values per pair if the new plan stores fewer for each agent.
+
+    The strongest values of each agent remain: those farthest from the value with which they begin, and to which they return,
+    in the new plan. At equal strength, the lesser id remains."""
     old = pair_values(old_population.plan.registers)
     for name, slots in pair_values(new_plan.registers).items():
         if len(slots) >= len(old.get(name, ())) or slots[0][0] not in values:
@@ -229,7 +234,7 @@ def _state_numbers(old_machine: ir.MachinePlan, new_machine: ir.MachinePlan) -> 
 
 
 def _migrate_items(old: World, world: World, new_plan: ir.SpeciesPlan, values: dict[str, NDArray[Any]]) -> None:
-    """Renumber items in registers by the items' names; removed items become none."""
+    """Convert the numbers of items in registers to those of the new world, by name. Removed items become none."""
     for name, register in new_plan.registers.items():
         if name in values and register.holds and register.holds[0] == "item":
             of = str(register.holds[-1])
@@ -239,8 +244,9 @@ def _migrate_items(old: World, world: World, new_plan: ir.SpeciesPlan, values: d
 
 
 def birth_values(plan: ir.SpeciesPlan, params: Mapping[str, float]) -> dict[str, int]:
-    """Return a hash of each register's value at birth, by register: of the operations, through other registers that they read,
-    and of the params they use."""
+    """Return a hash of each register's value at birth, by register name.
+
+    The hash includes the operations, the other registers that they read, and the params that they use."""
     hashes: dict[str, int] = {}
     _block(plan.born, (), hashes, params)
     return hashes

@@ -1,4 +1,5 @@
-"""Where agents of one world stand in another: on the same face where the mesh has the same faces, else at the nearest place."""
+"""Footings of agents in another world. If a mesh has the same faces in both worlds, agents stay on their face; else they move
+to the nearest position."""
 
 from __future__ import annotations
 
@@ -16,16 +17,17 @@ MIN_DISTANCE = 0.05  # mm: less is the rounding of the nearest place, and not wo
 
 
 def is_same_solid(old: World, world: World, name: str) -> bool:
-    """Return whether a solid has the same mesh and voxels in both worlds, so that its digging can be transferred."""
+    """Return whether a solid has the same mesh and voxels in both worlds, so that the dug volume can be transferred."""
     one, other = old.setting.solids.get(name), world.setting.solids.get(name)
     return one is not None and other is not None and digest(one) == digest(other)
 
 
 def find_footings(old: World, world: World, old_population: Population) -> tuple[Footing, NDArray[np.float64], NDArray[np.bool_]]:
-    """Return footings in `world` for all agents of a population of `old`, their positions (n, 3), and which agents moved.
+    """Return the footings in `world` of all agents of a population of `old`, their positions (n, 3) mm, and which agents
+    moved.
 
-    A mesh of which only the vertices moved carries agents along. Agents on other faces, or on a solid that is another now, move
-    to the nearest position of all ground."""
+    If only the vertices of a mesh moved, agents move with their face. Agents on changed faces, or on a changed solid, move to
+    the nearest position of any ground."""
     footing = _migrate_footing(old, world, old_population)
     place = world.ground.position(footing)
     moved = length(place - old_population.position) > _HAIR
@@ -33,7 +35,7 @@ def find_footings(old: World, world: World, old_population: Population) -> tuple
 
 
 def align_with_ground(world: World, population: Population, moved: NDArray[np.bool_]) -> None:
-    """Turn up, heading and velocity of moved agents along their new ground."""
+    """Rotate up, heading and velocity of the agents flagged in `moved` to lie along their new ground."""
     rows = np.flatnonzero(moved)
     if not len(rows):
         return
@@ -66,7 +68,7 @@ def _migrate_footing(old: World, world: World, old_population: Population) -> Fo
 
 
 def _ground_numbers(old: World, world: World) -> NDArray[np.int32]:
-    """For the number of each surface and solid of the old ground the number it has now; -1 where it is not the same."""
+    """Return the new number of each surface and solid of the old ground; -1 if it has changed."""
     numbers = {name: k for k, name in enumerate(world.ground.names)}
     mapping = np.full(max(1, len(old.ground.names)), -1, np.int32)
     for k, name in enumerate(old.ground.names):

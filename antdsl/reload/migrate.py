@@ -1,7 +1,8 @@
-"""An edited program continues from the state of the old one: a new world with the agents, amounts, scents and dug solids of a
-running one. What has the same name and means the same continues, what was edited takes its new value, the rest starts again.
+"""An edited program continues from the state of the running one. A new world gets the agents, amounts, scents and dug solids
+of the old world.
 
-The old world is read and never changed, so on any error it continues unchanged."""
+A value with the same name and meaning in both programs is retained. An edited value takes its new value. All other values
+start again. The old world is only read, so it can continue unchanged after any error."""
 
 from __future__ import annotations
 
@@ -28,8 +29,9 @@ from antdsl.scene.setting import CrowdData, WorldSetting
 
 @dataclass(slots=True)
 class Migration:
-    """The result of a migration. `joined` and `removed` count the agents by which the scene's crowd grew or shrank, by
-    species."""
+    """The result of a migration.
+
+    `joined`, `removed`: by species, how many agents were added or removed because the scene's crowd has another size."""
 
     species: list[MigratedSpecies] = field(default_factory=list)
     joined: dict[str, int] = field(default_factory=dict)
@@ -45,10 +47,10 @@ class Migration:
 
 @standard_floats()
 def take_over(old: World, plan: ir.Plan, setting: WorldSetting, built: BindingCache | None = None) -> tuple[World, Migration]:
-    """Return the world of an edited plan and setting at the frame of a running one, and the migration. Raises BindError as in
-    `bind`.
+    """Return the world of an edited plan and setting at the frame of a running world, and the migration. Raises BindError as
+    `bind` does.
 
-    `built` persists from one call to the next: equal meshes are not computed again."""
+    `built`: a cache that the caller passes to each call, so that unchanged meshes are not processed again."""
     world = bind_empty(plan, setting, old.options, built=built, origin=old.origin)
     world.frame = old.frame
     migration = Migration()
@@ -71,7 +73,7 @@ def take_over(old: World, plan: ir.Plan, setting: WorldSetting, built: BindingCa
 
 
 def _migrate_agents(old: World, world: World, migration: Migration) -> list[tuple[CrowdData, NDArray[np.int64]]]:
-    """Move all agents that stay; return the crowds to add, with their ids."""
+    """Move all agents that stay; return the crowd lines to add, each with the ids of its new agents."""
     joining: list[tuple[CrowdData, NDArray[np.int64]]] = []
     values = {}
     for name in world.populations:
@@ -101,7 +103,8 @@ def _crowd_lines(setting: WorldSetting, species: str) -> list[CrowdData]:
 
 
 def _staying_rows(old: World, setting: WorldSetting, name: str, migration: Migration) -> NDArray[np.intp]:
-    """Return the rows of a species that stay. Where a line of the scene has fewer agents now, the latest ones are removed."""
+    """Return the rows of a species that stay. If a crowd line of the scene has fewer agents than before, the latest agents are
+    removed."""
     population = old.populations[name]
     stays = np.ones(len(population), np.bool_)
     new_lines = _crowd_lines(setting, name)
@@ -117,7 +120,7 @@ def _staying_rows(old: World, setting: WorldSetting, name: str, migration: Migra
 
 
 def _regroup(old_setting: WorldSetting, world: World, name: str, values: dict[str, NDArray[np.generic]]) -> None:
-    """Update the number of each agent's line in the scene, which may have changed."""
+    """Update the number of each agent's crowd line, because the lines of the scene may have changed."""
     population = world.populations[name]
     group, values["group"] = population.now["group"], population.now["group"].copy()
     for was, is_now in zip(_crowd_lines(old_setting, name), _crowd_lines(world.setting, name), strict=False):
@@ -129,7 +132,7 @@ def _regroup(old_setting: WorldSetting, world: World, name: str, values: dict[st
 
 
 def _migrate_items(old: World, world: World, migration: Migration) -> None:
-    """Transfer amounts by the items' names. Amounts that the scene changed start with the new value."""
+    """Transfer amounts by item name. An amount that the scene changed starts with the new value."""
     for name, items in world.items.items():
         known = old.items.get(name)
         rows = {} if known is None else {item: k for k, item in enumerate(known.names)}
@@ -159,7 +162,7 @@ def _migrate_solids(old: World, world: World, migration: Migration) -> None:
 
 
 def _migrate_fields(old: World, world: World, migration: Migration) -> None:
-    """Continue scents with equal cells that do not start with something else now."""
+    """Transfer the amounts of fields with equal cells, unless a field has another start value now."""
     for name, now in world.fields.items():
         old_field = old.fields.get(name)
         starts = [setting.field_start.get(name) for setting in (old.setting, world.setting)]
@@ -182,7 +185,7 @@ def _is_same_grid(old: World, world: World, name: str) -> bool:
 
 
 def _migrate_flows(old: World, world: World) -> None:
-    """Continue flows that are computed over time with their state, where they are equal."""
+    """Transfer the state of flows that are computed over time, if the flows are equal."""
     for name, flow in world.flows.items():
         state = flow.state()
         old_state = old.flows[name].state() if state and name in old.flows else {}
@@ -192,7 +195,7 @@ def _migrate_flows(old: World, world: World) -> None:
 
 
 def _migrate_feet(old: World, world: World) -> None:
-    """Transfer footholds and swings, if bodies have the same legs and the ground is the same."""
+    """Transfer footholds and swings if bodies have the same legs and the ground is the same."""
     if old.floor is None or world.floor is None or old.floor.names != world.floor.names:
         return
     if digest((old.floor.meshes, old.setting.moves)) != digest((world.floor.meshes, world.setting.moves)):
@@ -216,7 +219,7 @@ def _migrate_counts(old: World, world: World) -> None:
 
 
 def migration_line(migration: Migration) -> str:
-    """Return the changes in one line, the number of agents first, such as "… · 12 `forager` added · `load` is new"."""
+    """Return the changes as one line that begins with the number of agents, such as "… · 12 `forager` added · `load` is new"."""
     parts = [f"kept {migration.agents:,} {_agent_word(migration.agents)}"]
     several = len(migration.species) > 1
     for migrated in migration.species:
@@ -256,13 +259,14 @@ def _species(migrated: MigratedSpecies, of: str) -> list[str]:
 
 
 def _primary_names(names: list[str]) -> list[str]:
-    """Less those that follow from others, and are seldom written: strength from speed, radius from size."""
+    """Return names without those of derived attributes, which programs seldom set: strength follows from speed, radius from
+    size."""
     follow = {"max_force": {"mass", "max_speed", "response"}, "radius": {"size"}}
     return [name for name in names if not follow.get(name, set()) & set(names)]
 
 
 def _state_text(state: str) -> str:
-    """Return a state's name without the default machine: most species have one machine without a name."""
+    """Return a state's name without the name of the default machine, because most species have one unnamed machine."""
     return state.removeprefix("main.")
 
 

@@ -1,10 +1,10 @@
-"""Turns a plan and a setting into a world, and steps it.
+"""Turns a plan and a setting into a world, and advances the world step by step.
 
-`bind` (in `binding`) makes the world at its first frame; `step` runs the tuple `phases.PHASES` once. In a step, senses read
-the world as it was at the start of the step. Blocks of the plan run on a backend (`backends`) and fill an `EffectRequests`
-with requests. Claims, deposits, digging, births and deaths are then resolved in an order that does not depend on rows.
-`moving` moves all agents by their steering forces. `world` has everything that changes. `checkpoints` writes and reads its
-complete state and hashes it."""
+`bind` (in `binding`) makes the world at its first frame; `step` runs all functions in `phases.PHASES` once. In a step, senses
+    read the world as it was at the start of the step. Blocks of the plan run on a backend (`backends`) and write requests into
+    an `EffectRequests`. Claims, deposits, digging, births and deaths are then resolved in an order that does not depend on
+    rows. `moving` moves all agents by their steering forces. `world` contains all mutable data. `checkpoints` writes, reads
+    and hashes the complete state."""
 
 from antdsl.runtime.binding.bind_world import BindError, bind, set_flow, set_param
 from antdsl.runtime.binding.reuse import BindingCache

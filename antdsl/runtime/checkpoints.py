@@ -1,5 +1,6 @@
-"""The state of a world: everything that it needs to go on as if it had never stopped, as named arrays, and back; and one
-number for a frame, equal for any row order, chunk, threads and backend, different for any other state."""
+"""The complete state of a world as named arrays, from which a run continues without any difference, and a hash of it.
+
+The hash is equal for any row order, chunk size, thread count and backend, and different for any other state."""
 
 from __future__ import annotations
 
@@ -27,11 +28,11 @@ Arrays = dict[str, NDArray[Any]]
 
 
 class CheckpointError(ValueError):
-    """Arrays that are not of this plan; the message names the first that does not fit."""
+    """The arrays do not match the plan; the message names the first array that does not match."""
 
 
 def checkpoint(world: World) -> Arrays:
-    """The state between two steps, by name; the arrays are copies."""
+    """Return copies of the arrays, by name, that form the state between two steps."""
     arrays: Arrays = {"frame": np.array(world.frame, np.int64), "faults": np.array(world.faults.count, np.int64)}
     arrays |= {f"param.{name}": np.array(value) for name, value in world.params.items()}
     for name, population in world.populations.items():
@@ -55,8 +56,9 @@ def checkpoint(world: World) -> Arrays:
 
 
 def restore(world: World, arrays: Mapping[str, NDArray[Any]]) -> None:
-    """Restore a state in a world that is bound to the same plan and setting. Raises CheckpointError; the world is then
-    unusable."""
+    """Restore a state in a world that is bound to the same plan and setting.
+
+    Raises CheckpointError; the world is unusable after the error."""
     try:
         _restore(world, arrays)
         for population in world.populations.values():
@@ -107,7 +109,7 @@ def _restore(world: World, arrays: Mapping[str, NDArray[Any]]) -> None:
 
 
 def _restore_feet(world: World, arrays: Mapping[str, NDArray[Any]]) -> None:
-    """Restore the feet of a checkpoint. A state of a run without feet has none: there, all agents stand afresh."""
+    """Restore the feet of a checkpoint. If the checkpoint was written without feet, all agents start with their feet at rest."""
     restored_feet = {}
     for name, feet in world.feet.items():
         foot_arrays = part_of(arrays, f"feet.{name}.")
@@ -162,7 +164,9 @@ def _take(arrays: Mapping[str, NDArray[Any]], name: str, shape: tuple[int, ...] 
 
 
 def state_hash(world: World) -> str:
-    """First 128 bits of a SHA-256, in hexadecimal, of the `row_hash` of each species, and of items, fields, solids, flows."""
+    """Return the first 128 bits of a SHA-256 hash of the state, in hexadecimal.
+
+    It includes the `row_hash` of each species, and items, fields, solids and flows."""
     digest, threads = sha256(), world.options.threads
     digest.update(np.int64(world.frame).tobytes())
     for name in sorted(world.populations):
@@ -185,7 +189,7 @@ def state_hash(world: World) -> str:
 
 
 def _hash_rows(population: Population, threads: int) -> bytes:
-    """The hash of all that belongs to the state of agents."""
+    """Return the hash of all arrays that belong to the state of agents."""
     columns = [(name, population.columns[name]) for name in _HASHED]
     columns += [(f"footing.{name}", array) for name, array in population.footing.columns.items()]
     columns += [(name, population.now[name]) for name in population.state_registers()]

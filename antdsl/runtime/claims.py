@@ -1,9 +1,8 @@
-"""Claims on items and field cells, settled between decide and act, and gifts to items. The losses of one side equal the gains of
-the other, to the last bit.
+"""Claims on items and field cells, settled between the phases decide and act, and gifts to items. Losses equal gains exactly.
 
-An agent's own register is float32; an item's amount and a field's cell are float64. These change by exactly the difference in the
-register. From a field, whole multiples of `UNIT` are taken, as with deposits: while registers hold such multiples too, so do the
-cells."""
+An agent's own register is float32; an item's amount and a field's cell are float64. They change by exactly the difference in
+the register. From a field, agents take whole multiples of `DEPOSIT_UNIT`, as with deposits. While registers contain only such
+multiples, so do the cells."""
 
 from __future__ import annotations
 
@@ -22,7 +21,7 @@ ClaimEntries = list[tuple[Population, ClaimEntry]]
 
 
 def settle(world: World) -> None:
-    """Serve the claims on each amount in the order of (draw, id), while the rest suffices."""
+    """Serve the claims on each amount in the order of (draw, id), as long as the remainder suffices."""
     item_claims: dict[tuple[str, str], ClaimEntries] = {}
     of_fields: dict[str, ClaimEntries] = {}
     for population in world.populations.values():
@@ -53,7 +52,7 @@ def settle(world: World) -> None:
 
 
 def _merge_by_statement(entries: ClaimEntries) -> ClaimEntries:
-    """Merge the claims of each statement into one entry, however they were chunked."""
+    """Merge the claims of each statement into one entry, independent of the division into chunks."""
     if len(entries) == 1:
         return entries
     groups: dict[tuple[str, int], ClaimEntries] = {}
@@ -68,7 +67,7 @@ def _merge_by_statement(entries: ClaimEntries) -> ClaimEntries:
 
 
 def _join_arrays(arrays: list[NDArray[Any]]) -> NDArray[Any]:
-    """One array after the other."""
+    """Return the arrays concatenated."""
     return arrays[0] if len(arrays) == 1 else np.concatenate(arrays)
 
 
@@ -80,8 +79,10 @@ def _settle_amount(
     unit: float,
     entries: ClaimEntries,
 ) -> None:
-    """Settle the claims of `entries`: `amount` (inf: all) from the places `item` of `rest` (-1: none). Claims for all get whole
-    units."""
+    """Settle the claims in `entries` on amounts `rest`.
+
+    `item`: the index in `rest` of each claim, -1 for none. `amount`: the claimed amount; inf claims all that is left, in
+        multiples of `unit`."""
     draw = _join_arrays([_draws(world, p, e) for p, e in entries])
     ids = _join_arrays([p.ids[e.rows] for p, e in entries])
     row = _join_arrays([e.rows for _, e in entries])
@@ -110,8 +111,9 @@ def _settle_by_kernel(
     population: Population,
     entry: ClaimEntry,
 ) -> bool:
-    """Serve the claims of one statement with a kernel, in the order of `keys`, if each claims a fixed amount for a register.
-    Return whether it did; if not, nothing has changed."""
+    """Settle the claims of one statement with a kernel, in the order of `keys`, if each claims a fixed amount for a register.
+
+    Return whether this was possible; if not, nothing has changed."""
     statement = entry.statement
     if statement.own is None or statement.amount is None:
         return False
@@ -133,8 +135,10 @@ def _serve(
     entries: ClaimEntries,
     source: NDArray[np.intp] | None,
 ) -> None:
-    """Serve the claims `now`, of different agents, in the order of `keys`. The last key, the item, is the primary one. `source`
-    is the entry of each claim (None: there is only one)."""
+    """Serve the claims `now`, which are of different agents, in the order of `keys`; the last key, the item, is the primary
+    one.
+
+    `source`: the entry of each claim; None if there is only one entry."""
     now = now[np.lexsort([key[now] for key in keys])]
     item, row, amount = keys[-1][now], row[now], amount[now]
     asks = _ServedClaims(np.empty(len(now)), np.isinf(amount), np.zeros(len(now), np.float32), np.zeros(len(now), np.bool_), unit)
@@ -153,7 +157,7 @@ def _serve(
 def _add_winnings(
     population: Population, entry: ClaimEntry, rows: NDArray[np.intp], amount: NDArray[np.float32], got: NDArray[np.float64]
 ) -> None:
-    """Add the amounts won to the agents' own registers; `got` is the exact amount that each adds."""
+    """Add the amounts won to the agents' own registers. `got`: the exact amount that each agent adds."""
     assert entry.statement.own is not None
     own = population.now[entry.statement.own]
     if entry.statement.amount is not None:
@@ -165,9 +169,12 @@ def _add_winnings(
 
 
 class _ServedClaims:
-    """Claims in the order in which they are served. `change` (float64) is the exact amount that winning would add to the agents'
-    own registers, or the amount if there is no register. `everything` marks claims for all. `had` is the current value, if a
-    register holds it."""
+    """Claims in the order in which they are served.
+
+    `change` float64: the exact amount by which a served claim raises the agent's own register, or the amount if there is no
+        register.
+    `everything`: marks claims for all that is left.
+    `had`: the current value of the register. `has_register`: whether there is one."""
 
     def __init__(
         self,
@@ -182,7 +189,7 @@ class _ServedClaims:
     def fill(
         self, population: Population, entry: ClaimEntry, at: NDArray[np.intp], rows: NDArray[np.intp], amount: NDArray[np.float32]
     ) -> None:
-        """Put in the claims of one statement, at their places in the order."""
+        """Store the claims of one statement at their positions in the order."""
         if entry.statement.own is None:
             self.change[at] = amount
             return
@@ -192,7 +199,8 @@ class _ServedClaims:
         self.had[at], self.kept[at] = had, True
 
     def all_amounts(self, at: NDArray[np.intp], left: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return what claims for all get of the amount `left`: whole units, and no more than their register can represent."""
+        """Return the amounts for claims for all, from the amounts `left`: in whole units, and at most what the register can
+        represent."""
         had = self.had[at].astype(np.float64)
         with np.errstate(all="ignore"):
             rounded_amount = np.floor(left / self.unit) * self.unit if self.unit else left
@@ -208,7 +216,7 @@ def _draws(world: World, population: Population, entry: ClaimEntry) -> NDArray[n
 
 
 def _claim_turns(species: NDArray[np.int64], ids: NDArray[np.int64], place: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Number of each claim among those of the same agent, in text order."""
+    """Return the number of each claim among those of the same agent, in the order of the source text."""
     order = np.lexsort((place, ids, species))
     fresh = np.ones(len(order), np.bool_)
     fresh[1:] = (ids[order][1:] != ids[order][:-1]) | (species[order][1:] != species[order][:-1])
@@ -219,8 +227,9 @@ def _claim_turns(species: NDArray[np.int64], ids: NDArray[np.int64], place: NDAr
 
 
 def _served_amounts(rest: NDArray[np.float64], item_numbers: NDArray[np.integer], asks: _ServedClaims) -> NDArray[np.float64]:
-    """Return the amount that each claim gets, -1 if it is not served; `item_numbers` are sorted. Subtracts the amounts from
-    `rest`."""
+    """Return the amount that each claim gets, -1 if it is not served, and subtract these amounts from `rest`.
+
+    `item_numbers`: the sorted items of the claims."""
     item: NDArray[np.int64] = item_numbers.astype(np.int64, copy=False)
     got = np.full(len(item), -1.0)
     if not asks.everything.any():
@@ -247,8 +256,9 @@ def _served_amounts(rest: NDArray[np.float64], item_numbers: NDArray[np.integer]
 def _serve_mixed(
     rest: NDArray[np.float64], item: NDArray[np.int64], begin: int, asks: _ServedClaims, got: NDArray[np.float64]
 ) -> None:
-    """Serve the claims from `begin` on, for one item, some of them for all of it, in order until the remainder does not
-    suffice."""
+    """Serve the claims on one item, from index `begin` on, in order, until the remainder does not suffice.
+
+    Some of these claims are for all that is left."""
     first, change = 0, asks.change[begin : begin + len(item)]
     for stop in (*np.flatnonzero(asks.everything[begin : begin + len(item)]).tolist(), len(item)):
         _serve_in_turn(rest, item[first:stop], change[first:stop], got[first:stop])
@@ -263,8 +273,8 @@ def _serve_mixed(
 
 
 def settle_gifts(world: World) -> None:
-    """Add the agents' gifts to the items, the smallest first, so that rounding of the sum does not depend on the agents'
-    order."""
+    """Add the agents' gifts to the items, the smallest first. Thus the rounding of sums does not depend on the order of
+    agents."""
     gifts: dict[tuple[str, str], list[GiveEntry]] = {}
     for population in world.populations.values():
         for entry in population.effects.gives:
@@ -278,8 +288,9 @@ def settle_gifts(world: World) -> None:
 
 @kernel
 def _serve_in_turn(rest: Array1[F64], item: Array1[I64], change: Array1[F64], got: Array1[F64]) -> None:
-    """Write the amount that each claim gets to `got`: its `change`, if the remainder suffices for it and all before it. `item`,
-    ascending, is the index of each in `rest`. Subtracts the total from `rest`."""
+    """Write to `got` the amount that each claim gets: its `change`, if the remainder suffices for it and all claims before it.
+
+    `item`, ascending: the index of each claim in `rest`. Subtracts the total from `rest`."""
     _serve_each(rest, item, change, got, item.size)
 
 
@@ -296,10 +307,11 @@ def _settle_in_turn(
     change: Array1[F64],
     got: Array1[F64],
 ) -> BOOL:
-    """Settle the claims of one statement, of different agents, in an order by `item`. A served agent has its `amount` added to
-    its `own` register, and `won` is set. If one claims all, nothing is settled and the result is False.
+    """Settle the claims of one statement, of different agents, in an order by `item`.
 
-    `item`, `row` and `amount` [n] are those of each claim; `claimed`, `change` and `got` [n] are buffers."""
+    The `own` register of a served agent rises by its `amount`, and its `won` is set. If any claim is for all, nothing is
+    settled and the result is False.
+    `item`, `row`, `amount` [n]: values of each claim. `claimed`, `change`, `got` [n]: buffers."""
     for k in range(order.size):
         if amount[k] == np.inf:
             return False

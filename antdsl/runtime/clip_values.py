@@ -1,4 +1,4 @@
-"""Properties of the clips that a species plays: from the definition of its body, by the clip names in its states."""
+"""Properties of the clips that a species plays, from the definition of its body and the clip names of its states."""
 
 from __future__ import annotations
 
@@ -14,14 +14,16 @@ _UNKNOWN_CLIP = ClipData()
 
 
 def clip_table(world: World, population: Population, what: str) -> NDArray[np.float32]:
-    """`seconds`, `stride`, `loop` or `mark NAME` of each clip of the species' plan, and at the end of an unknown one."""
+    """Return a property of each clip of the species' plan; the last entry is for an unknown clip.
+
+    `what`: `seconds`, `stride`, `loop` or `mark NAME`."""
     known = world.setting.clips.get(population.name, {})
     every = [known.get(each.name, _UNKNOWN_CLIP) for each in population.plan.clips]
     return np.array([_clip_number(each, what) for each in (*every, _UNKNOWN_CLIP)], np.float32)
 
 
 def clip_value(world: World, population: Population, what: str, clip: Any) -> NDArray[np.float32]:
-    """The same of clips by their numbers in the species' plan; of none as of an unknown one."""
+    """Return a property of clips, given by their numbers in the species' plan. No clip has the value of an unknown clip."""
     values = clip_table(world, population, what)
     number, last = np.asarray(clip), len(values) - 1
     chosen_values: NDArray[np.float32] = values[np.where((number >= 0) & (number < last), number, last)]

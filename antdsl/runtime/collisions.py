@@ -1,7 +1,8 @@
-"""Bodies that touch as a step begins, and contacts that have begun: the input of `on collision`.
+"""Bodies that touch at the start of a step, and contacts that are new: the input of `on collision`.
 
-Two bodies touch when the gap between their capsules falls below a small share of their combined collision radii. They touch until
-the gap is several times that share. Thus bodies that press against each other and shake a little do not collide repeatedly."""
+Two bodies start to touch when the gap between their capsules falls below a small share of their combined collision radii. They
+touch until the gap is several times that share. Thus bodies that press against each other and shake a little do not collide
+repeatedly."""
 
 from __future__ import annotations
 
@@ -23,9 +24,10 @@ _CONTACT_END_GAP = 0.25  # of the same: a gap above which it is over
 
 
 def new_contacts(world: World, population: Population, of: str, rows: Rows, touched: Ids) -> tuple[Ids, Ids]:
-    """Return the id of the deepest agent of a species that each given agent has begun to touch, -1 for none. Also return the ids
-    of all agents that it touches from now on. `touched` (n, k): the previous ones, -1 for none; if all k are in use, no new
-    contact is noticed."""
+    """Return the new contact of each of the given agents, and the ids of all agents that it touches from now on.
+
+    The new contact is the id of the deepest agent of species `of` that it starts to touch, -1 for none.
+    `touched` (n, k): the ids touched so far, -1 for none. If all k are in use, new contacts are ignored."""
     contact_ids = np.full(len(rows), -1, np.int64)
     known = _touching(world).get((population.name, of))
     if known is None:
@@ -48,7 +50,7 @@ def new_contacts(world: World, population: Population, of: str, rows: Rows, touc
 
 
 def _touching(world: World) -> Mapping[tuple[str, str], Touching]:
-    """Return which agents touched at the start of the step, by both species; computed once in a step."""
+    """Return which agents touched at the start of the step, by both species. The result is cached for the step."""
     if world.touching is None:
         world.touching = _find_touching(CapsuleCrowd(world, start=True))
     return world.touching

@@ -1,5 +1,6 @@
-"""Digging: what all agents carve in one step is taken out of the solids at once, before anybody moves. The walls that its
-balls left become cells of every field that lies on the solid."""
+"""Digging: the balls that all agents dig in a step are removed from the solids together, before any agent moves.
+
+The resulting walls become cells of every field that lies on the solid."""
 
 from __future__ import annotations
 
@@ -22,7 +23,8 @@ _MAX_POINTS_PER_EDGE = 16  # points along an edge of the cube that is projected 
 
 
 def dig(world: World) -> None:
-    """Carve the requested balls, and give each agent what it dug out. Agents that lose their ground come down as they move."""
+    """Remove the requested balls from solids, and add to each agent the amount that it dug. Agents that lose their ground fall
+    in the phase `move`."""
     requests: dict[str, list[tuple[Population, RequestEntry]]] = {}
     for population in world.populations.values():
         for entry in population.effects.drain("carve"):
@@ -33,7 +35,7 @@ def dig(world: World) -> None:
 
 
 def _carve(world: World, solid: str, entries: list[tuple[Population, RequestEntry]]) -> None:
-    """Carve one solid. Digging agents are identified by (species, id, place in the text), independent of their row."""
+    """Remove balls from one solid. Digging agents are ordered by (species, id, position in the source), independent of rows."""
     names = list(world.populations)
     species = np.concatenate([np.full(len(e.rows), names.index(p.name)) for p, e in entries])
     ids = np.concatenate([p.ids[e.rows] for p, e in entries])
@@ -64,14 +66,16 @@ def _add_dug_amount(population: Population, entry: RequestEntry, removed: NDArra
 
 
 def take_dug_balls(world: World) -> dict[str, NDArray[np.float64]]:
-    """Return the balls float64[k, 4] (centre and radius) dug since the last call, by solid. A solid without any has no entry."""
+    """Return the balls dug since the last call, by solid: float64[k, 4], centre and radius (mm). Solids without any have no
+    entry."""
     balls_by_solid, world.carved = world.carved or {}, None if world.carved is None else {}
     return {name: np.concatenate(balls) for name, balls in balls_by_solid.items() if sum(map(len, balls))}
 
 
 def grow_wall_cells(fields: Iterable[PheromoneField], volume: Volume, middle: Floats, radius: Floats) -> None:
-    """Add cells to fields on a solid where balls, centres [k,3] and radii [k] in mm, left walls. The order of the balls
-    matters."""
+    """Add cells to the fields on a solid, at the walls of balls with centres [k,3] and radii [k] in mm.
+
+    The result depends on the order of the balls."""
     by_cells: dict[int, list[PheromoneField]] = {}
     for field in fields:
         if isinstance(field.cells, GrowingCells):
@@ -87,7 +91,7 @@ def grow_wall_cells(fields: Iterable[PheromoneField], volume: Volume, middle: Fl
 
 
 def walls(volume: Volume, middle: Floats, radius: Floats, spacing: float) -> tuple[Floats, Floats]:
-    """Return points [n,3], about half of `spacing` from each other, on the surface that balls left, and unit normals towards the
+    """Return points [n,3] on the surface that balls left, about half of `spacing` (mm) apart, and unit normals towards the
     air."""
     found = [(np.empty((0, 3)), np.empty((0, 3)))]
     lines = np.minimum(np.ceil(4 * radius / spacing).astype(np.int64), _MAX_POINTS_PER_EDGE)
@@ -102,7 +106,7 @@ def walls(volume: Volume, middle: Floats, radius: Floats, spacing: float) -> tup
 
 @cache
 def _ways(lines: int) -> Floats:
-    """Return unit vectors [6 lines², 3] spread over a sphere: the centres of a grid of squares on the sides of a cube."""
+    """Return unit vectors [6 lines², 3], spread over a sphere: the centres of a grid of squares on each side of a cube."""
     at = (np.arange(lines) + 0.5) / lines * 2 - 1
     u, v = (w.ravel() for w in np.meshgrid(at, at, indexing="ij"))
     sides = [np.roll(np.stack([np.full(u.size, s), u, v], axis=1), axis, axis=1) for axis in range(3) for s in (-1.0, 1.0)]

@@ -1,6 +1,7 @@
-"""Values that are not finite: which agent, where in the text, from which operands, and whether the run continues (decision 24).
+"""Values that are not finite: which agent has one, its place in the source, its operands, and whether the run continues
+(decision 24).
 
-The reference backend runs the agent again, alone, because it has every intermediate value."""
+To find the operands, the reference backend runs the agent's step again, because it has every intermediate value."""
 
 from __future__ import annotations
 
@@ -22,8 +23,9 @@ _MAX_REPORTED_FAULTS = 20  # faults reported in full; the others are only counte
 
 @dataclass(frozen=True, slots=True)
 class Fault:
-    """One rejected value, of one agent or of a whole species (`agent` -1). `operands`: text (or operation) and value of each
-    operand. `why`: the reason, written after the name of the rejected value."""
+    """One rejected value of an agent, or of a complete species (`agent` -1).
+
+    `operands`: text (or operation) and value of each operand. `why`: the reason, written after the name of the rejected value."""
 
     frame: int
     species: str
@@ -38,7 +40,8 @@ class Fault:
 
     @property
     def brief(self) -> str:
-        """Return the same text with only the name of the file, for readers that do not need its location on this machine."""
+        """Return the text of the fault with the file's name instead of its path, for readers that do not need its location on
+        this machine."""
         if self.span is None:
             return self._describe("")
         line, column = self.span.source.line_column(self.span.start)
@@ -52,7 +55,7 @@ class Fault:
 
 @dataclass(slots=True)
 class FaultLog:
-    """All faults of a run: their number, and the first ones in full."""
+    """All faults of a run: their number, and details of the first ones."""
 
     count: int = 0
     refused_births: int = 0  # beyond limits.AGENTS
@@ -61,7 +64,7 @@ class FaultLog:
 
 
 class FaultStop(RuntimeError):
-    """Raised after a step with a fault, to stop the run; `fault` is the first one reported."""
+    """A step had a fault, and the run is to stop on faults. Raised after the step; `fault` is the first reported one."""
 
     def __init__(self, fault: Fault) -> None:
         super().__init__(str(fault))
@@ -69,7 +72,7 @@ class FaultStop(RuntimeError):
 
 
 class LimitStop(FaultStop):
-    """The run stops in the middle of a step that would exceed the limits. The world cannot be used afterwards."""
+    """A step would exceed the limits. Raised in the middle of the step; the world cannot be used afterwards."""
 
 
 def gather(world: World) -> None:
@@ -98,7 +101,7 @@ def gather(world: World) -> None:
 
 
 def _register_word(register: str) -> str:
-    """Return the author's name for a register: a vector without its axis, a temp of the plan by its purpose."""
+    """Return the author's name for a register: a vector's name without axis, or the purpose of a temporary register."""
     name = register.removesuffix(".x").removesuffix(".y").removesuffix(".z")
     return {"~steer": "steer", "~gaze": "face", "~face": "face", "~left": "push", "~held": "the vector"}.get(name, name)
 

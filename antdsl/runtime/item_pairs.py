@@ -1,7 +1,7 @@
-"""Items near agents: pairs of a requesting row and an item, sorted by both, each with its offset (mm, float32) and distance.
+"""Items near agents: pairs of a requesting row and an item, sorted by both, with offset (mm, float32) and distance (mm).
 
-Few items are measured from all rows. With many items, those too far away along two axes are left out first. Both methods give the
-same bits."""
+If there are few items, all are measured from all rows. If there are many, items that are too far away along two axes are first
+left out. Both methods give the same bits."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ _RADIUS_SLACK_FACTOR, _MIN_DISTANCE_MM = (
 
 
 def items_within(items: Items, own: tuple[Floats, ...], radius: Any) -> ItemPairColumns:
-    """Return the items within a radius (mm, one or float[n]) of positions (three float32[n])."""
+    """Return the items within a radius (mm, one number or float[n]) of positions (three float32[n])."""
     reach = np.full(len(own[0]), radius, np.float32) if np.ndim(radius) == 0 else np.asarray(radius, np.float32)
     if len(items) > _MIN_ITEMS_TO_FILTER:
         return measure_near(items, own, reach)
@@ -42,7 +42,7 @@ def _visible_positions(items: Items) -> VectorArrays:
 
 
 def each(items: Items, own: tuple[Floats, ...], reach: Floats) -> ItemPairColumns:
-    """All items measured from all rows."""
+    """Return the pairs within `reach` (mm), after measuring all items from all rows."""
     item_points, agent_points, (reach,) = contiguous(*_visible_positions(items)), contiguous(*own), contiguous(reach)
     pairs = tuple(np.empty(max(2 * reach.size, 64), kind) for kind in (np.int64, np.int64, *(np.float32,) * 4))
     row, used = _fill_pairs(item_points, agent_points, reach, pairs, 0, 0)
@@ -53,7 +53,8 @@ def each(items: Items, own: tuple[Floats, ...], reach: Floats) -> ItemPairColumn
 
 
 def measure_near(items: Items, own: tuple[Floats, ...], reach: Floats) -> ItemPairColumns:
-    """Return the pairs of rows and items that are in reach along the two axes with the widest spread of items."""
+    """Return the pairs within `reach` (mm), after measuring only items in reach along the two axes with the widest spread of
+    items."""
     n, item_points = len(own[0]), _visible_positions(items)
     with np.errstate(invalid="ignore"):
         one, two = sorted(range(3), key=lambda k: -float(np.nan_to_num(np.ptp(item_points[k]))))[:2]
@@ -96,8 +97,9 @@ def _join_columns(parts: list[ItemPairColumns]) -> ItemPairColumns:
 def _fill_pairs(
     items: VectorColumns, agent_points: VectorColumns, reach: Array1[F32], pairs: PairColumns, row: I64, used: I64
 ) -> tuple[I64, I64]:
-    """Continue with a row, after `used` pairs from earlier rows, until the arrays are full. Returns the next row and the number
-    of pairs."""
+    """Write pairs from a row on, after `used` earlier pairs, until all rows are done or the arrays are full.
+
+    Returns the next row and the number of pairs."""
     ix, iy, iz = items
     x, y, z = agent_points
     i, j, dx, dy, dz, distance = pairs

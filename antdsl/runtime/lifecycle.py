@@ -1,4 +1,4 @@
-"""Events, deaths and births: they change the number of agents, and the next step of other agents.
+"""Events, deaths and births. They change the number of agents, and the next step of other agents.
 
 Emitted events are stored for outputs such as caches. They are not part of the state, and no step reads them."""
 
@@ -27,7 +27,7 @@ _INHERITED = {name: column.inherited for name, column in FIXED.items() if column
 
 
 def find_cells(world: World, population: Population) -> None:
-    """Each agent's own cell of every field."""
+    """Find each agent's own cell in every field."""
     if world.fields and len(population):
         sides = world.ground.sides(population.footing, world.options.threads)
         place = agent_rest_positions(world, population)
@@ -50,7 +50,7 @@ def deposit(world: World) -> None:
 
 
 def settle_newborn(world: World) -> None:
-    """Apply what agents request at their birth before the next step, so that no request remains between two steps."""
+    """Apply the requests that agents make at birth, before the next step. Thus no request remains between two steps."""
     if not any([population.effects.open for population in world.populations.values()]):
         return
     raise_events(world)
@@ -68,7 +68,7 @@ def settle_newborn(world: World) -> None:
 
 
 def raise_events(world: World) -> None:
-    """Flag the agents that an event reaches; they see it in the next step."""
+    """Flag the agents that an event reaches. They sense the event in the next step."""
     for population in world.populations.values():
         for entry in population.effects.drain("emit"):
             event = entry.request.of
@@ -86,7 +86,7 @@ def raise_events(world: World) -> None:
 
 
 def _notify_receiver(world: World, population: Population, entry: RequestEntry) -> None:
-    """Flag the agent that each emitter names, if it exists and is in reach."""
+    """Flag the receiver that each emitter names, if the receiver exists and is in reach."""
     other = world.populations.get(entry.request.target_species or "")
     if other is None or not len(other) or entry.request.of not in other.raised:
         return
@@ -100,7 +100,7 @@ def _notify_receiver(world: World, population: Population, entry: RequestEntry) 
 
 
 def _flag_in_reach(population: Population, entry: RequestEntry, other: Population, flags: NDArray[np.bool_]) -> None:
-    """Flag agents within the distance of some emitter, by positions at the start of the step. The emitter itself is included."""
+    """Flag the agents within the distance of any emitter, by positions at the start of the step. Emitters are included."""
     within = entry.arg(0)
     own = [population.start[f"position.{axis}"][entry.rows] for axis in AXES]
     theirs = [other.start[f"position.{axis}"] for axis in AXES]
@@ -111,7 +111,8 @@ def _flag_in_reach(population: Population, entry: RequestEntry, other: Populatio
 
 
 def apply_deaths_and_births(world: World) -> None:
-    """Remove the dead, then add the newborn, with ids in order of (parent's species, parent's id, place in the text)."""
+    """Remove dead agents, then add newborn agents. New ids are in the order of (parent's species, parent's id, position in the
+    source)."""
     coming, bereft = _collect_births(world), False
     for population in world.populations.values():
         if dying := population.effects.drain("die"):
@@ -135,8 +136,9 @@ BirthRows = list[tuple[Population, NDArray[np.intp], NDArray[np.float64], Footin
 
 
 def _collect_births(world: World) -> dict[str, BirthRows]:
-    """Return the requested births, by species of the child, in the order in which they get their ids. Parents are read while they
-    live."""
+    """Return the requested births, by species of the child, in the order in which children get their ids.
+
+    Values of parents are read before dead parents are removed."""
     births: dict[str, BirthRows] = {}
     for population in world.populations.values():
         entries = population.effects.drain("spawn")
@@ -172,11 +174,10 @@ def _add_newborn(world: World, population: Population, births: BirthRows) -> NDA
 
 
 def initialise_newborn(world: World, newborn: Mapping[str, NDArray[np.intp]]) -> None:
-    """Run the block `born` to fill the registers of new rows, by species. Their position, up, heading and velocity are already
-    set.
+    """Run the block `born` to fill the registers of new rows, by species. Position, up, heading and velocity are already set.
 
-    Agents born together see each other's position and movement. All their other values are still 0 or none, whatever the order of
-    computation."""
+    Agents born together sense each other's position and movement. All their other values are still 0 or none, independent of
+    the order of computation."""
     world.grids.clear()  # rows have changed
     world.trees.clear()
     world.touching = None
@@ -210,8 +211,9 @@ def _has_birth_fields(population: Population) -> bool:
 
 
 def forget_the_dead(world: World, population: Population, *, between_steps: bool = False) -> None:
-    """Set references to dead agents to none, in registers that the plan marks as ids. `between_steps`: also in the start state of
-    the next step."""
+    """Set references to dead agents to none, in registers that the plan marks as ids.
+
+    With `between_steps`, also change the values at the start of the next step."""
     for register in population.plan.registers.values():
         if register.kind is ir.ValueKind.I64 and register.of in world.populations and register.role != "temp":
             for holder in (population.now, population.start) if between_steps else (population.now,):
@@ -222,7 +224,8 @@ def forget_the_dead(world: World, population: Population, *, between_steps: bool
 
 
 def event_names(world: World) -> tuple[str, ...]:
-    """Return the events that a species may handle or emit, by name; `Emitted.event` is an index into these."""
+    """Return the sorted names of events that a species may handle or emit. The `event` column of emissions is an index into
+    these."""
     plans = [population.plan for population in world.populations.values()]
     names = {name for plan in plans for name in plan.handles}
     for plan in plans:
@@ -232,7 +235,7 @@ def event_names(world: World) -> tuple[str, ...]:
 
 
 def note_emission(world: World, population: Population, rows: NDArray[np.intp], event: str) -> None:
-    """Keep who emitted an event, where it was."""
+    """Record which agents emitted an event, and their positions."""
     if world.emitted is None:
         return
     events, species = event_names(world), sorted(world.populations)
@@ -243,7 +246,8 @@ def note_emission(world: World, population: Population, rows: NDArray[np.intp], 
 
 
 def take_emissions(world: World) -> Arrays:
-    """Return the events emitted since the last call, the columns of `EMIT` by species, id and event. Positions are in mm."""
+    """Return the events emitted since the last call, as the columns of `EMIT`, sorted by species, id and event. Positions are
+    in mm."""
     entries, world.emitted = world.emitted or [], None if world.emitted is None else []
     empty = {column.field: np.empty((0, *column.dimensions()), column.type) for column in EMIT}
     arrays = {name: np.concatenate([none, *(each[name] for each in entries)]) for name, none in empty.items()}

@@ -1,6 +1,6 @@
-"""Level of detail: agents far from the camera sense obstacles as the boxes of their connected pieces, or not at all.
+"""Level of detail: agents far from the camera sense obstacles as bounding boxes of their connected pieces, or not at all.
 
-The level depends only on the agent's position at the start of its step. Obstacles stay impassable for all agents."""
+The level depends only on the agent's position at the start of its step. No agent can pass through obstacles at any level."""
 
 from __future__ import annotations
 
@@ -30,8 +30,9 @@ _BOX_TRIANGLES = np.array(
 
 
 class DetailLevels:
-    """The levels of detail of one world. `counts` int64: the steps so far, and the agents at each of LEVELS, summed over these
-    steps."""
+    """The levels of detail of one world.
+
+    `counts` int64: the number of steps so far, then the number of agents at each of LEVELS, summed over these steps."""
 
     def __init__(self, data: DetailData, origin: NDArray[np.float64], obstacles: Mapping[str, MeshData]) -> None:
         self._camera = np.asarray(data.camera, np.float64).reshape(-1, 3) - origin
@@ -49,17 +50,17 @@ class DetailLevels:
         self._scenes[name] = _boxes_scene(*self._boxes[name])
 
     def observe(self, world: World) -> None:
-        """Count who is at which level as a step begins."""
+        """Count the agents at each level, at the start of a step."""
         self.counts[0] += 1
         self.counts[1:] += self.now(world)
 
     def now(self, world: World) -> NDArray[np.int64]:
-        """How many agents are at each level."""
+        """Return how many agents are at each level."""
         each = [np.bincount(self._cached_levels(world, p)[1], minlength=len(DETAIL_LEVELS)) for p in world.populations.values()]
         return np.sum(each, axis=0, dtype=np.int64) if each else np.zeros(len(DETAIL_LEVELS), np.int64)
 
     def summary(self, world: World) -> dict[str, dict[str, float]]:
-        """Return the number of agents at each level, at the end and as the mean of all steps."""
+        """Return the number of agents at each level: at the end, and as the mean over all steps."""
         steps = max(int(self.counts[0]), 1)
         return {
             "end": {name: int(count) for name, count in zip(DETAIL_LEVELS, self.now(world), strict=True)},
@@ -67,9 +68,10 @@ class DetailLevels:
         }
 
     def find_levels(self, world: World, population: Population, name: str) -> NDArray[np.int8] | None:
-        """Return how each agent senses an obstacle (number of LEVELS, int8[n]), cached for the step; None if it is no obstacle.
+        """Return at which level each agent senses an obstacle (index into LEVELS, int8[n]), or None for other things. Cached
+        for the step.
 
-        An agent inside the box of a piece, for example within the walls of a house, senses its triangles."""
+        An agent inside the box of a piece, for example within the walls of a house, senses the triangles."""
         if name not in self._boxes:
             return None
         key = (population.name, f"~level of {name}", population.version)
@@ -83,11 +85,11 @@ class DetailLevels:
         return felt_levels
 
     def boxes(self, name: str) -> RayScene:
-        """Return the boxes of an obstacle's pieces, which feelers hit instead of the obstacle."""
+        """Return the boxes of an obstacle's pieces as a ray scene, which feelers hit instead of the obstacle."""
         return self._scenes[name]
 
     def clearance(self, world: World, population: Population, name: str) -> NDArray[np.float32]:
-        """Return a distance (mm, float32[n]) within which an agent touches none of these boxes; cached for the step."""
+        """Return a distance (mm, float32[n]) within which an agent touches none of the obstacle's boxes. Cached for the step."""
         key = (population.name, f"~boxes of {name}", population.version)
         distances: NDArray[np.float32] | None = world.clearances.get(key)
         if distances is None:
@@ -96,7 +98,7 @@ class DetailLevels:
         return distances
 
     def _cached_levels(self, world: World, population: Population) -> tuple[NDArray[np.float32], NDArray[np.int8]]:
-        """Return the agents' positions, float32[n,3], and the level of each, cached for the step."""
+        """Return the agents' positions, float32[n,3], and the level of each. Cached for the step."""
         place = _read_positions(population)
         key = (population.name, "~level", population.version)
         levels: NDArray[np.int8] | None = world.clearances.get(key)
@@ -115,7 +117,7 @@ def _read_positions(population: Population) -> NDArray[np.float32]:
 
 
 class MeshPieces:
-    """The connected pieces of a mesh: faces are connected if they share corners, by number or by position."""
+    """The connected pieces of a mesh. Faces are connected if they share a corner, by number or by position."""
 
     def __init__(self, mesh: MeshData) -> None:
         self._used = np.unique(mesh.faces)
@@ -131,7 +133,7 @@ class MeshPieces:
 
 
 def _number_pieces(mesh: MeshData, used: NDArray[np.int32]) -> NDArray[np.int64]:
-    """The number of the piece that each used vertex belongs to."""
+    """Return the number of the piece that each used vertex belongs to."""
     if not len(mesh.faces):
         return np.zeros(0, np.int64)
     points, same = np.unique(mesh.vertices, axis=0, return_inverse=True)
@@ -148,7 +150,7 @@ def _boxes_scene(low: NDArray[np.float32], high: NDArray[np.float32]) -> RayScen
 
 
 def is_in_boxes(place: NDArray[np.float32], low: NDArray[np.float32], high: NDArray[np.float32]) -> NDArray[np.bool_]:
-    """Return which places [n,3] lie in one of the boxes. Most lie in a cell of a coarse grid that no box reaches."""
+    """Return which points [n,3] lie in any of the boxes. A coarse grid excludes most points quickly."""
     is_inside = np.zeros(len(place), np.bool_)
     if not len(place) or not len(low):
         return is_inside

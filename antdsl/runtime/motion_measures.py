@@ -1,4 +1,4 @@
-"""Does it look alive? Measures of motion over a run. Nothing here acts on the agents, and nothing is part of the state."""
+"""Measures of motion over a run: do agents look alive? They do not act on agents, and are not part of the state."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ _BIN_LOOKUP_CELLS = 4096  # of half chords, each of which knows where the bins b
 
 @dataclass(slots=True, eq=False)
 class PathWindow:
-    """Paths of one species since the window began, by id."""
+    """Paths of the agents of one species since the window began, by id."""
 
     ids: Counts
     start: Floats
@@ -63,7 +63,7 @@ class PathWindow:
 
 @dataclass(slots=True, eq=False)
 class MotionMeasures:
-    """Counts so far."""
+    """The counts of a run so far."""
 
     turns: Counts = field(default_factory=lambda: np.zeros(_HISTOGRAM_BINS + 1, np.int64))
     tilts: Counts = field(default_factory=lambda: np.zeros(_HISTOGRAM_BINS + 1, np.int64))
@@ -86,13 +86,13 @@ class MotionMeasures:
     windows: dict[str, PathWindow] = field(default_factory=dict)
 
     def reset(self) -> None:
-        """Restart the measures, for example after a preroll; how the crowd was placed stays known."""
+        """Restart the measures, for example after a preroll. The counts of overlaps at the start (`begin`) stay."""
         fresh = MotionMeasures(placed=self.placed, overlapping=self.overlapping)
         for each in fields(self):
             setattr(self, each.name, getattr(fresh, each.name))
 
     def begin(self, world: World) -> None:
-        """Count the agents that stand inside another, of any species, before any agent moves."""
+        """Count the agents that overlap another agent of any species, before any agent moves."""
         crowds = [population.now for population in world.populations.values()]
         if not crowds:
             return
@@ -103,7 +103,7 @@ class MotionMeasures:
         self.overlapping = int(np.count_nonzero(worst_overlaps(x, y, z, radius[wide]) > _TOUCH_OVERLAP_SHARE))
 
     def arrays(self) -> dict[str, NDArray[Any]]:
-        """All counts by name, for a checkpoint."""
+        """Return all counts, by name, for a checkpoint."""
         self._sum_parts()
         named_arrays = {name: np.array(getattr(self, name)) for name in _COUNTS}
         for species, window in self.windows.items():
@@ -112,7 +112,7 @@ class MotionMeasures:
 
     @classmethod
     def of(cls, arrays: dict[str, NDArray[Any]]) -> MotionMeasures:
-        """Return the measures from the arrays of a checkpoint; missing ones restart."""
+        """Return the measures from the arrays of a checkpoint. Missing measures restart."""
         motion = cls()
         for name in _COUNTS:
             if name in arrays:
@@ -123,7 +123,7 @@ class MotionMeasures:
         return motion
 
     def observe(self, world: World) -> None:
-        """Count one step. Call it after the move, before the ground moves on."""
+        """Count one step. Call this after the phase `move`, before the ground moves on."""
         second = max(1, round(1.0 / world.dt))
         every = second if world.setting.contacts == "off" else 1 + len(world) // _MAX_AGENTS_MEASURED_EACH_STEP
         crowds = [population for population in world.populations.values() if len(population)]
@@ -144,7 +144,7 @@ class MotionMeasures:
             self.straightness += fsum(straight)  # the same in any order of rows
 
     def _run_step(self, population: Population, window: PathWindow, dt: np.float32, steps: int, threads: int) -> Floats:
-        """Add a step to the counts and the paths; return the straightness of the paths that have ended, 0 to 1."""
+        """Add a step to the counts and paths; return the straightness (0 to 1) of the paths that have ended."""
         now, start = _CURRENT_REGISTERS(population.now), _STEP_START_REGISTERS(population.start)
         poses = (now[0:3], now[3:6], now[6:9], start[0:3], start[3:6], start[6:9])
         agents = AgentColumns(*poses, now[9:12], now[12:15], *now[15:])
@@ -167,7 +167,7 @@ class MotionMeasures:
         return parallel.join_parts(counts, window.straight)[0]
 
     def _sum_parts(self) -> None:
-        """Add up the turns and tilts that each part of a kernel has counted in separate rows."""
+        """Add the turns and tilts that the parts of a kernel have counted in separate rows to the totals."""
         for total, rows in zip((self.turns, self.tilts), self.counted, strict=True):
             total += rows.sum(axis=0)
         self.counted.fill(0)
@@ -199,8 +199,8 @@ class MotionMeasures:
         return fresh
 
     def _measure_bodies(self, world: World, with_depths: bool, crowds: list[Population]) -> None:
-        """Measure, in parallel, how far trunks penetrate each other if `with_depths`, and of some crowds how far agents overlap
-        (0 apart, 1 at one position, for the worst neighbour) and which heads are inside the ground."""
+        """Measure penetration depths of trunks (if `with_depths`), and overlaps and heads of `crowds`, in parallel.
+        An overlap is that with the worst neighbour: 0 without, 1 at one position. A head counts if it is inside the ground."""
         looks: list[Callable[[], NDArray[Any]]] = [partial(overlap_depths, world)] if with_depths else []
         for population in crowds:
             now = population.now
@@ -220,8 +220,8 @@ class MotionMeasures:
             self.heads_inside += int(np.count_nonzero(next(results)))
 
     def summary(self) -> dict[str, float]:
-        """turn_p99, tilt_p99, tilt_max (degrees a step), step_max (of the longest step allowed), circling, standing,
-        heads_inside, overlap_start, deep_max (shares), overlap_p99 (0 apart .. 1 in one place), straightness."""
+        """Return turn_p99, tilt_p99, tilt_max (degrees per step), step_max (share of the longest allowed step), straightness,
+        circling, standing, heads_inside, overlap_start, deep_max (shares), overlap_p99 (0: none, 1: at one position)."""
         self._sum_parts()
         return {
             "turn_p99": _percentile(self.turns) * 180.0,
@@ -243,7 +243,7 @@ _WINDOW_COLUMNS = tuple(each.name for each in fields(PathWindow) if each.init)
 
 
 def _degrees(half: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Degrees over a half chord of the unit circle."""
+    """Return the angle (degrees) over half a chord of the unit circle."""
     return np.asarray(np.degrees(2 * np.arcsin(half)))
 
 
@@ -253,10 +253,9 @@ def _bin_of(angle: NDArray[np.float32]) -> Counts:
 
 @cache
 def _bin_table() -> tuple[NDArray[np.float32], Counts]:
-    """Return the bin tables of turns.
-
-    First the least half chord of each bin, float32[bins + 2]; the last is beyond all. Then the bin of the least half chord of
-    each of 4096 cells, int64[cells + 1]. Bins are found by bisection, since a longer chord is a greater angle."""
+    """Return the least half chord of each bin of turns, and the bin of the least half chord of each of 4096 cells.
+    They are float32[bins + 2], the last beyond all half chords, and int64[cells + 1].
+    Bins are found by bisection, because a longer chord is a greater angle."""
     bin_numbers = np.arange(1, _HISTOGRAM_BINS + 1)
     low, high = (np.full(_HISTOGRAM_BINS, np.float32(end).view(np.int32), np.int64) for end in (0.0, 1.0))
     while (low < high).any():  # positive floats are ordered as their bits are
@@ -268,7 +267,7 @@ def _bin_table() -> tuple[NDArray[np.float32], Counts]:
 
 
 def _percentile(counts: NDArray[Any]) -> float:
-    """The 99th percentile of a histogram over 0 .. 1."""
+    """Return the 99th percentile of a histogram over 0 to 1."""
     total = int(counts.sum())
     return float(np.searchsorted(np.cumsum(counts), 0.99 * total)) / _HISTOGRAM_BINS if total else 0.0
 
@@ -285,7 +284,7 @@ def _half_chord(a: VectorColumns, b: VectorColumns, i: I64) -> F32:
 
 @inlined
 def _count_bin(half: F32, least: Array1[F32], first: Array1[I64], bins: Array2[I64], part: I64) -> None:
-    """Count in the last bin that has a least half chord of at most `half`. `first`: the bin to search from, by size."""
+    """Count in the last bin with a least half chord of at most `half`. `first`: the bin at which the search starts, by cell."""
     k = first[np.int64(half * np.float32(4096.0))]
     k += 1 if half >= least[k + 1] else 0  # seldom more, so that what follows is foretold
     while half >= least[k + 1]:
@@ -294,7 +293,7 @@ def _count_bin(half: F32, least: Array1[F32], first: Array1[I64], bins: Array2[I
 
 
 class AgentColumns(NamedTuple):
-    """Agents now and before the step; `fastest` (mm/s) and `size` (mm) of each."""
+    """Poses of agents now and before the step, `fastest`: greatest speed (mm/s), and `size` (mm) of each."""
 
     position: VectorColumns
     heading: VectorColumns
@@ -309,8 +308,7 @@ class AgentColumns(NamedTuple):
 
 
 class PathColumns(NamedTuple):
-    """Positions of agents and where their paths `began` (n, 3), length (mm) and age of the paths, and straightness of those that
-    end."""
+    """Paths of agents: position `place` and start `began` (n, 3) mm, length (mm), age (steps), straightness of ended paths."""
 
     place: Strided2[F64]
     began: Strided2[F64]
@@ -320,8 +318,8 @@ class PathColumns(NamedTuple):
 
 
 class HistogramBins(NamedTuple):
-    """Bins of turns and tilts, one row for each of `several` parts of `count` agents; the `least` half chord of each bin, and the
-    `first` bin to test."""
+    """Histograms of turns and tilts: one row for each of `several` parts of `count` agents.
+    `least`: the least half chord of each bin. `first`: the bin at which a search starts."""
 
     turns: Array2[I64]
     tilts: Array2[I64]
@@ -332,8 +330,8 @@ class HistogramBins(NamedTuple):
 
 
 class MotionLimits(NamedTuple):
-    """Seconds of a step; the least push that counts as a wish; the share of speed below which an agent stands. A path ends after
-    `steps`, and counts if it is `far` body lengths long."""
+    """`dt`: seconds of a step. `wish`: least push that counts as a wish. `still`: share of speed below which an agent stands.
+    A path ends after `steps` steps, and counts if it is at least `far` body lengths long."""
 
     dt: F32
     wish: F32
@@ -343,8 +341,8 @@ class MotionLimits(NamedTuple):
 
 
 class StepCounts(NamedTuple):
-    """The counts of a part: its first agent, and the number of ended paths, with their straightness written from there on. Also
-    the number of standing agents, the greatest half chord of a tilt, and the greatest share of the longest step."""
+    """Counts of a part from agent `begin` on. `ended`: ended paths, with their straightness stored from `begin` on.
+    `standing`: standing agents. `tilted`: greatest half chord of a tilt. `longest`: greatest share of the longest step."""
 
     begin: I64
     ended: I64
@@ -357,7 +355,7 @@ class StepCounts(NamedTuple):
 def _count_step(
     agents: AgentColumns, paths: PathColumns, bins: HistogramBins, meant: MotionLimits, begin: I64, end: I64
 ) -> StepCounts:
-    """Add one step of agents from `begin` to before `end` to the measures."""
+    """Add one step of the agents from `begin` to before `end` to the measures."""
     position, heading, up, position_before, heading_before, up_before, velocity, push, fastest, size = agents
     place, began, path, age, straight = paths
     turns, tilts, several, count, least, first = bins

@@ -1,6 +1,8 @@
-"""The nearest agent of a whole species for each of many agents, by a k-d tree (J. L. Bentley, Multidimensional binary search
-trees, Comm. ACM 18, 1975) instead of measuring all pairs. The tree only gives candidates. Float32 distances, and ids at a tie,
-decide, as where all pairs are measured."""
+"""The nearest agent of a complete species for each of many agents, found with a k-d tree (J. L. Bentley, Multidimensional
+binary search trees, Comm. ACM 18, 1975).
+
+The tree only gives candidates, so that not all pairs are measured. Float32 distances decide, and ids at equal distance, as
+where all pairs are measured."""
 
 from __future__ import annotations
 
@@ -25,9 +27,12 @@ _PAIRS_PER_CHUNK = 1 << 20  # pairs
 
 
 def nearest_of_all(world: World, other: Population, own: tuple[Floats, ...], ids: NDArray[np.int64] | None) -> PairColumns | None:
-    """Return the nearest other of each asking agent. The agents are float32[n] x, y and z mm, with `ids` if they are of the
-    other's species, so that none finds itself. Returns the ascending indices of agents with a result, rows of the others, offsets
-    x, y, z from the asking agent, and distances. Returns None if a position is not finite or its square exceeds float32."""
+    """Return the nearest other of each requesting agent.
+
+    `own`: x, y and z of the requesting agents, float32[n] mm. `ids`: their ids if they are of the other's species, so that
+        none finds itself.
+    The result is: ascending indices of agents with a result, rows of the others, offsets x, y, z from the requesting agent,
+    distances. It is None if a position is not finite or its square exceeds float32."""
     mine, sites = np.stack(own, axis=1).astype(np.float64), _cached_sites(world, other)
     if sites is None or not (np.abs(mine) < _MAX_DISTANCE_MM).all():
         return None
@@ -65,7 +70,7 @@ def nearest_of_all(world: World, other: Population, own: tuple[Floats, ...], ids
 def _nearest_by_measuring(
     other: Population, own: tuple[Floats, ...], ids: NDArray[np.int64] | None, asking: NDArray[np.intp]
 ) -> list[PairColumns]:
-    """Find the nearest of all others for some requesting agents, by measuring all pairs."""
+    """Return the nearest of all others for the agents `asking`, by measuring all pairs."""
     order = other.in_id_order()
     known, place = other.ids.take(order), [other.start[f"position.{axis}"].take(order) for axis in AXES]
     parts, at_once = [], max(1, _PAIRS_PER_CHUNK // len(order))
@@ -83,7 +88,7 @@ def _nearest_by_measuring(
 
 
 def _measure_pairs(other: Population, own: tuple[Floats, ...], i: NDArray[np.intp], j: NDArray[np.intp]) -> PairColumns:
-    """Return the nearest of candidate pairs, one for each requesting agent."""
+    """Return the nearest of the candidate pairs for each requesting agent."""
     dx, dy, dz = (other.start[f"position.{axis}"].take(j) - own[k].take(i) for k, axis in enumerate(AXES))
     distance = np.sqrt((dx * dx + dy * dy) + dz * dz)
     order = np.lexsort((other.ids.take(j), distance, i))
@@ -94,8 +99,11 @@ def _measure_pairs(other: Population, own: tuple[Floats, ...], i: NDArray[np.int
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _AgentSites:
-    """The distinct positions of agents of a species: a k-d `tree`, and the rows of the two least ids at each. The second is -1 if
-    there is only one. It is needed because the requesting agent may be the first."""
+    """The distinct positions of agents of a species.
+
+    `tree`: a k-d tree of the positions.
+    `first`, `second`: the rows of the two least ids at each position; the second is -1 if there is one agent. The second is
+        needed if the first is the requesting agent."""
 
     tree: Any
     first: NDArray[np.intp]
@@ -103,8 +111,8 @@ class _AgentSites:
 
 
 def _cached_sites(world: World, other: Population) -> _AgentSites | None:
-    """Return the positions of a species at the start of the step, cached within the step. None if there are none, or one is not
-    finite or too far out."""
+    """Return the positions of a species at the start of the step, cached for the step. None if there is no agent, or if a
+    position is not finite or too far out."""
     if other.name not in world.trees:
         world.trees[other.name] = _build_sites(other)
     sites: _AgentSites | None = world.trees[other.name]

@@ -1,5 +1,7 @@
-"""The neighbourhood of an agent in the tangent plane of its ground: for the velocity that avoids all neighbours, and for the
-widest gap; and the cell grids that find neighbours."""
+"""The neighbours of an agent in the tangent plane of its ground: the velocity that avoids all of them, and the widest gap
+between them.
+
+Also the cell grids that find neighbours."""
 
 from __future__ import annotations
 
@@ -30,9 +32,10 @@ Rows = NDArray[np.intp]
 def clear_velocity(
     world: World, population: Population, rows: Rows, wish: VectorArrays, within: Floats, horizon: Floats, most: Floats
 ) -> tuple[NDArray[np.float32], ...]:
-    """Return velocities (mm/s, x y z) along the ground, for some agents, nearest to a requested velocity. They avoid, for
-    `horizon` s, the `most` nearest others of any species within `within` mm on the same side of the ground. All agents are taken
-    as at the start of the step."""
+    """Return velocities (mm/s, x y z) along the ground for the given agents, nearest to the velocity `wish`.
+
+    They avoid hits for `horizon` s with the `most` nearest others of any species, within `within` mm on the same side of the
+    ground. All agents are used as they were at the start of the step."""
     crowd, requesters = request_nearest(world, population, rows, within, most)
     a, b, c = wish
     wished = np.ascontiguousarray(a, np.float64), np.ascontiguousarray(b, np.float64), np.ascontiguousarray(c, np.float64)
@@ -43,8 +46,10 @@ def clear_velocity(
 
 
 def widest_gap(world: World, population: Population, rows: Rows, within: Floats, most: Floats) -> tuple[NDArray[np.float32], ...]:
-    """Return unit directions (x y z) along the ground, for some agents, into the widest gap between neighbours. These are the
-    `most` nearest others of any species within `within` mm, on their side of the ground; 0 without any."""
+    """Return unit directions (x y z) along the ground for the given agents, into the widest gap between neighbours.
+
+    Neighbours are the `most` nearest others of any species, within `within` mm on the same side of the ground. Without
+    neighbours the result is 0."""
     crowd, requesters = request_nearest(world, population, rows, within, most)
     shape = len(rows), int(min(np.max(most, initial=0.0, where=most > 0), MAX_QUERY_NEIGHBOURS))
     x, y, is_present, axes = np.zeros(shape), np.zeros(shape), np.zeros(shape, np.bool_), np.empty((6, len(rows)))
@@ -54,7 +59,7 @@ def widest_gap(world: World, population: Population, rows: Rows, within: Floats,
 
 
 def request_nearest(world: World, population: Population, rows: Rows, within: Floats, most: Floats) -> tuple[Crowd, Requesters]:
-    """Return the arguments of a search for the nearest others of some agents."""
+    """Return the arguments of a search for the nearest others of the given agents."""
     widest = float(np.max(within, initial=0.0, where=np.isfinite(within)))
     grid = _find_grid(world, _EVERY_SPECIES, widest if widest > 0 else 1.0, partial(_CrowdGrid, world))
     assert isinstance(grid, _CrowdGrid)
@@ -63,7 +68,7 @@ def request_nearest(world: World, population: Population, rows: Rows, within: Fl
 
 
 class _CrowdGrid(CellGrid):
-    """All agents of a world in cells. `begins`: the first of each species; `crowd`: as kernels read them."""
+    """All agents of a world in cells. `begins`: the first row of each species. `crowd`: the agents as kernels read them."""
 
     def __init__(self, world: World, cell: float) -> None:
         populations, threads = world.populations, world.options.threads
@@ -93,13 +98,13 @@ class _CrowdGrid(CellGrid):
 
 
 def _first_rows(populations: Mapping[str, Population], names: Sequence[str]) -> dict[str, int]:
-    """Return the first row of each species, if the species follow each other in the order of `names`."""
+    """Return the first row of each species in an array that contains the species in the order of `names`."""
     ends = accumulate(len(populations[name]) for name in names)
     return {name: end - len(populations[name]) for name, end in zip(names, ends, strict=True)}
 
 
 def grid_for(world: World, other: Population, widest: float) -> CellGrid:
-    """Return the others in cells that suit a radius."""
+    """Return the agents of a population in cells that suit the radius `widest` (mm)."""
 
     def sort(cell: float) -> CellGrid:
         x, y, z = (other.start[f"position.{axis}"] for axis in AXES)
@@ -109,8 +114,9 @@ def grid_for(world: World, other: Population, widest: float) -> CellGrid:
 
 
 def _find_grid(world: World, name: str, widest: float, sort: Callable[[float], CellGrid]) -> CellGrid:
-    """Return a grid of this step that suits a radius, or sort a new one. Searching wider existing cells costs less than sorting
-    again."""
+    """Return a grid of this step that suits the radius `widest` (mm). If there is none, sort a new one.
+
+    A search with wider existing cells costs less than sorting again."""
     size = float(np.ceil(4 * np.log2(widest)))
     known = [(k, grid) for (of, k), grid in list(world.grids.items()) if of == name and size <= k <= size + _COARSER]
     if known:

@@ -1,4 +1,4 @@
-"""Sets as lists of pairs: the others or items of each requesting row, and reductions over them.
+"""Sets as lists of pairs (requesting row, other agent or item), and reductions over these pairs.
 
 Pairs are sorted by the requesting row. Every reduction gives the same bits for any order within a row."""
 
@@ -34,7 +34,11 @@ MAX_PAIRS_PER_CHUNK = 1 << 22  # of one chunk, where all agents are compared wit
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PairRows:
-    """`i`: index of the requesting row, from 0; `j`: a row of `of`; `dx dy dz`: other minus own, float32 mm, and its length."""
+    """Pairs of a set.
+
+    `of`: the other agents or items. `count`: the number of requesting rows.
+    `i`: index of the requesting row, from 0. `j`: row in `of`.
+    `dx`, `dy`, `dz`: other minus own position, float32 mm. `distance`: the length of that vector."""
 
     of: Population | Items
     count: int  # asking rows
@@ -46,7 +50,7 @@ class PairRows:
     distance: Floats
 
     def select_rows(self, rows: NDArray[np.intp]) -> PairRows:
-        """Return only the pairs of some asking rows, which are numbered from 0."""
+        """Return only the pairs of the given requesting rows, numbered from 0."""
         number = np.full(self.count, -1)
         number[rows] = np.arange(len(rows))
         i = number.take(self.i)
@@ -58,7 +62,7 @@ class PairRows:
 def find_pairs(
     world: World, population: Population, node: ir.PlanNode, rows: Any, args: tuple[Any, ...], threads: int = 1
 ) -> PairRows:
-    """The pairs of a set for some rows (a slice or an array); `args` are the values of the set's operands."""
+    """Return the pairs of a set for the given rows (a slice or an array). `args`: the values of the set's operands."""
     own = tuple(np.ascontiguousarray(population.start[f"position.{axis}"][rows]) for axis in AXES)
     if node.op == "set.items":
         items = world.items[node.attrs[0]]
@@ -92,7 +96,7 @@ def find_pairs(
 
 
 def _radius_advice(other: Population, radius: Any) -> str:
-    """Return advice on too many agents in a radius: more than fit next to each other in it must overlap."""
+    """Return advice for a radius with too many agents: if more agents are in it than fit without overlap, they overlap."""
     widest, body = float(np.max(radius)), float(np.median(other.start["radius"]))
     if 0 < widest < body * np.sqrt(limits.MAX_CANDIDATES_IN_RADIUS):
         return "they stand in each other, so give them more room, or write a smaller radius"
@@ -100,13 +104,15 @@ def _radius_advice(other: Population, radius: Any) -> str:
 
 
 def is_nearest_only(species: ir.SpeciesPlan, node: ir.PlanNode) -> bool:
-    """Return whether a set is a whole species of which only the nearest agent is used: then that one stands for the set."""
+    """Return whether a set is a complete species of which only the nearest agent is used. The set then contains only that
+    agent."""
     return node.op == "set.every" and count_nearest(species, node) == 1
 
 
 @lru_cache(256)
 def count_nearest(species: ir.SpeciesPlan, node: ir.PlanNode) -> int | None:
-    """Return how many of the nearest agents of a set determine all its results; None if more than its nearest is used."""
+    """Return how many nearest agents of a set determine all its results; None if the results need more than the nearest
+    agents."""
     every = required_nodes(n for _, block in blocks(species) for _, statement in statements(block) for n in operands(statement))
     reductions = [each for each in every if each.op.startswith("reduce.") and each.args[0] is node]
     if not reductions or any(each.op != "reduce.agent" or each.args[2].op != "pair.distance" for each in reductions):
@@ -117,7 +123,7 @@ def count_nearest(species: ir.SpeciesPlan, node: ir.PlanNode) -> int | None:
 
 
 def _shorten_radii(other: Population, own: tuple[Floats, ...], ids: NDArray[np.int64] | None, radius: Any, count: int) -> Floats:
-    """Return the radii, reduced to what still reaches the nearest `count` others."""
+    """Return the radii (mm), reduced so that they still reach the nearest `count` others."""
     from scipy.spatial import cKDTree
 
     theirs = np.stack([other.start[f"position.{axis}"] for axis in AXES], axis=1).astype(np.float64)
@@ -130,8 +136,7 @@ def _shorten_radii(other: Population, own: tuple[Floats, ...], ids: NDArray[np.i
 
 
 def _find_request(species: ir.SpeciesPlan, node: ir.PlanNode) -> Span | None:
-    """Return where the species' own text uses a set that a library may define: the smallest part of the text that needs the
-    set."""
+    """Return the smallest part of the species' own source that uses a set. The set itself may be defined in a library."""
     if _is_own_text(node.span):
         return node.span
     for _, block in blocks(species):
@@ -188,7 +193,7 @@ def _all_pairs(other: Population, own: tuple[Floats, ...], ids: NDArray[np.int64
 
 
 def _select_rows(pairs: PairRows, condition: Any) -> tuple[Index, NDArray[np.intp] | None]:
-    """Return the requesting rows of the pairs that count, and the indices of these pairs (None: all)."""
+    """Return the requesting rows of the pairs that satisfy the condition, and the indices of these pairs (None: all)."""
     if np.ndim(condition) == 0:
         return (pairs.i, None) if condition else (pairs.i[:0], np.empty(0, np.intp))
     keep = np.flatnonzero(condition)
@@ -220,7 +225,7 @@ def _starts(i: Index) -> NDArray[np.intp]:
 
 
 def _row_minimum(i: Index, body: Floats, count: int) -> Floats:
-    """The least body of each row, NaN left out; inf for none."""
+    """Return the least `body` of each row, ignoring NaN; inf for rows without pairs."""
     result = np.full(count, np.inf, np.float32)
     if len(i):
         starts = _starts(i)
@@ -239,7 +244,7 @@ def _max(pairs: PairRows, node: ir.PlanNode, condition: Any, body: Any) -> Any:
 
 
 def _first(pairs: PairRows, condition: Any, body: Any, label: NDArray[Any], none: Any) -> Any:
-    """Label of the pair with the least body, the lesser label at a tie."""
+    """Return the label of the pair with the least `body` for each row. Of equal ones, the lesser label is chosen."""
     result = np.full(pairs.count, none)
     i, keep = _select_rows(pairs, condition)
     if not len(i):
@@ -264,7 +269,7 @@ def _item(pairs: PairRows, node: ir.PlanNode, condition: Any, body: Any) -> Any:
 
 
 def _nth(pairs: PairRows, condition: Any, body: Any, number: Any, label: NDArray[Any], none: Any) -> Any:
-    """Label of the pair with the n-th least body, the lesser label before the greater at a tie."""
+    """Return the label of the pair with the n-th least `body` for each row. Equal ones are ordered by label."""
     result = np.full(pairs.count, none)
     i, keep = _select_rows(pairs, condition)
     body, number = _body_values(pairs, body, keep), np.floor(_body_values(pairs, number, keep))
@@ -303,7 +308,7 @@ REDUCTION_FUNCTIONS: Mapping[str, Callable[..., Any]] = {
 
 
 def pair_leaf(pairs: PairRows, node: ir.PlanNode) -> NDArray[Any]:
-    """A value of the other one or of the pair."""
+    """Return a value of the other agent or item, or of the pair."""
     match node.op:
         case "pair.x":
             return pairs.dx

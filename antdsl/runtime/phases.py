@@ -1,7 +1,8 @@
-"""One step: its phases in order, each with the time that passed and that of the processors. The tuple PHASES is the definition
-of the order; the language reference draws it.
+"""One step: its phases in order, each with its wall time and CPU time. PHASES defines the order, and the language reference
+shows it.
 
-Others, items and fields are read as they were when the step began (`start`, `seen`); what is written shows in the next step."""
+Agents, items and fields are read as they were at the start of the step (`start`, `visible_values`). Written values are visible
+in the next step."""
 
 from __future__ import annotations
 
@@ -26,8 +27,10 @@ _SORT_INTERVAL_FRAMES, _MIN_AGENTS_TO_SORT = 16, 2048  # frames, agents
 
 
 def sense(world: World) -> None:
-    """Clear the senses, show the items' amounts, solve flows that are due, and find each agent's cells. Senses are computed when
-    first needed. From here on, `time` and `frame` are those of the new frame."""
+    """Prepare the senses of a step: clear cached values, show the items' amounts, solve flows that are due, find each agent's
+    cells.
+
+    Senses are computed when they are first needed. From this phase on, `time` and `frame` are those of the new frame."""
     world.stepping = True
     world.grids.clear()
     world.trees.clear()
@@ -48,7 +51,7 @@ def sense(world: World) -> None:
 
 
 def decide(world: World) -> None:
-    """Run handlers, latches and transitions: what each agent intends to do."""
+    """Run handlers, latches and transitions, which decide what each agent intends to do."""
     _run_block(world, "decide")
 
 
@@ -58,7 +61,7 @@ def claim(world: World) -> None:
 
 
 def act(world: World) -> None:
-    """Run the actions of transitions, and the body of the new state. Changes are counted before the dead are removed."""
+    """Run the actions of transitions, then the body of the new state. Transitions are counted before dead agents are removed."""
     _run_block(world, "act")
     for population in world.populations.values():
         _count_transitions(world, population)
@@ -67,7 +70,7 @@ def act(world: World) -> None:
 
 
 def blend(world: World) -> None:
-    """Layers: the wishes become one push."""
+    """Run the layers, and combine their wishes into one push for each agent."""
     _run_block(world, "blend")
     faults.gather(world)
 
@@ -80,28 +83,29 @@ def _run_block(world: World, block: str) -> None:
 
 
 def effects(world: World) -> None:
-    """Apply gifts, and what is settled before anything spreads or moves: events for the next step, deposits. Their order does not
-    matter: none reads what another writes."""
+    """Apply gifts, events for the next step and deposits, before fields spread or agents move.
+
+    Their order does not matter, because none reads what another writes."""
     _settle_requests("effects", world)
     claims.settle_gifts(world)
 
 
 def _settle_requests(phase: str, world: World) -> None:
-    """Settle the requests of a phase, by the rows; a function that settles several is called once."""
+    """Settle all requests that a phase is responsible for. A function that settles several kinds is called once."""
     if any([population.effects.requests for population in world.populations.values()]):
         for settle in dict.fromkeys(SETTLER_BY_EFFECT[op] for op in effects_of_phase(phase)):
             settle(world)
 
 
 def fields(world: World) -> None:
-    """Fields spread and fade; then deposits land."""
+    """Advance the fields by one step: they diffuse, evaporate and receive deposits."""
     for name, field in world.fields.items():
         keep, diffusion = world.field_rates[name]
         field.step(float(keep), diffusion, world.dt, world.options.threads)
 
 
 def move(world: World) -> None:
-    """Move all agents along the surfaces, substep by substep; then separate overlapping bodies."""
+    """Move all agents along their surfaces, substep by substep. Overlapping bodies are then separated."""
     with np.errstate(all="ignore"):
         for population in world.populations.values():
             tilting.restore_bodies(population)
@@ -116,7 +120,7 @@ def move(world: World) -> None:
 
 
 def measure(world: World) -> None:
-    """Adds the step to the measures of motion."""
+    """Add the step to the measures of motion."""
     with np.errstate(all="ignore"):
         world.motion.observe(world)
 
@@ -129,7 +133,7 @@ def apply_births(world: World) -> None:
 
 
 def commit(world: World) -> None:
-    """Make what was written in this step the state that agents see in the next."""
+    """Make the values written in this step the state that agents sense in the next step."""
     world.frame, world.stepping = world.display_frame, False
     by_place = (world.frame - world.setting.first_frame - 1) % _SORT_INTERVAL_FRAMES == 0  # after the first step, too
     for population in world.populations.values():
@@ -142,8 +146,10 @@ def commit(world: World) -> None:
 
 
 def _order_by_position(population: Population, threads: int) -> NDArray[np.intp]:
-    """Return rows in order of position, along the curve of G. Morton (1966): neighbours in space are then neighbours in memory.
-    No result depends on it."""
+    """Return rows sorted by position, along the curve of G. Morton (1966), so that neighbours in space are neighbours in
+    memory.
+
+    No result depends on this order."""
     low, high = population.position.min(axis=0), population.position.max(axis=0)
     width = max(float((high - low).max()), 1e-9) / 1023
     return stable_order(morton_codes(((population.position - low) / width).astype(np.uint64), threads))
@@ -197,8 +203,10 @@ _LAST_PHASE = PHASES[-1][0]
 
 
 def step(world: World) -> None:
-    """Advance by one frame. Raises FaultStop after a complete step with a fault, if the options say `stop`. Raises LimitStop in
-    the middle of a step that would exceed the limits."""
+    """Advance a world by one frame.
+
+    Raises FaultStop after a complete step with a fault, if `on_fault` is `stop`. Raises LimitStop in the middle of a step that
+    would exceed the limits."""
     if is_standard():
         _step(world)
         return

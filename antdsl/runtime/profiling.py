@@ -1,5 +1,6 @@
-"""Measures the time of a run by phases, layers of each species and program lines. It is off unless a caller holds a Meter, and no
-result depends on it."""
+"""Measures the time of a run by phase, by layer of each species and by program line.
+
+It is off unless a caller uses a `StepMeter`. No result depends on it."""
 
 from __future__ import annotations
 
@@ -22,7 +23,7 @@ _COMMENT_PATTERN = re.compile(r'("[^"]*")|#.*')
 
 @dataclass(frozen=True, slots=True)
 class LayerTime:
-    """The time of a layer, with everything that was computed for it, in whatever file."""
+    """The time of a layer in ms per frame, with everything that was computed for it, in any file."""
 
     species: str
     span: Span
@@ -31,7 +32,9 @@ class LayerTime:
 
 @dataclass(frozen=True, slots=True)
 class LineTime:
-    """A line and its content. The time of what it calls counts for the lines called. `text` has no indent and no comment."""
+    """The time of a program line in ms per frame. Lines that it calls have their own entries.
+
+    `text`: the line without indentation and comment."""
 
     file: str
     line: int
@@ -41,11 +44,12 @@ class LineTime:
 
 @dataclass(frozen=True, slots=True)
 class StepProfile:
-    """Milliseconds per frame, over `frames` frames: wall time, and for the phases also the CPU time, `worked`.
+    """Milliseconds per frame, over `frames` frames: wall time, and CPU time of the phases in `worked`.
 
-    `lines` begin with the most expensive. They add up to less than the phases, because work for all agents at once (neighbour
-    grids, claims, moving) belongs to no line. `by`: the number of frames of each backend that reports lines. This includes frames
-    that NumPy ran before machine code was ready, which no other value covers. The reference backend reports no lines."""
+    `lines`: the most expensive line first. Their sum is less than that of the phases, because work for all agents together
+        belongs to no line. Examples are neighbour grids, claims and movement.
+    `by`: the number of frames of each backend that reports lines. It includes frames that NumPy ran before machine code was
+        ready; the other values do not. The reference backend reports no lines."""
 
     frames: int = 0
     total: float = 0.0
@@ -58,7 +62,7 @@ class StepProfile:
 
 @dataclass(slots=True)
 class _Measurement:
-    """Seconds of `steps` steps: by phase, and for each call of each block."""
+    """Seconds of `steps` steps, by phase and for each call of each block."""
 
     steps: int
     at: float
@@ -78,10 +82,10 @@ class _Measurement:
 
 
 class StepMeter:
-    """Averages over the frames of the last `seconds`, or over all of them (None).
+    """Averages the times over the frames of the last `seconds`, or over all frames (None).
 
-    Call `begin` before a step and `end` after it; each time the world may be a different one. Measurements of another program are
-    dropped. Those of steps by NumPy are dropped when machine code runs them."""
+    Call `begin` before a step and `end` after it; the world may be another one each time. Measurements of another program are
+    dropped. Measurements of NumPy are dropped once machine code runs the steps."""
 
     def __init__(self, seconds: float | None = 1.0, *, clock: Callable[[], float] = monotonic) -> None:
         self._seconds, self._clock = seconds, clock
@@ -94,7 +98,7 @@ class StepMeter:
         self._before: tuple[dict[str, float], dict[str, float]] = ({}, {})
 
     def begin(self, world: World) -> None:
-        """Measure the step that comes."""
+        """Start to measure the next step."""
         if world is not self._world:
             self.stop()
             self._world = world
@@ -110,7 +114,7 @@ class StepMeter:
             metered.reset()
 
     def end(self, world: World) -> None:
-        """Take in the step that was made."""
+        """Add the completed step to the measurements."""
         if world is not self._world:
             return
         phases, worked = (
@@ -132,13 +136,13 @@ class StepMeter:
             self._measured.popleft()
 
     def stop(self) -> None:
-        """Measure no more; what was measured stays."""
+        """Stop measuring; results stay available."""
         if self._world is not None and isinstance(self._world.backend, NumpyBackend):
             self._world.backend.measure(False)
         self._world = None
 
     def profile(self) -> StepProfile:
-        """Return what was measured; empty before the first step."""
+        """Return the averages so far; an empty profile before the first step."""
         if not self._measured or self._plan is None:
             return StepProfile()
         total = _Measurement(0, 0.0, {}, {}, {})
@@ -156,7 +160,7 @@ class StepMeter:
             yield from zip(self._instructions[key], times, strict=True)
 
     def _layer_times(self, plan: Plan, total: _Measurement, to_ms: float) -> tuple[LayerTime, ...]:
-        """Return all layers in order, also those that no agent reached."""
+        """Return the times of all layers in order, also of layers that no agent reached."""
         layer_times: list[LayerTime] = []
         for name, species in plan.species.items():
             spent = [0.0] * len(species.layers)
@@ -179,8 +183,9 @@ def _layer_time(species: str, layer: LayerPlan, ms: float) -> LayerTime:
 
 
 def _line_times(spent: Iterator[tuple[BlockInstruction, float]], to_ms: float) -> list[LineTime]:
-    """Return the calls by the line in which their text begins. Files are compared by name, because parts of a file are read more
-    than once."""
+    """Return the times by the line in which the text of each call begins.
+
+    Files are identified by name, because parts of a file are read more than once."""
     seconds_by_line: dict[tuple[str, int], float] = {}
     texts: dict[tuple[str, int], str] = {}
     for instruction, seconds in spent:

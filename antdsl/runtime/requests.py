@@ -1,7 +1,7 @@
-"""Requests of the blocks of one step to the rest of the world. A backend fills an `EffectRequests`; the phases apply it
-afterwards.
+"""Requests of the blocks of one step to other parts of the world. A backend fills an `EffectRequests`; the phases apply it
+later.
 
-Every entry holds the rows of one statement in one chunk. Applying them in another order gives the same bits."""
+Every entry contains the rows of one statement in one chunk. Applying entries in another order gives the same bits."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ class ClaimEntry:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class GiveEntry:
-    """`amount` float64: what the agents' own registers have already lost."""
+    """Gifts of agents to items. `amount` float64: the amounts already subtracted from the agents' own registers."""
 
     statement: ir.Give
     item: NDArray[np.int32]
@@ -37,7 +37,7 @@ class GiveEntry:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RequestEntry:
-    """One request of some agents: its operands, each with a value per row, None for an absent one."""
+    """One request of several agents. `args`: its operands, each with a value per row; None for an operand that is absent."""
 
     request: ir.Request
     order: int  # place of the statement in the text of its species
@@ -45,7 +45,7 @@ class RequestEntry:
     args: tuple[NDArray[np.float32] | NDArray[np.int64] | None, ...]  # ids of agents are int64
 
     def arg(self, index: int) -> NDArray[Any]:
-        """An operand that is there."""
+        """Return an operand that must not be absent."""
         value = self.args[index]
         assert value is not None
         return value
@@ -53,7 +53,8 @@ class RequestEntry:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FaultEntry:
-    """A value that is not finite: its location, its agents, and the block (to run it again slowly)."""
+    """Rows with a value that is not finite, its location in the source, and the block (so that the reference can run it
+    again)."""
 
     block: str
     register: str
@@ -72,18 +73,18 @@ class EffectRequests:
 
     @property
     def open(self) -> bool:
-        """Return whether a request, claim or gift still has to be settled."""
+        """Return whether any request, claim or gift is not settled yet."""
         return bool(self.requests or self.claims or self.gives)
 
     def ask(self, entry: RequestEntry) -> None:
         self.requests.setdefault(entry.request.op, []).append(entry)
 
     def drain(self, op: str) -> list[RequestEntry]:
-        """The requests of one op, which are removed."""
+        """Remove and return the requests of one op."""
         return self.requests.pop(op, [])
 
     def extend(self, other: EffectRequests) -> None:
-        """Put another's entries after one's own."""
+        """Append all entries of another object."""
         self.claims += other.claims
         self.gives += other.gives
         self.faults += other.faults

@@ -1,7 +1,7 @@
-"""What an agent can sense of the world: one function per operation of the plan, for any number of rows at once.
+"""The senses of agents: one function per operation of the plan, for any number of rows at once.
 
-Both backends use it for draws, rays, fields, curves, items and other agents; each finds and reduces sets in its own way.
-Arguments are arrays of one length, with the rows, or single values. Results are arrays of that length."""
+Both backends use it for draws, rays, fields, curves, items and other agents. Each backend finds and reduces sets by its own
+method. Arguments are arrays with one entry per row, or single values. Results are arrays with one entry per row."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ _PULL_INSIDE_SHARE = 1e-6  # of the way to the middle of a face
 
 
 def constant(node: ir.PlanNode) -> SenseValue:
-    """A constant as one NumPy scalar."""
+    """Return a constant as a NumPy scalar."""
     match node.op:
         case "const":
             return np.float32(node.attrs[0])
@@ -48,7 +48,7 @@ def constant(node: ir.PlanNode) -> SenseValue:
 
 
 def uniform_leaf(world: World, node: ir.PlanNode) -> SenseValue:
-    """A constant, a param or a value of the run or step, as one NumPy scalar."""
+    """Return a constant, a param or a value of the run or step as a NumPy scalar."""
     if node.rate is ir.UpdateRate.CONST:
         return constant(node)
     match node.op:
@@ -71,7 +71,7 @@ def _row_count(rows: Rows) -> int:
 
 
 def _spread_rows(value: SenseValue, rows: Rows) -> NDArray[Any]:
-    """One value for each row."""
+    """Return an array with one value for each row."""
     return np.full(_row_count(rows), value) if np.ndim(value) == 0 else value
 
 
@@ -170,8 +170,10 @@ def _ray(
 
 
 def _rays(world: World, population: Population, node: ir.PlanNode, rows: Rows, asks: Sequence[FeelerQuery]) -> None:
-    """Compute what feelers of n `rows` touch. Operands: directions (x y z) of any length and the reach, float32[n] each. Results,
-    initially `NO_HIT`: whether they hit, the distance (mm) and the normal (x y z)."""
+    """Compute what the feelers of n `rows` hit.
+
+    Operands: directions (x y z) of any length and the reach (mm), float32[n] each.
+    Results, initially `NO_HIT`: whether the feeler hits, the distance (mm) and the normal (x y z)."""
     name, start = node.attrs[0], population.start
     place = start["position.x"][rows], start["position.y"][rows], start["position.z"][rows]
     clear = cached_clearance(world, population, name)
@@ -190,8 +192,9 @@ def _rays(world: World, population: Population, node: ir.PlanNode, rows: Rows, a
 def _feel_scene(
     scene: Obstacle, columns: Arrays, left: Sequence[tuple[int, NDArray[np.intp]]], asks: Sequence[FeelerQuery], threads: int
 ) -> None:
-    """Do the same for the remaining feelers with a scene, all rays at once. `left` and `columns`: as `Obstacle.felt` returns and
-    takes them."""
+    """Compute what the remaining feelers hit in one scene, with all rays at once.
+
+    `left`, `columns`: the remaining feelers, as `Obstacle.feel_batch` returns and takes them."""
     *place, clear = columns
     row = np.concatenate([rows for _, rows in left])
     ask_numbers = np.repeat([each for each, _ in left], [len(rows) for _, rows in left])
@@ -225,8 +228,9 @@ def _field_value(world: World, population: Population, node: ir.PlanNode, rows: 
 def _field_ahead(
     world: World, population: Population, node: ir.PlanNode, rows: Rows, ahead: SenseValue, turn: SenseValue
 ) -> SenseValue:
-    """Read a field ahead. `turn` is to the left of the heading, which lies along the ground below the feet; `up` is its normal
-    there."""
+    """Return the value of a field ahead of agents. `turn` is to the left of the heading (radians).
+
+    The heading lies along the ground below the feet, and `up` is the normal of that ground."""
     up = vec.columns(population.normal[rows], np.float32)
     heading = vec.take(vec.vector_registers(population.start, "heading"), rows)
     ahead, turn = (_spread_rows(each, rows) for each in (ahead, turn))
@@ -253,9 +257,9 @@ def _field_ahead(
 
 
 def _pull_inside(world: World, moved: GroundMove) -> tuple[Footing, NDArray[np.float64]]:
-    """Return where paths end, moved slightly inside the face if they end at an open border.
+    """Return the ends of paths, moved slightly into the face if a path ends at an open border.
 
-    A border may lie between two cells. Exactly on it, one side of a strip would read its own cells and the other the cells
+    A border may lie between two cells. Exactly on it, one side of a strip would read its own cells and the other side cells
     outside the surface."""
     meshes = world.ground.meshes
     if meshes is None or not moved.blocked.any():
@@ -307,7 +311,7 @@ def _map_value(world: World, population: Population, node: ir.PlanNode, rows: Ro
 
 
 def _noise(world: World, population: Population, node: ir.PlanNode, rows: Rows, *how: SenseValue) -> SenseValue:
-    """Return noise. `how`: scale, seed and period. The position is in the scene's own axes, the time is that of the step."""
+    """Return noise at the agents' positions in the scene's axes, at the time of the step. `how`: scale, seed and period."""
     scale, seed, period = (np.float64(1) * _spread_rows(each, rows) for each in how)
     place = np.stack(_read_positions(world, population, rows)).astype(np.float64) + world.origin[:, None]
     step_time = np.full((1, _row_count(rows)), world.display_frame * world.dt)
@@ -322,7 +326,8 @@ def _row_numbers(rows: Rows) -> NDArray[np.intp]:
 
 
 def _clear_velocity(world: World, population: Population, node: ir.PlanNode, rows: Rows, *how: SenseValue) -> SenseValue:
-    """Return a collision-free velocity. `how`: the wish x y z, `within`, `horizon` and the largest number of others."""
+    """Return a collision-free velocity. `how`: the wish x y z (mm/s), `within` (mm), `horizon` (s) and the largest number of
+    others."""
     which = _row_numbers(rows)
     wx, wy, wz = (_spread_rows(each, rows) for each in how[:3])
     within, horizon, most = (_spread_rows(np.float64(1) * each, rows) for each in how[3:])
@@ -341,7 +346,7 @@ def _clip_value(world: World, population: Population, node: ir.PlanNode, rows: R
 
 
 def _contact(world: World, population: Population, node: ir.PlanNode, rows: Rows, *touched: SenseValue) -> SenseValue:
-    """Return the new contact and the touched ids. `touched`: ids of the agents touched until now."""
+    """Return the new contact and all touched ids. `touched`: the ids of agents touched so far."""
     known = np.stack([np.asarray(_spread_rows(each, rows), np.int64) for each in touched], axis=1)
     contact_ids, known = new_contacts(world, population, node.attrs[0], _row_numbers(rows), known)
     return contact_ids, *(np.ascontiguousarray(ids) for ids in known.T)

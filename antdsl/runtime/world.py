@@ -1,7 +1,7 @@
-"""The only mutable data: agents, items and fields of a running simulation, as arrays.
+"""All mutable data: agents, items and fields of a running simulation, as arrays.
 
-Registers are one array each, float32 unless the plan says otherwise; positions are also stored in float64. `start` holds what all
-agents see of the previous step, `now` what an agent has written in this one."""
+Registers are one array each, float32 unless the plan says otherwise; positions are also stored in float64. `start` has the
+values at the start of the step, which all agents sense. `now` has the values that agents have written in this step."""
 
 from __future__ import annotations
 
@@ -49,11 +49,10 @@ Scalar = TypeVar("Scalar", bound=np.generic)
 
 @dataclass(frozen=True, slots=True)
 class Options:
-    """How to run. No option changes a result; only `on_fault` decides what follows a fault.
-
-    `shuffle_rows`: put the agents into rows in a random order. `chunk`: the number of rows processed at once. `wait_for_code`:
-    with the native backend, the first step waits for machine code, instead of running in NumPy until it is ready. `feet`: where
-    bodies have legs and gaits, the positions of their feet are computed."""
+    """How to run. No option changes a result; only `on_fault` determines what happens after a fault.
+    `chunk`: how many rows are processed at once. `shuffle_rows`: a seed for a random order of rows.
+    `wait_for_code`: the first step of the native backend waits for machine code instead of running in NumPy until it is ready.
+    `feet`: positions of feet are computed for bodies with legs and gaits."""
 
     backend: Literal["numpy", "native", "reference"] = "native"
     chunk: int = 16_384
@@ -66,8 +65,8 @@ class Options:
 
 @dataclass(slots=True, eq=False)
 class Items:
-    """Items of one name. `amounts` float64 are the conserved amounts; `visible_values` float32 is what agents read, as of the
-    step's start."""
+    """Items of one name. `amounts` float64: the conserved amounts.
+    `visible_values` float32: the amounts at the start of the step, which agents sense."""
 
     name: str
     names: tuple[str, ...]
@@ -79,13 +78,13 @@ class Items:
         return len(self.names)
 
     def show(self) -> None:
-        """Make the current amounts visible to agents."""
+        """Copy the current amounts to the values that agents sense."""
         for name, amount in self.amounts.items():
             np.copyto(self.visible_values[name], amount, casting="same_kind")
 
 
 class FixedColumn(Generic[Scalar]):
-    """A typed attribute for the array of a population that has its name in `FIXED`."""
+    """A typed attribute for one array in the `columns` of a population, by its name in `FIXED`."""
 
     def __set_name__(self, owner: type, name: str) -> None:
         self._name = name
@@ -99,7 +98,7 @@ class FixedColumn(Generic[Scalar]):
 
 @dataclass(slots=True, eq=False)
 class Population:
-    """All living agents of one species, one row each; the row is not observable. `columns`: the arrays of `FIXED`."""
+    """All living agents of one species, one row each. Programs cannot observe rows. `columns`: the arrays of `FIXED`."""
 
     ids = FixedColumn[np.int64]()
     born = FixedColumn[np.int64]()
@@ -133,13 +132,13 @@ class Population:
     _temps: tuple[ir.SpeciesPlan, int, dict[str, NDArray[Any]]] | None = None  # of a plan and so many agents, with their zeros
 
     def state_registers(self) -> tuple[str, ...]:
-        """The names of registers that belong to the state, in order."""
+        """Return the names of registers that belong to the state, in order."""
         if self._stated is None or self._stated[0] is not self.plan:
             self._stated = self.plan, tuple(name for name in sorted(self.now) if self.plan.registers[name].role != "temp")
         return self._stated[1]
 
     def clear_temps(self, threads: int = 1) -> None:
-        """Registers of one step begin at their zeros."""
+        """Set registers that exist only within a step to zero."""
         n = len(self)
         if self._temps is None or self._temps[0] is not self.plan or self._temps[1] != n:
             temps = {name: each for name, each in self.plan.registers.items() if each.role == "temp"}
@@ -149,7 +148,7 @@ class Population:
         self._zeros.copy(list(map(self.now.__getitem__, zeros_of)), list(zeros_of.values()), threads)
 
     def get_buffers(self, name: str, count: int, shape: tuple[int, ...], dtype: type[np.generic]) -> tuple[NDArray[Any], ...]:
-        """Return `count` arrays for results of a step, retained for the next step, which overwrites them."""
+        """Return `count` arrays for results of a step. They are reused in the next step, which overwrites them."""
         arrays = self.rooms.get(name)
         if arrays is None or arrays[0].shape != shape:
             arrays = self.rooms[name] = tuple(np.empty(shape, dtype) for _ in range(count))
@@ -163,14 +162,14 @@ class Population:
         return len(self.columns["ids"])
 
     def sorted_ids(self) -> tuple[NDArray[np.int64], NDArray[np.intp]]:
-        """Return ids in ascending order, and their rows. Both arrays are read-only for callers."""
+        """Return ids in ascending order, and their rows. Callers must not write to the arrays."""
         if self._rows is None or self._rows[0] != self.version:
             order = stable_order(self.ids)
             self._rows = (self.version, self.ids[order], order)
         return self._rows[1], self._rows[2]
 
     def rows_of(self, ids: NDArray[np.int64]) -> NDArray[np.intp]:
-        """Rows of ids; -1 for none and for the dead."""
+        """Return the rows of ids; -1 for none and for dead agents."""
         known, order = self.sorted_ids()
         if not len(known):
             return np.full(np.shape(ids), -1, np.intp)
@@ -178,11 +177,11 @@ class Population:
         return np.where(known[at] == ids, order[at], -1)
 
     def in_id_order(self) -> NDArray[np.intp]:
-        """Rows sorted by id."""
+        """Return the rows sorted by id."""
         return self.sorted_ids()[1]
 
     def id_ranks(self) -> NDArray[np.int32]:
-        """The place of each row in the order of ids."""
+        """Return the rank of each row in the order of ids."""
         if self._ranks is None or self._ranks[0] != self.version:
             found = np.empty(len(self), np.int32)
             found[self.in_id_order()] = np.arange(len(self), dtype=np.int32)
@@ -190,24 +189,24 @@ class Population:
         return self._ranks[1]
 
     def nth_id(self, share: NDArray[np.uint64]) -> NDArray[np.int64]:
-        """Return the id of a living agent for each 32-bit random word, evenly distributed; -1 if none lives."""
+        """Return the id of a living agent for each 32-bit random word, evenly distributed; -1 if no agent lives."""
         known, _ = self.sorted_ids()
         if not len(known):
             return np.full(np.shape(share), -1, np.int64)
         return known[((share * np.uint64(len(known))) >> np.uint64(32)).astype(np.intp)]
 
     def vector(self, name: str, *, now: bool = True) -> NDArray[np.float64]:
-        """Three registers as float64 (n, 3)."""
+        """Return the three registers of a vector as float64 (n, 3)."""
         source = self.now if now else self.start
         return np.stack([source[f"{name}.{axis}"] for axis in AXES], axis=1).astype(np.float64)
 
 
 @dataclass(frozen=True, slots=True)
 class OvercrowdedLine:
-    """A line of the scene's crowd (by its number) with a place that has no space for all: `fit` of `count` are clear of all
-    others. `radius`: the least and the greatest (mm). `cover`: the area that all would cover; `area`: the available one (mm²;
-    None: not known). `larger`: for a place with a radius, the radius (mm) with space for all, None if there is none. `sides`:
-    whether all would fit with `by: area`."""
+    """A crowd line (number `group`) of the scene with a place that has no space for all its agents.
+    `fit` of `count` agents are clear of all others. `radius` (mm): least and greatest. `sides`: all would fit with `by: area`.
+    `cover`, `area` (mm²): the area that all agents would cover, and the available area (None: not known).
+    `larger` (mm): for a place with a radius, the radius with space for all; None if there is none."""
 
     group: int
     species: str
@@ -221,24 +220,24 @@ class OvercrowdedLine:
 
 
 class StepBackend(Protocol):
-    """What runs the blocks of a plan; see `backends`."""
+    """The interface of backends, which run the blocks of a plan; see `backends`."""
 
     def begin(self, world: World) -> None:
-        """Begin a step: drop data cached for the last one."""
+        """Begin a step: drop data that was cached for the last step."""
 
     def run(self, world: World, population: Population, block: str, rows: NDArray[np.intp] | None = None) -> None:
-        """Runs a block for some agents, all when None."""
+        """Run a block for some agents (None: all)."""
 
     def messages(self) -> list[str]:
-        """Return sentences for the user about what differs from the request; none of it changes a result."""
+        """Return messages for the user about differences from the requested execution. None of them changes a result."""
 
 
 @dataclass(slots=True, eq=False)
 class World:
     """A bound plan during a run.
 
-    `frame`: the number of the current frame; within a step, of the frame that it began from. `origin` (mm) was subtracted from
-    all positions at binding, so that float32 stays precise far from the scene's zero."""
+    `frame`: the number of the current frame; within a step, of the frame from which the step began.
+    `origin` (mm): subtracted from all positions at binding, so that float32 stays precise far from the scene's zero."""
 
     plan: ir.Plan
     setting: WorldSetting
@@ -285,7 +284,7 @@ class World:
 
     @property
     def display_frame(self) -> int:
-        """Return the frame that current computations belong to: that of the step in progress, else the current one."""
+        """Return the frame that current computations belong to: that of the step in progress, else the current frame."""
         return self.frame + self.stepping
 
     def __len__(self) -> int:
@@ -293,7 +292,7 @@ class World:
 
 
 def stored_registers(plan: ir.SpeciesPlan) -> frozenset[str]:
-    """Registers that some block or phase may change after birth."""
+    """Return the registers that a block or phase may change after birth."""
     names = {*MOVED_REGISTERS, PUSHED_REGISTER}
     pending: list[ir.Block] = [plan.decide, plan.act, plan.blend]
     while pending:
@@ -310,13 +309,13 @@ def stored_registers(plan: ir.SpeciesPlan) -> frozenset[str]:
 
 
 def shares_start(plan: ir.SpeciesPlan, register: str, stored: frozenset[str]) -> bool:
-    """Return whether a register can use one array for the start of a step and for now: it never changes, or only exists in this
-    step."""
+    """Return whether a register needs only one array for the start of a step and for now.
+    This holds if it never changes, or exists only within a step."""
     return register not in stored or plan.registers[register].role == "temp"
 
 
 def empty_population(plan: ir.SpeciesPlan, ground: Ground) -> Population:
-    """A species without agents; `grow` adds rows."""
+    """Return a population without agents; `add_rows` adds agents."""
     now = {name: np.empty(0, DTYPE_BY_KIND[r.kind]) for name, r in plan.registers.items()}
     stored = stored_registers(plan)
     start = {name: array if shares_start(plan, name, stored) else np.empty(0, array.dtype) for name, array in now.items()}
@@ -325,7 +324,7 @@ def empty_population(plan: ir.SpeciesPlan, ground: Ground) -> Population:
 
 
 def fixed_columns(count: int, **known: Any) -> dict[str, NDArray[Any]]:
-    """Return the arrays of `FIXED` for new rows: the `known` ones, and the others at their zeros."""
+    """Return the arrays of `FIXED` for new rows: the `known` ones, and zeros for the others."""
     return {
         name: np.asarray(known[name]) if name in known else np.full((count, *column.dimensions()), column.zero, column.type)
         for name, column in FIXED.items()
@@ -333,14 +332,14 @@ def fixed_columns(count: int, **known: Any) -> dict[str, NDArray[Any]]:
 
 
 def select_rows(population: Population, rows: NDArray[np.intp]) -> None:
-    """Keep these rows, in this order."""
+    """Remove all rows except the given ones, which get this order."""
     _pick_columns(population, rows)
     _remake_registers(population, lambda array, _: padded_rows(array, rows))
 
 
 def publish_state(population: Population, threads: int, rows: NDArray[np.intp] | None = None) -> None:
-    """Make the written state the one that all agents see; with `rows`, a permutation, in another order. Registers stay in their
-    arrays, unless one array serves as both `start` and `now`."""
+    """Make the written state the one that agents sense. With `rows`, a permutation, also reorder the agents.
+    Registers stay in their arrays, unless one array serves as both `start` and `now`."""
     start, now = population.start, population.now
     if rows is not None:
         _pick_columns(population, rows)
@@ -356,7 +355,7 @@ def publish_state(population: Population, threads: int, rows: NDArray[np.intp] |
 
 
 def _pick_columns(population: Population, rows: NDArray[np.intp]) -> None:
-    """Reorder everything but the registers to these rows."""
+    """Reorder all arrays except registers by `rows`."""
     population.reordered = (population.ids, rows)
     for name, array in population.columns.items():
         population.columns[name] = _pick_vectors(array, rows) if name == "position" else array.take(rows, axis=0)
@@ -368,7 +367,7 @@ def _pick_columns(population: Population, rows: NDArray[np.intp]) -> None:
 
 
 def _pick_vectors(vectors: NDArray[Any], rows: NDArray[np.intp]) -> NDArray[Any]:
-    """Rows of vectors (n, 3), each component contiguous."""
+    """Return the given rows of vectors (n, 3), with each component contiguous."""
     picked = np.empty((3, len(rows)), vectors.dtype)
     for component, own in zip(picked, vectors.T, strict=True):
         own.take(rows, out=component, mode="clip")
@@ -392,7 +391,7 @@ def add_rows(population: Population, ids: NDArray[np.int64], frame: int, place: 
 
 
 def _remake_registers(population: Population, change: Callable[[NDArray[Any], str], NDArray[Any]]) -> None:
-    """Change every register array. Registers that share one array for start and now still do so."""
+    """Replace every register array by the result of `change`. Registers that share one array for start and now still share it."""
     for name, array in population.now.items():
         shared = population.start[name] is array
         population.now[name] = change(array, name)

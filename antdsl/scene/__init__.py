@@ -1,8 +1,13 @@
 """A scene: real geometry and numbers for a program. `load.load` reads one.
 
-`document` reads YAML with a location for every value, `inheritance` merges what a scene extends, and `model` gives it types.
-`matching` checks it against a program. `staging` reads its files (`geometry`) and returns the `Setting`: the complete input of
-the run time, in mm, seconds and the scene's own axes. `paths` is the one interface to files that a scene or a program names."""
+`document` reads YAML and stores the location of every value.
+`inheritance` merges the scenes that a scene extends.
+`model` gives the scene types.
+`matching` checks it against a program.
+`staging` reads its files (with `geometry`) and returns the `Setting`.
+`paths` is the only interface to files that a scene or a program names.
+
+The `Setting` is the complete input of the run time, in mm, seconds and the scene's own axes."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Contents of a line of a scene's crowd: species, count, starting places, and an optional walk."""
+"""The contents of one line of a scene's crowd: species, count, starting positions, and an optional walk."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from antdsl.scene.values import (
     word_or_file,
 )
 
-NO_LAYER = "none"  # of the layers of a part, the one that is none
+NO_LAYER = "none"  # stands for no layer of a part
 # Of the library of bodies.
 BodyText = Annotated[str, BeforeValidator(word_or_file(*BODY_WORDS))]
 SpacingValue = Annotated[Quantity | str, BeforeValidator(word_or("even", positive(LENGTH_DIMENSION)))]
@@ -35,7 +35,9 @@ PlacementMethod = Annotated[str, BeforeValidator(one_of("above", "area"))]
 
 
 class UsdPlaces(Part):
-    """Positions from a USD file: the points or empties below a prim, or all empties of a kind (default: the species' name)."""
+    """Positions from a USD file: the points or empties below a prim, or all empties of a kind.
+
+    The default kind is the name of the species."""
 
     usd: FilePath
     prim: SceneWord | None = None
@@ -47,10 +49,17 @@ def _file_or_usd(value: Any) -> str:
 
 
 class Placement(Part):
-    """Where a crowd begins. It is scattered on a surface, at given points, where lines from a point or an item end, or `inside`
-    something. Scattering covers all of the surface, by the `density` that a map paints, or within `radius` of a point or an item
-    (default: the scene's origin). `by`: whether agents are dropped onto it from above or spread over its area, undersides
-    included. `apart`: least distance from each other, or as `even` as space allows. `seed` replaces the scene's."""
+    """The starting positions of a crowd.
+
+    By default, agents are scattered over the surfaces.
+    `on`: the surface to use.
+    `radius`, `around`: scatter only within a radius of a point or an item (default: the scene's origin).
+    `density`: a map that paints the density of agents.
+    `points`: given positions.
+    `inside`: a point or an item; agents start where lines from there first hit a surface.
+    `by`: `above` drops agents onto surfaces, `area` spreads them over the area, undersides included.
+    `apart`: the least distance between agents, or `even`: as large as space allows.
+    `seed`: replaces the scene's seed."""
 
     on: SceneName | None = None
     inside: PointOrName | None = None
@@ -67,8 +76,9 @@ class Placement(Part):
 
 
 class Walk(Part):
-    """A walk that replaces the decisions of agents: along a direction of the scene's axes, at one speed, for a given length; then
-    they stand."""
+    """A walk that replaces the decisions of agents: a direction in the scene's axes, a speed, and a length.
+
+    Agents stand still at the end of the walk."""
 
     direction: tuple[DirectionComponent, DirectionComponent, DirectionComponent]
     speed: PositiveSpeed
@@ -76,7 +86,7 @@ class Walk(Part):
 
 
 class AnyOf(Part):
-    """One of several layers, or `none`, drawn for each agent. A layer that is listed twice is twice as likely."""
+    """A choice of one layer, or `none`, drawn for each agent. A layer that is listed twice is twice as likely."""
 
     any: Annotated[tuple[SceneName, ...], Field(min_length=1, max_length=limits.MAX_WORN_LAYERS)]
 
@@ -89,8 +99,10 @@ WornLayer = Annotated[Annotated[SceneName, Tag("layer")] | Annotated[AnyOf, Tag(
 
 
 class CrowdLine(Part):
-    """Agents of one species. `body`: what pictures draw, a word or a file of an agent definition; by default it depends on the
-    species' name. `wear`: additional layers of the body that they show."""
+    """Agents of one species.
+
+    `body`: the body in pictures, a word or the file of an agent definition; by default it depends on the species' name.
+    `wear`: additional layers of the body that the agents show."""
 
     species: SceneName
     source: FilePath = Field(alias="from")
@@ -101,6 +113,6 @@ class CrowdLine(Part):
     wear: Annotated[tuple[WornLayer, ...], Field(max_length=limits.MAX_WORN_LAYERS)] = ()
 
     def layers(self) -> tuple[tuple[str, ...], ...]:
-        """Return what the agents wear: for each part the layers of which an agent has one, "" for none."""
+        """Return, for each part of `wear`, the layers from which one is drawn per agent. "" means no layer."""
         chosen = (each.any if isinstance(each, AnyOf) else (each,) for each in self.wear)
         return tuple(tuple("" if name == NO_LAYER else name for name in names) for names in chosen)

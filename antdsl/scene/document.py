@@ -1,5 +1,7 @@
-"""Parser from a scene's text to a tree of plain mappings, sequences and scalars, each with its location. It reads YAML without
-tags, anchors, aliases, merges or duplicate keys. Scalars stay text: the schema decides what `no`, `1:30` or `010` mean."""
+"""Parser from a scene's text to a tree of mappings, sequences and scalars, each with its location.
+
+It reads YAML without tags, anchors, aliases, merges or duplicate keys. Scalars stay text. The schema decides what `no`, `1:30` or
+`010` mean."""
 
 from __future__ import annotations
 
@@ -32,7 +34,7 @@ class SequenceNode:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MappingNode:
-    """A mapping. `entries` are in the order of the text; `keys` has the location of each key."""
+    """A mapping. `entries`: the values, in the order of the text; `keys`: the location of each key."""
 
     entries: dict[str, DocumentNode]
     keys: dict[str, Span]
@@ -43,7 +45,7 @@ DocumentNode = ScalarNode | SequenceNode | MappingNode
 
 
 def plain_tree(node: DocumentNode) -> Any:
-    """The tree as dicts, lists and str, for the schema."""
+    """Return the tree as dicts, lists and str, for the schema."""
     if isinstance(node, MappingNode):
         return {key: plain_tree(value) for key, value in node.entries.items()}
     if isinstance(node, SequenceNode):
@@ -52,9 +54,9 @@ def plain_tree(node: DocumentNode) -> Any:
 
 
 def find_span(node: DocumentNode, path: Sequence[PathKey], *, key: bool = False) -> tuple[Span, tuple[PathKey, ...]]:
-    """Return the location of what a path of keys leads to (of its last key if `key`), or of its nearest existing ancestor, and
-    the path up to there.
+    """Return the location of the value at a path of keys, and the part of the path that exists.
 
+    With `key`, return the location of the last key instead. If the value does not exist, its nearest existing ancestor counts.
     Parts of the path that are not in the tree, such as a schema's own tags, are skipped."""
     span, walked = node.span, ()  # type: tuple[Span, tuple[PathKey, ...]]
     for part in path:
@@ -71,7 +73,7 @@ def find_span(node: DocumentNode, path: Sequence[PathKey], *, key: bool = False)
 
 
 class _DocumentRejected(Exception):
-    """Reading cannot continue; the error is already in the report."""
+    """Reading cannot continue. The error is already in the report."""
 
 
 # Characters that look like a blank or like nothing; YAML takes them for letters. Joiners belong to the spelling of words.
@@ -83,8 +85,9 @@ _FORBIDDEN_CHARACTERS = re.compile(
 
 
 def decode(data: bytes, name: str, what: str = "a scene") -> tuple[Source, Report]:
-    """Return a text file's bytes as a Source. A byte order mark is dropped; anything but UTF-8 is an error. `what`: the kind of
-    file, for messages."""
+    """Return the bytes of a text file as a Source, and a report. A byte order mark is dropped; anything but UTF-8 is an error.
+
+    `what`: the kind of file, for messages."""
     report = Report()
     if data[:2] in (b"\xff\xfe", b"\xfe\xff"):
         source = Source(name, "")
@@ -109,7 +112,7 @@ def decode(data: bytes, name: str, what: str = "a scene") -> tuple[Source, Repor
 
 
 def read_document(source: Source) -> tuple[MappingNode | None, Report]:
-    """Return the tree of a scene's text, or None if there is no usable one."""
+    """Return the tree of a scene's text and a report. The tree is None if the text has no usable one."""
     reader = _DocumentReader(source)
     try:
         root = reader.read()
@@ -120,7 +123,7 @@ def read_document(source: Source) -> tuple[MappingNode | None, Report]:
 
 @dataclass(slots=True)
 class _OpenNode:
-    """A mapping or sequence that has not ended yet."""
+    """A mapping or sequence under construction."""
 
     start: int
     mapping: bool
@@ -166,7 +169,7 @@ class _DocumentReader:
         return self.refuse("too-large", f"values are nested more than {limits.MAX_YAML_DEPTH} levels deep", span)
 
     def report_odd_blank(self, match: re.Match[str]) -> None:
-        """Report the first character that looks like a blank and is not one."""
+        """Report the first character that looks like a blank but is none."""
         import unicodedata
 
         character = match[0]
@@ -211,7 +214,7 @@ class _DocumentReader:
         return self.refuse("scene-syntax", f"cannot read the scene here: {words}", place, help, *labels)
 
     def explain_problem(self, problem: Any, start: int) -> Diagnostic | None:
-        """Return a more precise message for a line that is a YAML error, or None."""
+        """Return a more precise message for a YAML error in a line, or None. `start`: the offset of the error."""
         if str(getattr(problem, "context", "")).startswith("while parsing a flow"):
             return None
         start_mark = getattr(problem, "context_mark", None)
@@ -222,8 +225,9 @@ class _DocumentReader:
         return explain_indentation(self.source, start) or explain_missing_colon(self.source, start)
 
     def build_tree(self, yaml: Any, events: Any) -> DocumentNode | None:
-        """Build the tree from the stream of events with an explicit stack, so that depth and size are checked before they become
-        expensive."""
+        """Return the tree built from YAML's stream of events.
+
+        The stack is explicit, so that depth and size are checked before they become expensive."""
         stack: list[_OpenNode] = []
         root: DocumentNode | None = None
         count = documents = 0

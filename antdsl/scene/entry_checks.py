@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 
 class Entry(NamedTuple):
-    """The entry of a thing of the world, and what the program declares under its name."""
+    """The scene's entry for a thing of the world, and the program's declaration of this thing."""
 
     scene: Scene
     program: Program
@@ -33,18 +33,20 @@ class Entry(NamedTuple):
         return self.scene.span("world", self.name, *path, key=key)
 
     def check_file(self, text: str, *path: PathKey) -> None:
-        """Check whether a file that the entry names exists."""
+        """Report an error if a file that the entry names does not exist."""
         check_file(self.scene, self.report, text, "world", self.name, *path)
 
     def report_unknown(self, what: str, known: Iterable[str], *path: PathKey) -> None:
-        """Report a value of the entry that is not among the known names."""
+        """Report a value of the entry that is not one of the `known` names."""
         report_unknown(self.report, self.scene, ("world", self.name, *path), what, known, key=False)
 
 
 def report_unknown(
     report: Report, scene: Scene, path: tuple[PathKey, ...], what: str, known: Iterable[str], *, key: bool = True
 ) -> None:
-    """Report a name that is not among the known ones; with `key`, it is the last key of the path."""
+    """Report a name that is not one of the `known` names.
+
+    `path`: the location of the name. With `key`, the name is the last key of the path, else the value."""
     names = sorted(known)
     name = str(path[-1]) if key else scene.span(*path).text.strip("\"'")
     near = nearest_name(name, names)
@@ -53,7 +55,7 @@ def report_unknown(
 
 
 def check_file(scene: Scene, report: Report, text: str, *path: PathKey) -> None:
-    """Check whether a file, or the files of a sequence, exist."""
+    """Report an error if a file, or a file of a sequence, does not exist."""
     try:
         files = scene.roots.sequence(text).values() if scene.roots.is_sequence(text) else (text,)
         size = max(scene.roots.file_size(file) for file in files)
@@ -65,7 +67,7 @@ def check_file(scene: Scene, report: Report, text: str, *path: PathKey) -> None:
 
 
 def check_attributes(entry: Entry, quantities: Mapping[str, Quantity], known: list[str], *path: PathKey) -> None:
-    """Check values of items' attributes against the program's declarations."""
+    """Report values of items' attributes that do not match the program's declarations."""
     declared = {a.name: a for a in entry.thing.attributes}
     for key, quantity in quantities.items():
         place = ("world", entry.name, *path, key)

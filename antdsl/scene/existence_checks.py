@@ -1,4 +1,6 @@
-"""Whether what a scene and its program name exists: species of the program in the crowd, files of bodies, scenes of specs."""
+"""Checks that the names in a scene and its program refer to existing things.
+
+They cover the species of a crowd, the files of bodies, and the scenes of specs."""
 
 from __future__ import annotations
 
@@ -44,7 +46,7 @@ def bodies(scene: Scene, program: Program, report: Report) -> None:
 
 
 def check_absent_species(scene: Scene, program: Program, report: Report) -> None:
-    """Report species that agents look for, or collide with, but that nothing defines."""
+    """Report species that agents search for, or collide with, but that nothing defines."""
     absent = [name for name, thing in program.world.items() if thing.kind == "species" and name not in program.species]
     if not absent:
         return
@@ -61,7 +63,9 @@ def check_absent_species(scene: Scene, program: Program, report: Report) -> None
 
 
 def check_spec_scenes(program: Program | None, grants: Mapping[str, Path] | None = None) -> Report:
-    """Report scenes that specs name and that do not exist, once for each with all its locations. The files are not read."""
+    """Report scenes that specs name but that do not exist. Each scene is reported once, with all its locations.
+
+    The files are not read."""
     report = Report()
     specs = program.specs if program else ()
     named = (text for spec in specs for text in (spec.scene, spec.against.scene if spec.against else None))

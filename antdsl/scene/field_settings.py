@@ -1,5 +1,7 @@
-"""Settings of fields that a scene, or the person who runs it, gives another value (`set: {trail.half_life: 4 s}`), and whether
-fields work at the scene's frame rate: cells have to follow how fast scent spreads."""
+"""Settings of fields that the scene, or the user who runs it, changes (`set: {trail.half_life: 4 s}`).
+
+This module also checks that fields work at the scene's frame rate: cells must be large enough for the speed at which scent
+spreads."""
 
 from __future__ import annotations
 
@@ -15,7 +17,7 @@ from antdsl.program.types.folding import constant_behind
 from antdsl.scene.load import Scene
 from antdsl.scene.quantities import Quantity
 
-FADE_SETTINGS = ("half_life", "evaporate", "keeps")  # of the ways to fade there is one
+FADE_SETTINGS = ("half_life", "evaporate", "keeps")  # a field has one of these
 _SETTING_DIMENSIONS = {
     "half_life": Dimension(time=1),
     "evaporate": Dimension(time=-1),
@@ -37,7 +39,7 @@ def settable_names(program: Program) -> list[str]:
 
 
 def refusal_help(name: str, value: Quantity) -> str:
-    """Return what to write instead of a value that is an error for a setting; empty if the value is valid."""
+    """Return a help text for an invalid value of a setting: which value to write instead. Empty if the value is valid."""
     word = name.partition(".")[2]
     if word == "keeps" and (value.step != -1 or not 0 <= value.number <= 1):
         return "write a share from `0 %/step` to `100 %/step`"
@@ -62,14 +64,16 @@ def with_field_settings(program: Program, scene: Scene, values: Mapping[str, Qua
 
 
 def with_field_setting(field: Field, word: str, value: Expr) -> Field:
-    """Return a field with another value of one setting. Setting one way to fade removes the others."""
+    """Return a field with another value for one setting. If the setting says how the field fades, other such settings are
+    removed."""
     values: dict[str, Any] = dict.fromkeys(FADE_SETTINGS) if word in FADE_SETTINGS else {}
     return replace(field, **{**values, word: value})
 
 
 def largest_stable_diffusion(cell: float, dt: float) -> float:
-    """Return the largest diffusion (mm²/s) at which values in cells of `cell` mm neither oscillate nor become negative in steps
-    of `dt` s."""
+    """Return the largest stable diffusion (mm²/s) for cells of `cell` mm and steps of `dt` s.
+
+    Above it, values oscillate or become negative."""
     return cell * cell / (4.0 * dt)
 
 

@@ -1,4 +1,5 @@
-"""Finds why a scene's text is not YAML: a line with an indent unlike its neighbours, or without its colon, and what to write.
+"""Explains why a scene's text is not YAML: a line with a wrong indent or without its colon. It also says what to write.
+
 YAML itself only names the place where it could not continue, which is often a line or a word further."""
 
 from __future__ import annotations
@@ -33,7 +34,8 @@ class _Line:
 
 @dataclass(slots=True)
 class _IndentLevel:
-    """Lines at the same level: their indent, whether they are items of a list, the last line, and its remaining text."""
+    """A level of indentation: its indent, whether its lines are items of a list, its last line, and the remaining text of that
+    line."""
 
     indent: int
     dash: bool
@@ -43,15 +45,16 @@ class _IndentLevel:
 
 @dataclass(slots=True)
 class _OddLine:
-    """A line that fits no level, and the level nearest to it."""
+    """A line with an indent that fits no level, and the nearest level."""
 
     line: _Line
     level: _IndentLevel
 
 
 def explain_indentation(source: Source, stop: int) -> Diagnostic | None:
-    """Return the error about the first line, up to the one with `stop`, with an indent that fits none of the lines it could
-    belong to. If shifting the line before it solves the problem instead, the error is about that line."""
+    """Return the error about the first line with a wrong indent, or None. Lines after the offset `stop` are ignored.
+
+    If shifting the previous line solves the problem, the error is about that line."""
     odd = _first_odd(source.text, stop)
     if odd is None:
         return None
@@ -93,7 +96,7 @@ def _first_odd(text: str, stop: int | None = None) -> _OddLine | None:
 
 
 def _enter_line(levels: list[_IndentLevel], line: _Line) -> bool:
-    """Add a line. Returns whether its last key has no value, so that a block may follow."""
+    """Add a line to the levels. Return whether its last key has no value, so that a block may follow."""
     indent, text = line.indent, line.text
     while True:
         dash = text == "-" or text.startswith("- ")
@@ -113,7 +116,7 @@ def _enter_line(levels: list[_IndentLevel], line: _Line) -> bool:
 
 
 def _find_level(levels: list[_IndentLevel], line: _Line, opened: bool) -> _IndentLevel | None:
-    """Return the level to which this line should belong; None if its indent is right."""
+    """Return the level to which a line with a wrong indent should belong. None if its indent is right."""
     if not levels:
         return _IndentLevel(0, line.is_item, None) if line.indent else None
     last = levels[-1]
@@ -126,7 +129,9 @@ def _find_level(levels: list[_IndentLevel], line: _Line, opened: bool) -> _Inden
 
 
 def _shift_line(text: str, line: _Line, shift: int, *, alone: bool = False) -> tuple[int, int, str]:
-    """Shift a line with everything below it: return the range of the text and its replacement."""
+    """Return how to shift a line by `shift` blanks: start and end of the text to replace, and the replacement.
+
+    Lines that belong to it are shifted too, unless `alone`."""
     start = line.start - line.indent
     hangs = not alone and (shift < 0 or line.is_item or line.text.endswith(":"))
     end = _find_block_end(text, line) if hangs else _find_line_end(text, line.start)
@@ -136,7 +141,7 @@ def _shift_line(text: str, line: _Line, shift: int, *, alone: bool = False) -> t
 
 
 def _find_block_end(text: str, line: _Line) -> int:
-    """Return the end of a line with all lines below it that are indented more."""
+    """Return the end of the block that consists of a line and the following lines with a larger indent."""
     last = _find_line_end(text, line.start)
     while last < len(text):
         stop = _find_line_end(text, last + 1)
@@ -159,7 +164,8 @@ def _find_line_end(text: str, start: int) -> int:
 
 
 def _lines(text: str, stop: int) -> Iterator[_Line]:
-    """Yield the non-empty lines up to an offset that do not continue a bracket, a quoted text or a block of text."""
+    """Yield the non-empty lines up to the offset `stop`, without lines that continue a bracket, a quoted text or a block of
+    text."""
     position, depth, quote, block = 0, 0, "", -1
     while position < len(text) and position <= stop:
         end = _find_line_end(text, position)
@@ -179,7 +185,7 @@ def _lines(text: str, stop: int) -> Iterator[_Line]:
 
 
 def _strip_comment(line: str, depth: int, quote: str) -> tuple[str, int, str]:
-    """Return a line without its comment, the number of open brackets at its end, and the open quote."""
+    """Return a line without its comment, the number of brackets open at its end, and the quote open at its end."""
     previous_character = " "
     for place, character in enumerate(line):
         if quote:
@@ -197,8 +203,9 @@ def _strip_comment(line: str, depth: int, quote: str) -> tuple[str, int, str]:
 
 
 def explain_missing_colon(source: Source, start: int) -> Diagnostic | None:
-    """Return the error about a line such as `fps 24` or `fps:24`, at or above an offset, that was read as continuing into the
-    next."""
+    """Return the error about a line with a key but no colon before the value, such as `fps 24` or `fps:24`; None without one.
+
+    YAML reads such a line as continuing into the next. `start`: only lines at or above this offset count."""
     line, _ = source.line_column(start)
     for number in (line, line - 1):
         text = source.line_text(number)
@@ -217,7 +224,7 @@ def explain_missing_colon(source: Source, start: int) -> Diagnostic | None:
 
 
 def _find_line_start(source: Source, line: int) -> int:
-    """Where a line begins, counted from 1."""
+    """Return the offset at which a line begins. Lines count from 1."""
     low, high = 0, len(source.text)
     while low < high:
         middle = (low + high) // 2

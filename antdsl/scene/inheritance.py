@@ -1,5 +1,6 @@
-"""A scene that `extends` another: its own values override those of the other, mapping by mapping. Every value retains its
-location in its source file."""
+"""A scene that `extends` another. Its own values override the values of the other, mapping by mapping.
+
+Every value retains its location in its source file."""
 
 from __future__ import annotations
 
@@ -19,10 +20,10 @@ _UNINHERITED_KEYS = frozenset((EXTENDS_KEY, "antdsl"))  # said by each file for 
 def merge_parents(
     document: MappingNode, name: str, roots: Roots, report: Report, texts: Mapping[Path, bytes] | None = None
 ) -> MappingNode | None:
-    """Return the tree with everything from the scenes that it extends, nearest first; None with errors in the report.
+    """Return a scene's tree merged with all scenes that it extends, nearest first. Return None if the report has errors.
 
-    A scene is searched next to the one that names it, so that the paths of both mean the same. `texts` override files on disk:
-    scenes that are open in an editor."""
+    A scene is searched next to the scene that names it, so that paths in both mean the same.
+    `texts`: contents that override files on disk, for scenes that are open in an editor."""
     scene_names = [name.replace("\\", "/").rsplit("/", 1)[-1]]
     behind = document
     while (node := behind.entries.get(EXTENDS_KEY)) is not None:
@@ -76,7 +77,9 @@ def _read_parent(
 
 
 def _merge(own: MappingNode, other: MappingNode, excluded_keys: frozenset[str] = frozenset()) -> MappingNode:
-    """Merge mappings of both, key by key; anything else of `own` replaces the other's. Keys in `excluded_keys` are not merged."""
+    """Return two mappings merged key by key. Other values in `own` replace those in `other`.
+
+    Keys in `excluded_keys` are not merged."""
     entries: dict[str, DocumentNode] = {key: value for key, value in other.entries.items() if key not in excluded_keys}
     keys: dict[str, Span] = {key: span for key, span in other.keys.items() if key not in excluded_keys}
     for key, value in own.entries.items():

@@ -1,7 +1,7 @@
-"""How a scene gives each kind of thing of the world: one class for each row of `antdsl.program.tables.things`.
+"""The kinds of things of the world in scenes: one class for each row of `antdsl.program.tables.things`.
 
-It lists the forms that a thing may have in the file, checks an entry against the program, and says which data it becomes. No file
-is read here: `staging` does that, with NumPy."""
+A class lists the forms that a thing may have in the file. It checks an entry against the program, and says which data the entry
+becomes. No file is read here: `staging` reads files, with NumPy."""
 
 from __future__ import annotations
 
@@ -26,9 +26,12 @@ _GOALS = ("tangent", "toward", "away", "solved")  # keys that name where a flow 
 
 @dataclass(frozen=True, slots=True)
 class SceneKind:
-    """A kind of thing in scenes. `models`: the forms that it may have. `group`: the mapping of the staging, and of the setting,
-    that has its data. `lacks`: what is missing if the scene has no entry for it. `unseen_keys`: keys of things in pictures that
-    it cannot have."""
+    """A kind of thing in scenes.
+
+    `models`: the forms that a thing may have.
+    `group`: the mapping of the staging and the setting that contains its data.
+    `lacks`: what is missing if the scene has no entry for a thing.
+    `unseen_keys`: keys about pictures that a thing cannot have."""
 
     models: tuple[type, ...]
     group: str
@@ -36,7 +39,7 @@ class SceneKind:
     unseen_keys: tuple[str, ...] = ()
 
     def check(self, entry: Entry, value: Any) -> None:
-        """Report what of an entry does not match the program. Files are not read; they only have to exist."""
+        """Report everything in an entry that does not match the program. Files are not read; they only have to exist."""
         if isinstance(value, forms.ThingModel) and value.names_file:
             entry.check_file(getattr(value, value.head()), value.head())
         if isinstance(value, forms.UsdThing):
@@ -46,7 +49,7 @@ class SceneKind:
             _check_scale(entry, value)
 
     def check_item_keys(self, entry: Entry, value: forms.UsdThing) -> None:
-        """Report settings of a part of a USD file that only apply to items."""
+        """Report keys of a thing from a USD file that are only allowed for items."""
         for key in ("each", "kind", "turn", *self.unseen_keys):
             if key in value.model_fields_set:
                 users = "what is seen" if key in self.unseen_keys else "items"
@@ -54,7 +57,7 @@ class SceneKind:
                 entry.report.error("wrong-kind", words, entry.span(key, key=True), "delete it")
 
     def check_voxel(self, entry: Entry, value: forms.ScaledThing) -> None:
-        """Report voxels of a thing that has none."""
+        """Report the key `voxel` of a thing that is not a solid."""
         if value.voxel is not None:
             words = f"`{entry.name}` is {entry.thing.kind} in the program, and only solids have voxels"
             entry.report.error("wrong-value", words, entry.span("voxel"), f"leave it out, or declare `solid {entry.name}`")
@@ -73,7 +76,7 @@ def _check_scale(entry: Entry, value: forms.ScaledThing) -> None:
 
 
 class Solid(SceneKind):
-    """Closed meshes that become voxels. They do not move."""
+    """Closed meshes that become voxels. They are static."""
 
     def check(self, entry: Entry, value: Any) -> None:
         if value.keys or (isinstance(value, forms.MeshThing) and entry.scene.roots.is_sequence(value.mesh)):
@@ -88,7 +91,7 @@ class Solid(SceneKind):
 
 
 class Items(SceneKind):
-    """Items with entries of their own, or points and empties of a USD file."""
+    """Items with separate entries, or points and empties of a USD file."""
 
     def check(self, entry: Entry, value: Any) -> None:
         if not isinstance(value, dict):
@@ -120,7 +123,7 @@ class Items(SceneKind):
 
 
 def is_file(text: str) -> bool:
-    """Return whether a target is the path of a file and not a name of the world."""
+    """Return whether a target is the path of a file and not the name of a thing."""
     return any(sign in text for sign in "./:")
 
 
@@ -174,7 +177,7 @@ def _check_solved(entry: Entry, thing: forms.SolvedFlow) -> None:
 
 
 def _may_move(scene: Scene) -> bool:
-    """Return whether anything of the world may move, as far as is known without opening files."""
+    """Return whether any thing of the world may move. Files are not opened, so the result may be True for a static thing."""
     things = [each for value in scene.model.world.values() for each in (value.values() if isinstance(value, dict) else (value,))]
     paths = (getattr(each, key, None) for each in things for key in ("mesh", "curve"))
     return any(getattr(each, "keys", None) or hasattr(each, "usd") for each in things) or any("#" in p for p in paths if p)
@@ -189,7 +192,7 @@ def _goal_names(entry: Entry, lines_only: bool) -> list[str]:
 
 
 def find_painted_surface(scene: Scene, surfaces: list[str], thing: forms.PaintedThing) -> str | None:
-    """Return the surface with the paint in its own file."""
+    """Return the surface that has the paint in its own file. None if there is no such surface, or more than one."""
     meshes = {n: scene.model.world.get(n) for n in surfaces}
     own = [n for n, m in meshes.items() if thing.painted in (getattr(m, "mesh", None), getattr(m, "usd", None))]
     return own[0] if len(own) == 1 else None

@@ -1,6 +1,6 @@
-"""The bodies that come with antdsl: their names, the size of each, and the species that each suits.
+"""The bodies that come with antdsl: the name, the size, and the fitting species of each.
 
-They are data: `NAME.json` and `NAME.glb` in `antdsl/bodies/data`, and a row for each in `bodies.json` there."""
+They are data: `NAME.json` and `NAME.glb` in `antdsl/bodies/data`, with a row for each body in `bodies.json`."""
 
 from __future__ import annotations
 
@@ -14,7 +14,9 @@ from antdsl import resources
 class Capsule:
     """The capsule of a trunk, without legs and feelers, in body lengths.
 
-    It is `length` long and `width` wide along the heading. Its middle is `height` above the feet and `ahead` of them."""
+    `length`, `width`: the size along and across the heading.
+    `height`: the height of its centre above the feet.
+    `ahead`: the distance of its centre ahead of the feet."""
 
     length: float
     width: float
@@ -29,5 +31,5 @@ _BODY_BY_SPECIES_WORD = [(word, name) for name, row in _BODY_ROWS.items() for wo
 
 
 def body_for_species(species: str) -> str:
-    """Return the name of the body that suits a species by its name; an ant if no other does."""
+    """Return the name of the body that fits a species, by the name of the species. The default is an ant."""
     return next((name for word, name in _BODY_BY_SPECIES_WORD if word in species.lower()), "ant")

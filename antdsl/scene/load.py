@@ -1,4 +1,4 @@
-"""Reads a scene: bytes, tree, models. Every error has its location in the text and says what to write instead."""
+"""Reader of a scene: from bytes to a tree to models. Every error has its location in the text, and says what to write instead."""
 
 from __future__ import annotations
 
@@ -37,12 +37,12 @@ _MISPLACED_KEY_HELP = {
 }
 
 
-_UNION_TAG_SUFFIXES = ("-thing", "-camera", "-here")  # of the models that a value may be of; no key of a scene ends so
+_UNION_TAG_SUFFIXES = ("-thing", "-camera", "-here")  # of the tags of models in a union; no key of a scene ends with one
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Scene:
-    """A scene as in the source, typed, not yet matched with a program."""
+    """A scene as in the source, with types. It has not been matched with a program."""
 
     model: SceneModel
     document: MappingNode
@@ -50,17 +50,21 @@ class Scene:
     roots: Roots
 
     def span(self, *path: PathKey, key: bool = False) -> Span:
-        """Return the location of a value (or, with `key`, of its key) in the text, or of its nearest existing ancestor."""
+        """Return the location in the text of a value, or of its nearest existing ancestor. With `key`, return the location of its
+        key."""
         return find_span(self.document, path, key=key)[0]
 
     def changed(self, **values: object) -> Scene:
-        """Return the same scene with other values for some keys; None leaves a key unchanged."""
+        """Return the same scene with other values for some keys. None leaves a key unchanged."""
         changes = {name: value for name, value in values.items() if value is not None}
         return replace(self, model=self.model.model_copy(update=changes)) if changes else self
 
     def digest(self) -> str:
-        """Return a digest of everything in the scene that affects results. It leaves out the output and a camera that no level of
-        detail uses. It also leaves out the last frame, so that a cache can be continued past it."""
+        """Return a digest of everything in the scene that affects results.
+
+        It leaves out the output, and a camera that no level of detail uses. It also leaves out the last frame, so that a cache
+        can be
+        continued past it."""
         without = {"output", "frames", "extends"} | ({"camera"} if self.model.lod is None else set())
         relevant_keys = sorted(set(type(self.model).model_fields) - without)
         values = [(name, getattr(self.model, name)) for name in relevant_keys if name != "crowd"]
@@ -69,7 +73,9 @@ class Scene:
 
 
 def load(path: Path, grants: Mapping[str, Path] | None = None) -> tuple[Scene | None, Report]:
-    """Read and type a scene's file. Files that it names are not accessed; they may only be in its own folder and `grants`."""
+    """Read a scene's file and return the typed scene and a report. The scene is None if there are errors.
+
+    Files that the scene names are not accessed. They may only be in the scene's own folder and in `grants`."""
     try:
         data = read_named(path, limits.MAX_SCENE_BYTES)
     except PathRefused as refused:
@@ -80,7 +86,9 @@ def load(path: Path, grants: Mapping[str, Path] | None = None) -> tuple[Scene | 
 
 
 def load_text(data: bytes, name: str, roots: Roots, texts: Mapping[Path, bytes] | None = None) -> tuple[Scene | None, Report]:
-    """As `load`, from the bytes of a file. `texts` override the files of scenes that it extends."""
+    """Return the typed scene from the bytes of a file, and a report, as `load` does.
+
+    `texts`: contents that override the files of scenes that it extends."""
     source, report = decode(data, name)
     if not report.ok:
         return None, report
@@ -112,8 +120,9 @@ _KEYS_WITH_LINES = frozenset(("world", "set", "fields", "layers", "camera", "lod
 
 
 def _find_outdented(document: MappingNode) -> dict[PathKey, Diagnostic]:
-    """Find lines at the left edge that belong below the previous key, which has no value. Returns the error about the first of
-    them, by the keys for which no other error is to be reported."""
+    """Find lines at the left edge that belong below the previous key, which has no value.
+
+    Return the error about the first of these lines, under every key for which no other error is to be reported."""
     from antdsl.scene.model import SceneModel
 
     known = {field.alias or name for name, field in SceneModel.model_fields.items()}
@@ -137,8 +146,10 @@ def _find_outdented(document: MappingNode) -> dict[PathKey, Diagnostic]:
 
 
 def drop_consequences(errors: list[Any]) -> list[Any]:
-    """Return the errors without those that only follow from a misspelled key. Such a key is unknown, and the intended one is
-    missing. Where any key is allowed, its value has the wrong kind instead."""
+    """Return the errors, without errors that only follow from a misspelled key.
+
+    A misspelled key is unknown, and the intended key is missing. Where any key is allowed, the misspelled key's value has the
+    wrong type."""
     missing = {tuple(error["loc"]) for error in errors if error["type"] == "missing"}
     errors_by_path: dict[tuple[PathKey, ...], Any] = {}
     meant: set[tuple[PathKey, ...]] = set()
@@ -238,7 +249,7 @@ def _path_text(path: tuple[PathKey, ...]) -> str:
 
 
 def _allowed_keys(path: tuple[PathKey, ...]) -> list[str]:
-    """The keys that the model at a path knows."""
+    """Return the keys that the model at a path knows."""
     from antdsl.scene import model
     from antdsl.scene.crowd_model import AnyOf
 

@@ -1,7 +1,8 @@
-"""Checks of a scene against a program: each name refers to a thing of the right kind, each value has the right dimension and
+"""Checks of a scene against a program. Each name must refer to a thing of the right kind, each value must have the right
+dimension and
 range.
 
-No mesh is read here; only the existence of files is checked. `CHECKS` lists the comparisons."""
+No mesh is read here; only the existence of files is checked. `CHECKS` lists the checks."""
 
 from __future__ import annotations
 
@@ -26,7 +27,7 @@ from antdsl.scene.quantities import Quantity
 
 
 def match_scene(scene: Scene, program: Program) -> Report:
-    """Return everything that does not match, with its location in the scene."""
+    """Return a report of everything in the scene that does not match the program, with locations."""
     report = Report()
     for check in SCENE_CHECKS:
         check(scene, program, report)
@@ -80,7 +81,7 @@ def _check_crowd(scene: Scene, program: Program, report: Report) -> None:
 
 
 def item_names(scene: Scene) -> dict[str, tuple[str, str]]:
-    """Return the names that `around` accepts, each as (items, item): an item, or items, of which the first counts."""
+    """Return the names that `around` accepts, each as (items, item). For the name of items, the first item counts."""
     names: dict[str, tuple[str, str]] = {}
     for name, value in scene.model.world.items():
         if isinstance(value, dict) and value:
@@ -142,7 +143,7 @@ def _check_params(scene: Scene, program: Program, report: Report) -> None:
 
 
 def check_param(scene: Scene, program: Program, report: Report, name: str, value: Quantity, *path: PathKey) -> None:
-    """Check the value of a param, or of a field's setting, against its declaration: name, dimension, range."""
+    """Report a value of a param or of a field's setting that does not match its declaration: name, dimension, range."""
     dim = field_settings.setting_dimension(program, name)
     if dim is not None:
         advice = field_settings.refusal_help(name, value)
@@ -187,8 +188,9 @@ def _check_fields(scene: Scene, program: Program, report: Report) -> None:
 
 
 def layer_order(scene: Scene, program: Program, species: str) -> tuple[list[str] | None, list[int]]:
-    """Return the texts of a species' layers in the scene's order; or None and the indices of the scene's lines that match no
-    layer or several."""
+    """Return the texts of a species' layers in the scene's order, and the indices of wrong lines.
+
+    A line of the scene is wrong if it matches no layer, or several. With wrong lines or missing layers, the texts are None."""
     layers = list(program.species[species].layers.layers)
     order: list[str] = []
     wrong: list[int] = []

@@ -48,7 +48,7 @@ FILE_HEADS = frozenset(head for head, each in THING_MODELS.items() if each.names
 
 
 def thing_tag(head: str) -> str:
-    """Return the last word of the location of an error in a thing with a head."""
+    """Return the tag of a thing's form with a head. It is the last word in the location of an error."""
     return f"{head}-thing"
 
 
@@ -84,7 +84,10 @@ else:
 
 
 class FieldStart(Part):
-    """Starting values of a field: `start` everywhere, or only within `radius` of a point or an item (default: the origin)."""
+    """Starting values of a field.
+
+    `start`: the value, everywhere, or only within `radius` of a point or an item.
+    `around`: the point or item (default: the origin)."""
 
     start: Annotated[float, BeforeValidator(number(0, 1e9))]
     around: PointOrName | None = None
@@ -114,8 +117,10 @@ def _camera_tag(value: Any) -> str:
 
 
 class LevelOfDetail(Part):
-    """Distances from the camera: up to `near`, feelers hit triangles; up to `far`, the boxes of the pieces of obstacles; beyond
-    it nothing."""
+    """Level of detail by distance from the camera.
+
+    `near`: up to here, feelers hit triangles.
+    `far`: up to here, feelers hit the boxes of the pieces of obstacles. Beyond it, they hit nothing."""
 
     near: PositiveLength
     far: PositiveLength | None = None
@@ -128,7 +133,7 @@ class Output(Part):
 
 
 class StartFrom(Part):
-    """A frame of another cache: its agents, items and fields are the start of this run."""
+    """A frame of another cache. Its agents, items and fields are the start of the run."""
 
     cache: FilePath
     frame: Annotated[int, BeforeValidator(integer(-limits.MAX_FRAMES, limits.MAX_FRAMES * 1000))]
@@ -171,10 +176,10 @@ class SceneModel(Part):
 
     @property
     def unit_mm(self) -> float:
-        """Millimetres in one of the scene's length units."""
+        """Return the scene's unit of length in millimetres."""
         return UNIT_MM[self.units]
 
     @property
     def has_usd_items(self) -> bool:
-        """Return whether items may get their names from a USD file, which is read when the scene is staged."""
+        """Return whether names of items may come from a USD file, which is read only when the scene is staged."""
         return any(isinstance(value, UsdThing) for value in self.world.values())

@@ -1,4 +1,4 @@
-"""Values that override those of the scene: params from the user who runs it, and what a spec sets."""
+"""Values that override values of the scene: params from the user who runs it, and settings of specs."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 
 def read_overrides(scene: Scene, program: Program, params: Mapping[str, str], report: Report) -> Mapping[str, Quantity]:
-    """Return the values of `--set NAME=TEXT`, by name, each checked against the scene and the program."""
+    """Return the values of `--set NAME=TEXT` by name, each checked against the scene and the program."""
     quantities = {}
     for name, text in params.items():
         try:

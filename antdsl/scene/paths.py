@@ -1,6 +1,6 @@
-"""The one interface to files that a scene or a program names: only below the scene's own folder or a granted root.
+"""The only interface to files that a scene or a program names. Files must be below the scene's own folder or a granted root.
 
-A path is checked as text before the disk is accessed. It is then opened component by component without following links."""
+A path is checked as text before the disk is accessed. Then it is opened component by component, without following links."""
 
 from __future__ import annotations
 
@@ -33,7 +33,11 @@ _SEQUENCE_PATTERN = re.compile("([^#]*?)(#{1,9})([^#/]*)")
 
 
 class PathRefused(Exception):
-    """A path that may not be opened. `code`: a diagnostic's code; the text is its message; `help`: what to write instead."""
+    """A path that may not be opened.
+
+    `code`: the diagnostic's code.
+    `help`: what to write instead.
+    The text of the exception is the diagnostic's message."""
 
     def __init__(self, code: str, message: str, help: str | None = None) -> None:
         super().__init__(message)
@@ -42,8 +46,9 @@ class PathRefused(Exception):
 
 @contextmanager
 def record_sought() -> Iterator[RequestedPaths]:
-    """Collect all files requested through this module while the context is active, in order, whether they exist or not. Each
-    comes with the root below which no link is followed, None for a file that the user named."""
+    """Collect all files requested through this module while the context is active, in order, whether they exist or not.
+
+    The result maps each path to the root below which no link is followed. The root is None for a file that the user named."""
     sought_files: RequestedPaths = {}
     token = _requested_paths.set(sought_files)
     try:
@@ -51,19 +56,20 @@ def record_sought() -> Iterator[RequestedPaths]:
     finally:
         _requested_paths.reset(token)
         for path, root in sought_files.items():
-            record_request(path, root)  # who looks from further outside sees them too
+            record_request(path, root)  # an outer context records them too
 
 
 @dataclass(frozen=True, slots=True)
 class Roots:
-    """The allowed sources of files: the folder of the scene, and folders granted by name (`--root assets=PATH`)."""
+    """The folders from which files may be read: the scene's folder, and folders granted by name (`--root assets=PATH`)."""
 
     folder: Path
     granted: Mapping[str, Path] = field(default_factory=dict)
 
     def locate(self, text: str) -> tuple[Path, tuple[str, ...]]:
-        """Return the root and the parts of a path below it. Raises PathRefused if the text names anything else. The disk is not
-        accessed."""
+        """Return the root of a path, and its components below the root. The disk is not accessed.
+
+        Raises PathRefused if the text names anything else."""
         named = GRANTED_PATH_PATTERN.fullmatch(text)
         if named and len(named[1]) > 1:
             name, rest = named[1], named[2]
@@ -78,7 +84,7 @@ class Roots:
         return self.folder, _split_path(text, text)
 
     def path(self, text: str) -> Path:
-        """The full path of a file, judged as text only."""
+        """Return the full path of a file. Only the text is checked."""
         root, parts = self.locate(text)
         return root.joinpath(*parts)
 
@@ -101,7 +107,7 @@ class Roots:
             os.close(handle)
 
     def is_sequence(self, text: str) -> bool:
-        """Return whether `#` in a path stands for frame numbers: if no file has exactly this name."""
+        """Return whether `#` in a path stands for frame numbers. It does not if a file has exactly this name."""
         if "#" not in text:
             return False
         try:
@@ -111,8 +117,9 @@ class Roots:
         return False
 
     def sequence(self, text: str) -> dict[int, str]:
-        """Return the files that a path such as `walls.####.ply` means, by frame: `#` stand for the frame's number, padded with
-        zeros to as many digits. Raises PathRefused if there is none, or if the path is rejected."""
+        """Return, by frame, the files of a path such as `walls.####.ply`. `#` stands for the frame number, padded with zeros.
+
+        Raises PathRefused if there is no such file, or if the path is rejected."""
         named = _SEQUENCE_PATTERN.fullmatch(text)
         if named is None:
             raise _make_refusal(text, "has `#` outside its file name, or in two places", "write `walls.####.ply`")
@@ -130,8 +137,9 @@ class Roots:
 
 
 def read_named(path: Path, cap: int) -> bytes:
-    """Return the bytes of a file that the user named on the command line. Links are followed; anything but a regular file is an
-    error."""
+    """Return the bytes of a file that the user named on the command line, of at most `cap` bytes. Links are followed.
+
+    Anything but a regular file is an error."""
     display_path = str(path)
     record_request(path, None)
     try:
@@ -144,8 +152,9 @@ def read_named(path: Path, cap: int) -> bytes:
 
 
 def reopen(path: Path, root: Path | None) -> int:
-    """Return a handle on a regular file that was requested before; the caller closes it. Below its root no link is followed. It
-    is for callers that check whether the file has changed. Raises OSError if it cannot be opened."""
+    """Open a regular file that was requested before, to check whether it has changed. Return a handle, which the caller closes.
+
+    Below its root, no link is followed. Raises OSError if the file cannot be opened."""
     if root is None:
         return open_regular(path)
     try:
@@ -155,15 +164,16 @@ def reopen(path: Path, root: Path | None) -> int:
 
 
 def record_request(path: Path, root: Path | None) -> None:
-    """Record in an active `record_sought` that a file below a root is requested, or would be if its result were not cached."""
+    """Record a request for a file in an active `record_sought`. Callers with a cached result for the file also call this."""
     sought_files = _requested_paths.get()
     if sought_files is not None:
         sought_files[path] = root
 
 
 def _read_all(handle: int, display_path: str, cap: int) -> bytes:
-    """Return all bytes of an open regular file, and close the handle. More than `cap` bytes are an error, even if the file grows
-    meanwhile."""
+    """Return all bytes of an open regular file, and close the handle.
+
+    More than `cap` bytes are an error, even if the file grows while it is read."""
     try:
         return read_handle(handle, cap)
     except OSError as problem:
@@ -226,7 +236,7 @@ def _check_signs(text: str, rest: str) -> None:
 
 
 def _make_read_refusal(problem: OSError, display_path: str) -> PathRefused:
-    """Why a file that is there is not read."""
+    """Return the error for an existing file that cannot be read."""
     if isinstance(problem, NotRegular):
         return PathRefused("not-a-file", f"`{display_path}` is {problem.kind}", "name a file")
     if isinstance(problem, TooLarge):
@@ -237,8 +247,9 @@ def _make_read_refusal(problem: OSError, display_path: str) -> PathRefused:
 
 
 def _open_below(root: Path, parts: tuple[str, ...], display_path: str) -> int:
-    """Open a file below a root, with no link along the path. Without `dir_fd` (Windows), the resolved path is compared
-    instead."""
+    """Open a file below a root, with no link along the path. Return a handle.
+
+    Without `dir_fd` (Windows), the resolved path is compared instead."""
     if os.open not in os.supports_dir_fd or not hasattr(os, "O_NOFOLLOW"):
         full_path = root.joinpath(*parts)
         if not full_path.resolve().is_relative_to(root.resolve()):
@@ -258,7 +269,7 @@ def _open_below(root: Path, parts: tuple[str, ...], display_path: str) -> int:
 
 
 def _folder_below(root: Path, parts: tuple[str, ...], display_path: str) -> int:
-    """A folder below a root, opened part by part."""
+    """Return a handle to a folder below a root, opened component by component."""
     try:
         opened = [os.open(root, os.O_RDONLY | os.O_DIRECTORY)]
     except OSError:
@@ -276,7 +287,7 @@ def _folder_below(root: Path, parts: tuple[str, ...], display_path: str) -> int:
 
 
 def _names_below(root: Path, parts: tuple[str, ...], display_path: str) -> list[str]:
-    """The names in a folder below a root."""
+    """Return the names in a folder below a root."""
     if os.open not in os.supports_dir_fd or not hasattr(os, "O_NOFOLLOW"):
         full_path = root.joinpath(*parts)
         if not full_path.resolve().is_relative_to(root.resolve()) or not full_path.is_dir():
@@ -290,7 +301,8 @@ def _names_below(root: Path, parts: tuple[str, ...], display_path: str) -> list[
 
 
 def _check_exact_name(folder: int, part: str, display_path: str) -> None:
-    """Raise an error for a name that differs by case from the file's own: only a case-insensitive file system would find it."""
+    """Raise PathRefused for a name that differs from the file's own name by case. Only a case-insensitive file system would find
+    it."""
     if _is_exact(folder, part):
         return
     names = os.listdir(folder)
@@ -303,8 +315,10 @@ def _check_exact_name(folder: int, part: str, display_path: str) -> None:
 
 
 def _is_exact(folder: int, part: str) -> bool:
-    """Return whether a file has exactly this name, without listing a folder that may have thousands. False if that is uncertain:
-    there is none, or the same name exists in the other case too."""
+    """Return whether a file is known to have exactly this name. The folder is not listed, since it may contain thousands of
+    files.
+
+    False means uncertain: the file does not exist, or the name with the other case exists too."""
     other = "".join(c.swapcase() if c.isascii() else c for c in part)
     if other == part:
         return False

@@ -1,5 +1,6 @@
-"""Numbers with units as in a scene: `50 mm`, `20 %/s`, `12`, and ranges of numbers: `-0.25..0.25`, `1001..1240`. Scenes, flags
-and sweeps parse them here, with the language's own table of units."""
+"""Numbers with units in scenes: `50 mm`, `20 %/s`, `12`, and ranges: `-0.25..0.25`, `1001..1240`.
+
+Scenes, flags and sweeps parse them here, with the language's own table of units."""
 
 from __future__ import annotations
 
@@ -18,7 +19,7 @@ _INTEGERS = re.compile(r"(-?[0-9]{1,9})(?:\s*\.\.\s*(-?[0-9]{1,9}))?", re.ASCII)
 
 
 class QuantityError(ValueError):
-    """Why a text is not a quantity, in words that fit after that text. `help`: what to write, if known."""
+    """Reason why a text is not a quantity. The message fits after the text; `help` says what to write, if known."""
 
     def __init__(self, message: str, help: str = "") -> None:
         super().__init__(message)
@@ -27,8 +28,10 @@ class QuantityError(ValueError):
 
 @dataclass(frozen=True, slots=True)
 class Quantity:
-    """`number` in base units (mm, s, g, rad), still to be multiplied by (mm per scene unit) ** u and dt ** step. `unit`: as in
-    the source."""
+    """A number with a dimension.
+
+    `number`: in base units (mm, s, g, rad), to be multiplied by (mm per scene unit) ** u and dt ** step.
+    `unit`: the unit as in the source."""
 
     number: float
     dim: Dimension
@@ -42,16 +45,18 @@ class Quantity:
         return not self.unit
 
     def to_base_units(self, unit_mm: float, dt: float) -> float:
-        """The value in base units."""
+        """Return the value in base units."""
         return float(self.number * unit_mm**self.u * dt**self.step)
 
     def length(self, unit_mm: float) -> float:
-        """Return millimetres; a number without a unit is in scene units. Only for values that were checked to be lengths."""
+        """Return the length in millimetres. A number without a unit is in scene units.
+
+        The dimension is not checked: the value must be a length."""
         return float(self.number * unit_mm if self.is_bare else self.number * unit_mm**self.u)
 
 
 def parse_number(text: str) -> float:
-    """A decimal number; BadQuantity says why not."""
+    """Return a decimal number. Raises QuantityError with the reason if the text is not one."""
     text = text.strip()
     _refuse_comma(text)
     if not _NUMBER_PATTERN.fullmatch(text):
@@ -65,7 +70,7 @@ def parse_number(text: str) -> float:
 
 
 def split_quantity(text: str) -> tuple[str, str]:
-    """Return the number of a text such as `30 mm/s`, and the unit behind it, which is not checked. Raises QuantityError with the
+    """Return the number and the unit of a text such as `30 mm/s`. The unit is not checked. Raises QuantityError with the
     reason."""
     text = text.strip()
     _refuse_comma(text)
@@ -108,7 +113,7 @@ def parse_quantity(text: str) -> Quantity:
 
 
 def _refuse_comma(text: str) -> None:
-    """Report `0,4mm`, the notation of many countries, with the same message as for a program."""
+    """Raise QuantityError for `0,4mm`, the notation of many countries, with the same message as for a program."""
     match = COMMA_NUMBER_PATTERN.match(text.lstrip("+-"))
     if match is not None:
         start = len(text) - len(text.lstrip("+-"))

@@ -1,4 +1,4 @@
-"""What a bound scene passes to the runtime: geometry, things, crowds and numbers, all in mm, seconds and the scene's own axes.
+"""The inputs of the run time from a scene: geometry, things, crowds and numbers, in mm, seconds and the scene's own axes.
 
 They are plain frozen values, independent of readers, so that a test can write them by hand."""
 
@@ -33,7 +33,7 @@ class MeshData:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SolidData:
-    """A closed mesh that is solid inside, and the edge (mm) of the voxels that it becomes."""
+    """A closed mesh that is solid inside. `voxel`: the edge (mm) of the voxels that it becomes."""
 
     mesh: MeshData
     voxel: float
@@ -41,7 +41,7 @@ class SolidData:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PaintedValues:
-    """Numbers (n,) or vectors (n, 3) without unit on the vertices of a surface, or on its faces."""
+    """Numbers (n,) or vectors (n, 3) without unit, on the vertices or on the faces of a surface."""
 
     surface: str
     values: NDArray[np.float64]
@@ -50,9 +50,12 @@ class PaintedValues:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FlowTarget:
-    """The target of a flow: positions (n, 3) in mm with their radii (n,); or, with `line`, a polyline through them.
+    """The target of a flow. It may move.
 
-    `of`: the name of their curve or items; `which`: the index of a single item. They may move."""
+    `positions` (n, 3): in mm; `radii` (n,): in mm.
+    `line`: whether the target is the polyline through the positions.
+    `of`: the name of the curve or items.
+    `which`: the index of a single item; None for all."""
 
     positions: NDArray[np.float64]
     radii: NDArray[np.float64]
@@ -63,10 +66,15 @@ class FlowTarget:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SpreadFlow:
-    """A flow around a target: along it (a line), towards it, or away from it. It decreases with distance and is 0 beyond `radius`
-    mm. With `gather`, a flow along a line also leads onto it; `gather` is the ratio of the two parts at the radius.
+    """A flow around a target. It decreases with the distance.
 
-    `cell`: distance (mm) of the points where it is computed; default: a share of the radius. `on`: surfaces; empty: all."""
+    `direction`: along the target (a line), towards it, or away from it.
+    `radius`: the distance in mm beyond which the flow is 0; None for no limit.
+    `gather`: above 0, a flow along a line also leads onto it. At the radius, this is the ratio of the part onto the line to the
+        part
+    along it.
+    `cell`: the distance (mm) of the points where it is computed; None for a share of the radius.
+    `on`: the surfaces; empty for all."""
 
     direction: Literal["tangent", "toward", "away"]
     target: FlowTarget
@@ -80,7 +88,7 @@ class SpreadFlow:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BorderFlow:
-    """A flow inward from the open borders of `on`, up to a distance of `within` mm."""
+    """A flow inward from the open borders of the surfaces `on`, up to a distance of `within` mm."""
 
     on: tuple[str, ...]
     within: float
@@ -91,8 +99,15 @@ class BorderFlow:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SolvedFlow:
-    """The cheapest path to a target. A mm costs 1 + slope · sin + 8 (1 - d / room)² at d mm from an obstacle + maps · their
-    values + crowding · share of ground covered by agents. Crowds and moving things are updated every `every` s."""
+    """A flow along the cheapest path to a target. The cost of a millimetre is the sum of these terms:
+
+    1
+    slope · sine of the ground's slope
+    8 (1 - d / clearance)², at a distance of d mm from an obstacle
+    the values of the maps, each times its factor in `maps`
+    crowding · share of the ground covered by agents
+
+    Crowds and moving things are measured again every `every` s."""
 
     target: FlowTarget
     slope: float = 0.0
@@ -110,7 +125,7 @@ FlowData = PaintedValues | SpreadFlow | BorderFlow | SolvedFlow
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ItemData:
-    """One item. `attributes` in base units; absent ones have the declared default."""
+    """One item. `attributes`: in base units; absent attributes have the declared default."""
 
     name: str
     position: PointMm
@@ -120,19 +135,21 @@ class ItemData:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PlaceData:
-    """Where a crowd starts.
+    """The starting positions of a crowd. The first of these that is set applies:
 
-    `points` (n, 3): one per agent, in order; after the last they repeat. Without points: a disc of `radius` mm around `around`,
-    dropped along the scene's up onto the surfaces. Else: where lines from `inside` in all directions first hit a surface, on that
-    side. Else: evenly over the surfaces, or with the density of the map `density`. `on` limits this to some surfaces (empty:
-    all).
+    `points` (n, 3): one per agent, in order, repeated after the last.
+    `radius`: a disc of `radius` mm around `around`, dropped along the scene's up onto the surfaces.
+    `inside`: where lines from this point in all directions first hit a surface, on the side of the point.
+    Otherwise: evenly over the surfaces, or with the density of the map `density`.
 
-    With `by_area`, agents stand on the front of faces of any direction, `radius` is that of a ball, and `points` move to the
-    nearest surface point. `spacing`: the least distance (mm) of centres; inf: as large as there is room for all that start there
-    with the same setting. `seed`: for the positions, instead of the setting's.
-
-    `ahead` (n, 3): the unit vector of the heading at each point, nan for a drawn heading. `values` (n,): attributes of the agent
-    at each point that override its species, by name, in base units, nan for the species' value."""
+    `on`: the surfaces; empty for all.
+    `by_area`: agents stand on the front of faces of any direction. `radius` is then that of a ball, and `points` move to the
+        nearest
+    surface point.
+    `spacing`: the least distance (mm) of centres; inf: as large as the space allows for all that start with equal settings.
+    `seed`: for the positions; None for the setting's seed.
+    `ahead` (n, 3): the unit vector of the heading at each point; nan for a random heading.
+    `values` (n,): by name, attributes of the agent at each point, in base units; nan for the species' value."""
 
     on: tuple[str, ...] = ()
     around: PointMm | None = None
@@ -149,8 +166,11 @@ class PlaceData:
 
 @dataclass(frozen=True, slots=True)
 class WalkData:
-    """A walk of agents: a unit vector along which they start, projected onto the ground; the speed in mm/s; and the length in
-    mm."""
+    """A walk of agents.
+
+    `direction`: a unit vector, projected onto the ground at the start.
+    `speed`: in mm/s.
+    `length`: in mm."""
 
     direction: PointMm
     speed: float
@@ -159,9 +179,12 @@ class WalkData:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CrowdData:
-    """`count` agents of one species. `group`: the index of this line of the scene, from 0. Agents with a `walk` do not sense or
-    decide. `body`: the name of their body; empty: the one that suits the species' name. `wears`: for each displayed part of their
-    body, the layers from which one is drawn, "" for none."""
+    """`count` agents of one species.
+
+    `group`: the index of this line of the scene, from 0.
+    `walk`: agents with a walk do not sense or decide.
+    `body`: the name of the body; empty for the body that fits the species' name.
+    `wears`: for each displayed part of the body, the layers from which one is drawn; "" means none."""
 
     species: str
     count: int
@@ -174,8 +197,12 @@ class CrowdData:
 
 @dataclass(frozen=True, slots=True)
 class ClipData:
-    """A clip of a body: its duration in `seconds`, the distance it covers in one turn, in body lengths (0: it stays in place),
-    whether it loops, and its marks in turns, by name."""
+    """A clip of a body.
+
+    `seconds`: its duration.
+    `stride`: the distance covered in one turn, in body lengths; 0 if the clip stays in place.
+    `loop`: whether it loops.
+    `marks`: by name, in turns."""
 
     seconds: float = 1.0
     stride: float = 0.0
@@ -185,8 +212,11 @@ class ClipData:
 
 @dataclass(frozen=True, slots=True)
 class RoomData:
-    """The space that a body takes, in body lengths: a capsule `length` long and `width` wide along the heading. Its middle is
-    `height` above the feet and `ahead` of them."""
+    """The space that a body takes, as a capsule, in body lengths.
+
+    `length`, `width`: the size along and across the heading.
+    `height`: the height of its centre above the feet.
+    `ahead`: the distance of its centre ahead of the feet."""
 
     length: float
     width: float
@@ -196,7 +226,7 @@ class RoomData:
 
 @dataclass(frozen=True, slots=True)
 class GaitData:
-    """A gait in body lengths and seconds, as `bodies.agents.legs.Gait`: `phases` has one number for each leg."""
+    """A gait in body lengths and seconds, as `bodies.agents.legs.Gait`. `phases`: one number per leg."""
 
     speed: float
     stride: float
@@ -207,11 +237,13 @@ class GaitData:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LegsData:
-    """The L legs of a body in its standing pose, in body lengths: x along the heading, y up from the ground, z to the side (x ×
-    y).
+    """The L legs of a body in its standing pose, in body lengths.
 
-    `foot` float64[L,3]: the foot joints; `hip` float64[L,3]: where legs begin; `length` float64[L]: the reach of a straight leg
-    from hip to foot joint. `gaits` go from slow to fast; there is at least one."""
+    Axes: x along the heading, y up from the ground, z to the side (x × y).
+    `foot` float64[L, 3]: the foot joints.
+    `hip` float64[L, 3]: where legs begin.
+    `length` float64[L]: the reach of a straight leg from hip to foot joint.
+    `gaits`: from slow to fast, at least one."""
 
     foot: NDArray[np.float64]
     hip: NDArray[np.float64]
@@ -221,7 +253,7 @@ class LegsData:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FieldStart:
-    """A field's value at the first frame: everywhere, or only within `radius` mm of `around`."""
+    """A field's value at the first frame, everywhere, or only within `radius` mm of `around`."""
 
     value: float
     around: PointMm | None = None
@@ -230,8 +262,10 @@ class FieldStart:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CameraData:
-    """A camera over the written frames, one row per frame or a single one: positions and directions in mm and the scene's axes,
-    the focal length in mm for a sensor 36 mm wide."""
+    """A camera over the written frames: one row per frame, or a single row for a static camera.
+
+    Positions are in mm, directions in the scene's axes.
+    `focal`: the focal length in mm for a sensor 36 mm wide."""
 
     at: NDArray[np.float64]
     look_at: NDArray[np.float64]
@@ -241,8 +275,11 @@ class CameraData:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DetailData:
-    """Level of detail by distance (mm) from a camera: up to `near`, feelers hit triangles; up to `far`, boxes; beyond it nothing.
-    `camera` float64 (frames, 3): its position at each frame from `first` on; the end values hold outside."""
+    """Level of detail by distance (mm) from a camera.
+
+    `near`: up to here, feelers hit triangles.
+    `far`: up to here, feelers hit boxes. Beyond it, they hit nothing.
+    `camera` float64 (frames, 3): its position at each frame from `first` on. The first and last positions hold outside."""
 
     camera: NDArray[np.float64]
     near: float
@@ -252,20 +289,26 @@ class DetailData:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class WorldSetting:
-    """Everything that binding a plan needs.
+    """Everything that binding a plan needs. Meshes, items and curves are at their positions of the first simulated frame.
 
-    `unit_mm`: the length of `u`; `up`: a unit vector; `params`: by qualified name (`forager.smell`), absent ones have their
-    default; `first_frame`: the number of the first simulated frame. Meshes, items and curves are at their positions of that
-    frame; `moves` has their motion. `camera`: one from a file.
-
-    With `by_rays`, agents find meshes by two rays per step and do not walk over triangles. `orient`: what bodies stand
-    perpendicular to: the ground's smooth `normal`, the last two directions of motion (`turns`), or the directions to two
-    `probes`. `deviations`: the largest distance (mm) of the triangles of height surfaces from bilinear patches. `contacts`: how
-    bodies are separated.
-
-    `clips`: of the body of each species, by name; `rooms`: the sizes of bodies from files; `legs`: of bodies with gaits.
-    `unseen`: things that are not drawn, on which no foot stands. `imports`: by mesh, the report on its file. `spans`: where the
-    scene defines each thing of the world."""
+    `unit_mm`: the length of `u` in mm.
+    `up`: a unit vector.
+    `params`: by qualified name (`forager.smell`); absent params have their default.
+    `first_frame`: the number of the first simulated frame.
+    `moves`: the motion of meshes, items and curves.
+    `camera`: a camera from a file.
+    `by_rays`: agents find meshes by two rays per step and do not walk over triangles.
+    `orient`: bodies stand perpendicular to the ground's smooth `normal`, to the last two directions of motion (`turns`), or to
+        the
+    directions to two `probes`.
+    `deviations`: the largest distance (mm) of the triangles of height surfaces from bilinear patches.
+    `contacts`: how bodies are separated.
+    `clips`: the clips of each species' body, by name.
+    `rooms`: the sizes of bodies from files.
+    `legs`: the legs of bodies with gaits.
+    `unseen`: things that are not drawn, on which no foot stands.
+    `imports`: by mesh, the import report of its file.
+    `spans`: where the scene defines each thing of the world."""
 
     fps: Fraction = Fraction(24)
     substeps: int = 1
@@ -299,12 +342,12 @@ class WorldSetting:
 
     @property
     def dt(self) -> float:
-        """Seconds a step."""
+        """Return the duration of a step in seconds."""
         return self.fps.denominator / self.fps.numerator  # queried many times a step: a Fraction takes ten times as long
 
     @property
     def initial_attributes(self) -> dict[str, frozenset[str]]:
-        """Return, by species, the attributes that the places of its crowds set at birth."""
+        """Return, by species, the attributes that the starting positions of its crowds set at birth."""
         attributes: dict[str, frozenset[str]] = {}
         for crowd in self.crowds:
             attributes[crowd.species] = attributes.get(crowd.species, frozenset()) | crowd.place.values.keys()
@@ -312,7 +355,9 @@ class WorldSetting:
 
 
 def world_origin(setting: WorldSetting) -> NDArray[np.float64]:
-    """The point (3), in mm, that positions are relative to: the middle of the world in whole metres, or 0 near the zero point."""
+    """Return the point (3,) in mm that positions are relative to.
+
+    It is the middle of the world in whole metres, or 0 if the world is near the zero point."""
     meshes = setting.surfaces or {name: solid.mesh for name, solid in setting.solids.items()}
     meshes = meshes or setting.obstacles  # one more stone moves nothing
     point_sets = [m.vertices for m in meshes.values() if len(m.vertices)]

@@ -1,4 +1,4 @@
-"""The forms that a thing of the world has in a `scene.yaml`: a pydantic model for each."""
+"""The forms that a thing of the world can have in a `scene.yaml`, each as a pydantic model."""
 
 from __future__ import annotations
 
@@ -34,23 +34,24 @@ Look = Annotated[str, BeforeValidator(one_of(*LOOKS))]  # of things in pictures
 
 
 class ThingModel(Part):
-    """One form of a thing of the world. The first field of each form is its `head`, the key that says which form it is.
-    `names_file`: the head's value is the path of the thing's own file."""
+    """One form of a thing of the world. Its first field is the `head`, the key that identifies the form.
+
+    `names_file`: whether the value of the head is the path of the thing's own file."""
 
     names_file: ClassVar[bool] = False
 
     @classmethod
     def head(cls) -> str:
-        """Return the key that says which form it is."""
+        """Return the key that identifies the form."""
         return next(iter(cls.__annotations__))
 
 
 class MeshThing(ThingModel):
-    """A mesh file (`####` in its name: one per frame), transformed into the scene. It is scaled, its `up` becomes the scene's, it
-    is rotated about x, then y, then z, and moved to `at`.
+    """A mesh file, transformed into the scene. `####` in its name means one file per frame.
 
-    `group`: only the faces of that group or object of an .obj file, or only what is at and below that node of glTF. `weld`:
-    vertices nearer to each other than this are merged."""
+    It is scaled, its `up` becomes the scene's, it is rotated about x, then y, then z, and moved to `at`.
+    `group`: only this group or object of an .obj file, or only this node of a glTF file with all below it.
+    `weld`: vertices nearer to each other than this are merged."""
 
     names_file = True
 
@@ -68,19 +69,23 @@ class MeshThing(ThingModel):
 
     @property
     def own_units(self) -> str | None:
-        """Return the unit of the file format, if its specification defines one."""
+        """Return the unit of length that the file format specifies; None if it specifies none."""
         return "m" if self.mesh.lower().endswith((".gltf", ".glb")) else None
 
     @property
     def own_up(self) -> str | None:
-        """Return the file's up axis, if the scene or its format defines one."""
+        """Return the file's up axis, as the scene or the format defines it; None if neither does."""
         return self.up or ("y" if self.own_units else None)
 
 
 class HeightThing(ThingModel):
-    """A surface of heights: a 16-bit grey image (.png, .tif), or an array of an .npz file (`array`, if it has several; `layer`,
-    if it has three dimensions). `extent`: its size along x and the other level axis, centred at its own origin. A sample of 1 is
-    `scale` high, and all are raised by `offset`."""
+    """A surface of heights: a 16-bit grey image (.png, .tif), or an array of an .npz file.
+
+    `array`: the name of the array, if the file has several.
+    `layer`: the first index, if the array has three dimensions.
+    `extent`: the size along x and the other horizontal axis, centred at the surface's own origin.
+    `scale`: the height of a sample of 1.
+    `offset`: added to all heights."""
 
     names_file = True
 
@@ -97,7 +102,8 @@ class HeightThing(ThingModel):
 
 
 class UsdEach(Part):
-    """Defaults for items from the points of a USD file where the file has no value: a radius, and values of attributes."""
+    """Defaults for items from points of a USD file: a radius, and values of attributes. They apply where the file has no
+    value."""
 
     model_config = ConfigDict(extra="allow", frozen=True, arbitrary_types_allowed=True, hide_input_in_errors=True)
     __pydantic_extra__: dict[str, AnyQuantity] = Field(init=False)
@@ -106,9 +112,12 @@ class UsdEach(Part):
 
 
 class UsdThing(ThingModel):
-    """Contents at and below a prim of a USD file: meshes, one curve, or points. Units, axes, positions and time are the file's;
-    `scale`, `rotate`, `at` and `keys` are applied after them. Items may be all empties of a `kind` below the prim. The prim
-    defaults to the whole file, `kind` to the items' own name. `turn`: attributes that receive the direction they face."""
+    """The contents of a USD file at and below a prim: meshes, one curve, or points.
+
+    Units, axes, positions and time come from the file. Then `scale`, `rotate`, `at` and `keys` are applied.
+    `prim`: by default, the complete file.
+    `kind`: items may be all empties of this kind below the prim; by default, the name of the items.
+    `turn`: the attributes that receive the direction of the empties."""
 
     names_file = True
 
@@ -128,7 +137,7 @@ class UsdThing(ThingModel):
 
     @property
     def path(self) -> str:
-        """Return the path of the prim; the whole file if none is named."""
+        """Return the path of the prim, or `/`, the complete file, if the scene names none."""
         return "/" if self.prim is None else self.prim
 
 
@@ -137,7 +146,7 @@ PlacedThing = ScaledThing | HeightThing
 
 
 class CurveThing(ThingModel):
-    """A polyline from a JSON file of points (`####` in its name: one per frame)."""
+    """A polyline from a JSON file of points. `####` in its name means one file per frame."""
 
     names_file = True
 
@@ -153,14 +162,17 @@ Falloff = Annotated[str, BeforeValidator(one_of("none", "linear", "smooth"))]
 
 
 class FlowThing(ThingModel):
-    """What all flows have: the surface they are on (all if none is named), and a factor, which reverses them below 0."""
+    """The fields of all flows.
+
+    `on`: the surface of the flow; by default, all surfaces.
+    `strength`: a factor; below 0 it reverses the flow."""
 
     on: SceneName | None = None
     strength: Strength = 1.0
 
 
 class SpreadFlow(FlowThing):
-    """A flow that decreases with the distance from its source: zero beyond `radius`, constant without one."""
+    """A flow that decreases with the distance from its target. It is 0 beyond `radius`; without a radius, it is constant."""
 
     radius: PositiveLength | None = None
     falloff: Falloff = "smooth"
@@ -168,8 +180,10 @@ class SpreadFlow(FlowThing):
 
 
 class TangentFlow(SpreadFlow):
-    """A flow along a curve in the direction in which it was drawn: a curve of the world, or a JSON file of points. With `gather`
-    it also leads onto the curve: at the radius as much as it leads along."""
+    """A flow along a curve, in the direction in which the curve was drawn. The curve is in the world or in a JSON file of points.
+
+    `gather`: above 0, the flow also leads onto the curve. At the radius, this is the ratio of the part onto the curve to the part
+        along it."""
 
     tangent: FilePath
     gather: Annotated[float, BeforeValidator(number(0, 10))] = 0.0
@@ -183,19 +197,19 @@ Target = Annotated[Annotated[PointValue, Tag("point")] | Annotated[FilePath, Tag
 
 
 class TowardFlow(SpreadFlow):
-    """Toward a curve, an item, the nearest of some items, or a point."""
+    """A flow toward a curve, an item, the nearest of some items, or a point."""
 
     toward: Target
 
 
 class AwayFlow(SpreadFlow):
-    """Away from a curve, an item, the nearest of some items, or a point."""
+    """A flow away from a curve, an item, the nearest of some items, or a point."""
 
     away: Target
 
 
 class BorderFlow(FlowThing):
-    """Inward from the open borders of a surface, where they are nearer than `within`."""
+    """A flow inward from the open borders of a surface, within the distance `within` of a border."""
 
     border: SceneName
     within: PositiveLength
@@ -204,9 +218,12 @@ class BorderFlow(FlowThing):
 
 
 class SolvedFlow(FlowThing):
-    """The cheapest path over the surfaces to a target. A millimetre costs 1, plus `slope` (times the sine of the slope), plus a
-    cost within `room` of an obstacle. `maps` add their values times their factors. `crowding` is multiplied by the share of
-    ground covered by agents, which is measured again at the interval `every`."""
+    """A flow along the cheapest path over the surfaces to a target. A millimetre costs 1, plus the following terms.
+
+    `slope`: times the sine of the ground's slope.
+    `room`: a cost within this distance of an obstacle.
+    `maps`: the values of maps, each times its factor.
+    `crowding`: times the share of the ground covered by agents, measured again at the interval `every`."""
 
     solved: Target
     slope: Annotated[float, BeforeValidator(number(0, 1e6))] = 0.0
@@ -218,8 +235,9 @@ class SolvedFlow(FlowThing):
 
 
 class PaintedThing(ThingModel):
-    """Vectors (of a flow) or numbers (of a map) painted on the vertices or faces of a surface: attributes of a .ply file, or an
-    array of an .npz file, in the order of that surface's own file."""
+    """Vectors of a flow or numbers of a map, painted on the vertices or faces of a surface.
+
+    They are attributes of a .ply file, or an array of an .npz file. Their order is that of the surface's own file."""
 
     names_file = True
 
@@ -230,8 +248,9 @@ class PaintedThing(ThingModel):
 
 
 class ItemThing(Part):
-    """One item: its position (with `on`, dropped along the scene's up onto a surface), its size, and the values of its attributes
-    (any further key)."""
+    """One item: its position, its size, and the values of its attributes (any further key).
+
+    `on`: a surface onto which the item is dropped along the scene's up."""
 
     model_config = ConfigDict(extra="allow", frozen=True, arbitrary_types_allowed=True, hide_input_in_errors=True)
     __pydantic_extra__: dict[str, AnyQuantity] = Field(init=False)
@@ -244,12 +263,12 @@ class ItemThing(Part):
 
 
 def angles(thing: PlacedThing) -> tuple[float, float, float]:
-    """The rotation of a thing about x, then y, then z, in radians."""
+    """Return the rotation of a thing about x, then y, then z, in radians."""
     x, y, z = (angle.number for angle in thing.rotate) if thing.rotate else (0.0, 0.0, 0.0)
     return x, y, z
 
 
 def millimetres(point: PointValue | None, unit_mm: float) -> tuple[float, float, float]:
-    """A point of the scene in millimetres; the origin if there is none."""
+    """Return a point of the scene in millimetres; the origin for None."""
     x, y, z = (part.length(unit_mm) for part in point) if point else (0.0, 0.0, 0.0)
     return x, y, z

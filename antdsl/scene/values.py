@@ -1,7 +1,8 @@
-"""The kinds of scalar that a scene has, as pydantic types over text: whole numbers, quantities, lengths, rates of frames,
-names; and mappings that several models share: points, and places at frames.
+"""The kinds of scalar in a scene, as pydantic types over text: integers, quantities, lengths, frame rates, names.
 
-Each turns text into a value by one exact routine, or refuses with a code, words and what to write instead."""
+It also has the mappings that several models share: points, and positions at frames. Each type converts a text to a value by one
+exact
+routine. Otherwise it raises an error with a code, a message, and what to write instead."""
 
 from __future__ import annotations
 
@@ -26,7 +27,7 @@ LENGTH_DIMENSION, ANGLE_DIMENSION, TIME_DIMENSION, SPEED_DIMENSION = (
     Dimension(time=1),
     Dimension(length=1, time=-1),
 )
-# The largest magnitude of each, in base units; what lies beyond overflows where it is squared, or has no digits left.
+# The largest magnitudes, in base units. Larger values would overflow when squared, or lose all digits.
 LARGEST_BY_DIMENSION = {
     LENGTH_DIMENSION: limits.MAX_SCENE_LENGTH,
     ANGLE_DIMENSION: limits.MAX_SCENE_ANGLE,
@@ -37,7 +38,7 @@ BASE_UNIT_BY_DIMENSION = {LENGTH_DIMENSION: "mm", ANGLE_DIMENSION: "rad", TIME_D
 
 
 def make_error(message: str, help: str = "", **context: Any) -> PydanticCustomError:
-    """Return an error with its message unchanged, including braces. `context`: what else its report needs."""
+    """Return an error with its message unchanged, including braces. `context`: further data for its report."""
     return PydanticCustomError("worded", "{words}", {"words": message, "help": help, **context})
 
 
@@ -56,7 +57,7 @@ def _require_text(value: Any, expected: str) -> str:
 
 
 def integer(low: int, high: int) -> Callable[[Any], int]:
-    """Return a parser for a whole number in decimal digits between two bounds."""
+    """Return a parser for an integer in decimal digits, from `low` to `high`."""
 
     def read(value: Any) -> int:
         text = _require_text(value, "a whole number")
@@ -80,7 +81,7 @@ def _parse_quantity_value(value: Any) -> Quantity:
 
 
 def _limit_quantity(quantity: Quantity, largest: float, unit: str = "") -> Quantity:
-    """Return the same quantity. An error if it is larger than a scene may have."""
+    """Return the quantity unchanged. Raises an error if it is larger than `largest`."""
     if abs(quantity.number) > largest:
         raise make_error(f"{_describe(quantity.text)} is too large", f"write a number from {-largest:g} to {largest:g}{unit}")
     return quantity
@@ -101,7 +102,7 @@ def quantity_of(dim: Dimension) -> Callable[[Any], Quantity]:
 
 
 def positive(dim: Dimension) -> Callable[[Any], Quantity]:
-    """As `quantity_of`, and above zero."""
+    """Return a parser for quantities of one dimension that are above zero."""
     inner = quantity_of(dim)
 
     def read(value: Any) -> Quantity:
@@ -118,7 +119,7 @@ def positive(dim: Dimension) -> Callable[[Any], Quantity]:
 
 
 def number(low: float, high: float) -> Callable[[Any], float]:
-    """A plain decimal number between two bounds."""
+    """Return a parser for a plain decimal number from `low` to `high`."""
 
     def read(value: Any) -> float:
         text = _require_text(value, "a number")
@@ -141,7 +142,7 @@ def _check_name(value: Any) -> str:
 
 
 def one_of(*words: str) -> Callable[[Any], str]:
-    """One word of a closed list."""
+    """Return a parser for one of `words`."""
 
     def read(value: Any) -> str:
         from antdsl.diagnostics.suggestion import nearest_name
@@ -175,7 +176,7 @@ def _parse_fps(value: Any) -> Fraction:
 
 
 class FrameRange(NamedTuple):
-    """First and last frame, both included."""
+    """A first and a last frame, both included."""
 
     first: int
     last: int
@@ -186,7 +187,7 @@ _OTHER_RANGE_PATTERN = re.compile(r"\[?\s*(-?[0-9]{1,9})\s*(?:-|–|—|…|\.{3
 
 
 def parse_frames(text: str) -> FrameRange:
-    """Parse `1001..1720` or one frame. Raises QuantityError with the reason."""
+    """Return the frames of a text such as `1001..1720`, or of one frame. Raises QuantityError with the reason."""
     try:
         first, last = parse_integer_range(text)
     except QuantityError:
@@ -218,7 +219,7 @@ def _check_path(value: Any) -> str:
 
 
 def word_or_file(*words: str) -> Callable[[Any], str]:
-    """Return a parser for one word of a closed list, or the path of a file, which has a dot or a slash."""
+    """Return a parser for one of `words`, or for the path of a file, which has a dot or a slash."""
 
     def read(value: Any) -> str:
         text = _require_text(value, "a word, or the path of a file,")
@@ -250,7 +251,7 @@ Length = Annotated[Quantity, BeforeValidator(quantity_of(LENGTH_DIMENSION))]
 
 
 def word_or(word: str, other: Callable[[Any], Quantity]) -> Callable[[Any], Quantity | str]:
-    """One word, or a quantity."""
+    """Return a parser for `word`, or for a quantity."""
     return lambda value: word if str(value) == word else other(value)
 
 
@@ -266,7 +267,7 @@ PointValue = tuple[Length, Length, Length]
 
 
 class Part(BaseModel):
-    """A mapping of the scene. Keys that are not listed are errors."""
+    """A mapping of a scene. Unknown keys are errors."""
 
     model_config = ConfigDict(
         extra="forbid", frozen=True, populate_by_name=False, arbitrary_types_allowed=True, hide_input_in_errors=True
@@ -274,7 +275,8 @@ class Part(BaseModel):
 
 
 class PlaceKey(Part):
-    """The position of a thing at one frame. It moves linearly between keys, and rests before the first and after the last."""
+    """The position of a thing at one frame. It changes linearly between keys, and is constant before the first and after the
+    last."""
 
     at: PointValue | None = None
     rotate: tuple[Angle, Angle, Angle] | None = None

@@ -1,8 +1,8 @@
 """Agents in the order of the cells of a grid, by a counting sort in parallel chunks.
 
-The sort counts the agents of each cell, adds these numbers up from the first cell on, and puts each agent at its position (D. E.
-Knuth, The Art of Computer Programming 3, 5.2). Each thread counts and puts one chunk of the agents. Chunks follow each other in a
-cell, so the order is that of one thread."""
+The sort counts the agents of each cell. Running sums of the counts give the first position of each cell, and each agent goes
+to the next position of its cell (D. E. Knuth, The Art of Computer Programming 3, 5.2). Each thread processes one chunk of
+agents. Within a cell, chunks follow each other, so the order is the same as with one thread."""
 
 from __future__ import annotations
 
@@ -39,8 +39,10 @@ NO_ORDER = np.empty(0, np.int64)
 
 @dataclass(frozen=True, slots=True)
 class Shape:
-    """The cells of a box. Lists go by the fast, middle and slow axis: the longest, the second and the shortest. Low corner and
-    width in mm."""
+    """The cells of a box. Lists are in the order of the fast, middle and slow axis: the longest, the second and the shortest.
+
+    `axes`: the three axes. `low`: the low corner (mm). `extent`: the size of the box (mm).
+    `width`: the size of a cell (mm). `size`: the number of cells."""
 
     axes: tuple[int, ...]
     low: list[float]
@@ -50,7 +52,7 @@ class Shape:
 
     @classmethod
     def of(cls, low: list[float], high: list[float], cell: float) -> Shape:
-        """Return the cells of a box between two corners, for queries with radius `cell`."""
+        """Return the cells of the box between two corners (mm), for queries with radius `cell` (mm)."""
         x, y, z = high[0] - low[0], high[1] - low[1], high[2] - low[2]
         axes: tuple[int, ...] = (0, 1, 2)
         extent = [x, y, z]
@@ -70,12 +72,12 @@ class Shape:
 
     @property
     def inverse(self) -> tuple[float, float, float]:
-        """Cells in a millimetre along the three axes."""
+        """Return the number of cells per millimetre along the three axes."""
         a, b, c = self.width
         return 1 / a, 1 / b, 1 / c
 
     def has_cell_table(self, agents: int) -> bool:
-        """Return whether the cells are few enough for a table of them, for a number of agents."""
+        """Return whether the number of cells is small enough for a table of all cells, given the number of agents."""
         return self.cell_count <= max(1 << 16, 16 * agents)
 
     def as_sheet(self) -> Shape:
@@ -83,8 +85,10 @@ class Shape:
         return Shape(self.axes, self.low, self.extent, [*self.width[:2], 2 * self.extent[2]], [*self.size[:2], 1])
 
     def is_sheet(self, positions: Positions) -> bool:
-        """Return whether a crowd at these positions (float32[n] mm), as on ground, has so few agents or layers above each other
-        that they need no separate cells. In a widely scattered crowd, columns may share a number."""
+        """Return whether a crowd at these positions (float32[n] mm) needs no separate cells along the shortest axis.
+
+        This holds if few agents, or few layers of cells, lie above each other, as on ground. In a widely scattered crowd,
+        several columns may share a number."""
         if not self.extent[2] > 0:
             return False  # one layer of cells already
         occupied = np.zeros((2, max(1 << 16, 64 * len(positions[0]))), np.bool_)
@@ -92,7 +96,7 @@ class Shape:
 
 
 def reorder_axes(axes: tuple[int, ...], positions: tuple[Any, ...]) -> tuple[Any, ...]:
-    """Return arrays of x, y and z in the order fast, middle and slow axis."""
+    """Return the arrays of x, y and z in the order of the fast, middle and slow axis."""
     a, b, c = axes
     return positions[a], positions[b], positions[c]
 
@@ -109,13 +113,16 @@ class CellOrder:
     """Agents in the order of cells, with arrays that the next sort reuses. Agents without a finite position come last, in no
     cell.
 
-    `columns`: x, y and z float32 in that order, with eight spare values at the end. `fours`: these and the row, agent by agent.
-    `rows` int32: of the agents. `at` int32[n + 8]: the position of each row in the order. `starts` int32: the first agent of each
-    cell and the number of agents; empty if there are too many cells for a table. Then `keys` int64 are the cells of the agents.
-
-    `tables`: what a plan's machine code reads; a new mapping whenever an array in it is replaced. `places`: x, y, z and the row
-    of each agent, [n + 8, 4], the last as the bits of an int32. `floats`: low, width and inverse width of cells along the fast,
-    middle and slow axis. `whole`: these axes, numbers of cells, number of agents."""
+    `columns`: x, y and z float32 in that order, with eight spare values at the end.
+    `fours`: x, y, z and row of each agent, contiguous.
+    `rows` int32: the row of each agent in the order.
+    `at` int32[n + 8]: the position of each row in the order.
+    `starts` int32: the first agent of each cell, then the number of agents; empty if there are too many cells for a table.
+    `keys` int64: the cells of the agents in the order; used if `starts` is empty.
+    `tables`: the arrays that machine code reads, as a new mapping whenever one of them is replaced. Its entries are:
+    `places` [n + 8, 4]: x, y, z and row of each agent, the row as the bits of an int32.
+    `floats`: low corner, width and inverse width of cells along the fast, middle and slow axis.
+    `whole`: the three axes, the numbers of cells, the number of agents."""
 
     def __init__(self, count: int, threads: int) -> None:
         self.count, self.threads = count, threads
@@ -137,8 +144,8 @@ class CellOrder:
         return self._places.view(np.int32)[: self.count, 3]
 
     def sort(self, shape: Shape, positions: Positions, order: NDArray[np.int64] = NO_ORDER) -> None:
-        """Sort agents at positions (float32[n] mm) into cells. Within a cell they are in row order, or in an `order` of all
-        agents."""
+        """Sort agents at positions (float32[n] mm) into cells. Within a cell, they are in row order, or in the given `order`
+        of all agents."""
         if shape is not self.shape:
             self._set_shape(shape)
         counts, keys = self._counts, self._keys
@@ -173,15 +180,17 @@ class CellOrder:
 
 
 def run_in_chunks(work: partial[Any], chunks: int, threads: int) -> None:
-    """Call a kernel for a number of chunks. Its last two arguments count sixteenths of a chunk; a thread takes at least one
-    chunk."""
+    """Call a kernel for a number of chunks, in threads. A thread takes at least one chunk.
+
+    The last two arguments of the kernel are its range, in sixteenths of a chunk."""
     parallel.in_parts(work, SHARES * chunks, threads, SHARES)
 
 
 @kernel
 def _fill_box(x: Array1[F32], y: Array1[F32], z: Array1[F32], lanes: Array2[F32], ends: Array2[F64]) -> None:
-    """Write the least and the greatest x, y and z of finite positions to `ends` (2, 3), 0 if there are none. `lanes` (6, 8): the
-    values of each lane."""
+    """Write the least and the greatest x, y and z of all finite positions to `ends` (2, 3); 0 if there are none.
+
+    `lanes` (6, 8): a buffer for the extremes of each lane."""
     even = x.size & -8
     for lane in independent(0, 8):
         low_x, low_y, low_z = np.float32(np.inf), np.float32(np.inf), np.float32(np.inf)
@@ -216,8 +225,9 @@ def _maximum(high: F32, place: F32, good: BOOL) -> F32:
 
 @kernel
 def _is_sheet(along: Columns, low: Three, inverse: Three, size: Sizes, occupied: Array2[BOOL]) -> BOOL:
-    """Return whether the columns of cells have few agents or few layers. `occupied` (2, k): which columns and which cells have
-    any."""
+    """Return whether the columns of cells contain few agents or few layers.
+
+    `occupied` (2, k): buffers that mark the columns and the cells with agents."""
     agents, columns, cells = 0, 0, 0
     for row in range(along[0].size):
         a, b, c = along[0][row], along[1][row], along[2][row]
@@ -237,13 +247,13 @@ def _is_sheet(along: Columns, low: Three, inverse: Three, size: Sizes, occupied:
 
 @inlined
 def _cell_index(place: Any, low: F64, inverse: F64, size: I64) -> F64:
-    """Return the index of the cell along an axis, as float64."""
+    """Return the index of the cell at a coordinate along an axis, as float64."""
     return np.floor(min(max((np.float64(place) - low) * inverse, 0.0), np.float64(size - 1)))
 
 
 @inlined
 def cell_number(along: AnyColumns, row: I64, low: Three, inverse: Three, size: Sizes) -> I64:
-    """Return the index of an agent's cell; one past the last cell for an agent without a finite position."""
+    """Return the index of an agent's cell. Agents without a finite position get the index after the last cell."""
     fast, middle, slow = along[0][row], along[1][row], along[2][row]
     line = _cell_index(slow, low[2], inverse[2], size[2]) * np.float64(size[1]) + _cell_index(middle, low[1], inverse[1], size[1])
     key = nearest_integer(line) * size[0] + nearest_integer(_cell_index(fast, low[0], inverse[0], size[0]))
@@ -265,8 +275,8 @@ def count_cells(
 ) -> I64:  # fmt: skip
     """Store the cell of each agent, `cell_number` plus `shift`, and count the agents of each cell at index cell + 2.
 
-    `order`: rows of the agents, empty for all rows. Returns how many ordered pairs of agents of a chunk share a cell, including
-    each agent with itself."""
+    `order`: rows of the agents, empty for all rows.
+    Returns how many ordered pairs of agents in the same chunk share a cell. Each agent also counts as a pair with itself."""
     mates = 0
     for chunk in range(begin // SHARES, end // SHARES):
         first, last = _chunk_range(chunk, counts.shape[0], keys.size)
@@ -291,14 +301,15 @@ def _count_cells(
     along: Columns, low: Three, inverse: Three, size: Sizes, shift: I64, order: Array1[I64], keys: Array1[I64],
     counts: Array2[I32], begin: I64, end: I64,
 ) -> None:  # fmt: skip
-    """As `counted`."""
+    """Store and count cells as `count_cells` does, without a result."""
     count_cells(along, low, inverse, size, shift, order, keys, counts, begin, end)
 
 
 @kernel
 def accumulate_counts(counts: Array2[I32], cells: I64) -> None:
-    """Convert counts to the position of each chunk's first agent of each cell, stored at index cell + 1. After all agents are
-    placed, the last chunk has the first agent of each cell."""
+    """Convert the counts to the position of each chunk's first agent of each cell, stored at index cell + 1.
+
+    After all agents are placed, the last chunk's row contains the first agent of each cell."""
     last, position = counts.shape[0] - 1, 0
     for chunk in range(last):
         for at in range(cells + 2):
@@ -315,7 +326,7 @@ def accumulate_counts(counts: Array2[I32], cells: I64) -> None:
 
 @inlined
 def position_of(counts: Array2[I32], chunk: I64, k: I64, key: I64) -> I64:
-    """Return where the next agent of a cell goes. Without a table, agents are already in order."""
+    """Return the position of the next agent of a cell. Without a cell table, agents are already in order."""
     position = k
     if counts.shape[1] > 0:
         position = counts[chunk, key + 1]
@@ -328,7 +339,8 @@ def _store_agents(
     positions: Columns, order: Array1[I64], keys: Array1[I64], counts: Array2[I32], ordered: Array1[F32], rows: Array1[I32],
     at: Array1[I32], begin: I64, end: I64,
 ) -> None:  # fmt: skip
-    """Write x, y, z and the row of each agent at its position. `ordered` and `rows` are views of one array, in groups of four."""
+    """Write x, y, z and row of each agent at its position. `ordered` and `rows` are views of one array, with four entries per
+    agent."""
     for chunk in range(begin // SHARES, end // SHARES):
         first, last = _chunk_range(chunk, counts.shape[0], keys.size)
         for k in range(first, last):
@@ -341,14 +353,14 @@ def _store_agents(
 
 @kernel
 def _store_columns(ordered: Array1[F32], x: Array1[F32], y: Array1[F32], z: Array1[F32], begin: I64, end: I64) -> None:
-    """Write the positions in the order of the cells to one array per axis."""
+    """Write the positions of agents, in the order of the cells, to one array per axis."""
     for n in independent(begin, end):
         x[n], y[n], z[n], _ = load_consecutive(ordered, 4 * n, 4)
 
 
 @kernel
 def store_registers(at: Array1[I32], registers: Four, ordered: Array1[F32], begin: I64, end: I64) -> None:
-    """Write four registers of each agent at its position, in groups of four."""
+    """Write four registers of each agent at its position, four contiguous entries per agent."""
     for row in range(begin, end):
         first = 4 * at[row]
         ordered[first], ordered[first + 1] = registers[0][row], registers[1][row]
@@ -357,7 +369,7 @@ def store_registers(at: Array1[I32], registers: Four, ordered: Array1[F32], begi
 
 @inlined
 def agents_before(starts: Array1[I32], keys: Array1[I64], key: I64) -> I64:
-    """Return how many sorted agents are in cells before `key`; by bisection of their cells if there is no table."""
+    """Return how many sorted agents are in cells before `key`. Without a cell table, bisect the agents' cells."""
     if starts.size > 0:
         count = starts[key]
     else:

@@ -1,12 +1,16 @@
-"""Reciprocal collision avoidance in the plane of an agent's ground. Returns the velocity nearest to the wished one with which the
-agent hits no other within some time. Source: J. van den Berg, S. Guy, M. Lin, D. Manocha, Reciprocal n-Body Collision Avoidance,
-Robotics Research, Springer Tracts in Advanced Robotics 70, 2011, p. 3-19.
+"""Reciprocal collision avoidance in the tangent plane of an agent's ground. It finds the velocity nearest to the wish with
+which the agent hits no other within a time horizon.
 
-Each neighbour allows a half-plane of velocities; both agents make half of the necessary change (section 4). An incremental linear
-program finds the nearest point of all half-planes within the circle of the greatest speed, one constraint at a time. If they have
-no common point, it finds the point that violates them least (section 5.3). Constraints are added one by one, the nearest
-neighbour's first. Values are float64, made of single sums, products, quotients and roots. Thus an agent's result has the same
-bits, whichever other agents are computed."""
+Source: J. van den Berg, S. Guy, M. Lin, D. Manocha, Reciprocal n-Body Collision Avoidance, Robotics Research, Springer Tracts
+in Advanced Robotics 70, 2011, p. 3-19.
+
+Each neighbour allows a half-plane of velocities; both agents make half of the necessary change (section 4). An incremental
+linear program finds the nearest point that lies in all half-planes and within the circle of the greatest speed. Constraints
+are added one by one, the nearest neighbour's first. If no point satisfies all, it finds the point that violates them least
+(section 5.3).
+
+Values are float64 and use only single sums, products, quotients and roots. Thus an agent's result has the same bits, whichever
+other agents are computed."""
 
 from __future__ import annotations
 
@@ -35,8 +39,11 @@ _FASTEST = 1e9  # mm/s that count at most
 
 
 class Wishes(NamedTuple):
-    """What requesters wish for: a velocity in space (mm/s), and for how many seconds they avoid hits. `max_speed`: of all rows of
-    their species."""
+    """The wishes of the requesting agents.
+
+    `velocity`: the requested velocity in space (mm/s).
+    `horizon`: for how many seconds they avoid hits.
+    `max_speed`: the greatest speed (mm/s) of all rows of their species."""
 
     velocity: tuple[Column, Column, Column]
     horizon: Column
@@ -47,9 +54,10 @@ class Wishes(NamedTuple):
 def fill_clear_velocities(
     crowd: Crowd, requesters: Requesters, wishes: Wishes, dt: F64, velocities: Array2[F32], begin: I64, end: I64
 ) -> None:
-    """Write velocities in space (3, n; mm/s) along the ground that are nearest to the wishes, no faster than `max_speed`, for
-    requesters from the `begin`-th to before the `end`-th. They avoid all hits within the horizon if the others do their half.
-    Agents that overlap separate within `dt` s."""
+    """Write velocities in space (3, n; mm/s) for requesters from the `begin`-th to before the `end`-th.
+
+    Each is along the ground, no faster than `max_speed`, and the nearest to the wish that avoids all hits within the horizon.
+    This requires that the others do their half. Agents that overlap separate within `dt` s."""
     memory = SearchMemory(scratch(SIZE, I64), scratch(SIZE, I64), scratch(SIZE, I64), scratch(SIZE, I64), scratch(SIZE, I64))
     borders = (scratch(SIZE, F64), scratch(SIZE, F64), scratch(SIZE, F64), scratch(SIZE, F64), scratch(SIZE, I64))
     between = (scratch(SIZE, F64), scratch(SIZE, F64), scratch(SIZE, F64), scratch(SIZE, F64), scratch(SIZE, I64))
@@ -73,8 +81,10 @@ def fill_clear_velocities(
 
 @inlined
 def set_border(other: Other, side: F64, c: I64, own_x: F64, own_y: F64, horizon: F64, dt: F64, borders: Lines) -> None:
-    """Set the half-plane that neighbour c of an agent allows; one without a direction, which allows all, if it is not finite.
-    `side`: the direction for agents at one position with one velocity."""
+    """Set the half-plane that neighbour c of an agent allows. A half-plane that is not finite gets no direction and allows
+    everything.
+
+    `side`: the direction to use if both agents have the same position and velocity."""
     px, py, dx, dy, sound = borders
     x, y, r = other.x, other.y, other.radius_sum
     square, square_radius = x * x + y * y, r * r
@@ -102,7 +112,8 @@ def set_border(other: Other, side: F64, c: I64, own_x: F64, own_y: F64, horizon:
 
 @called
 def nearest_velocity(borders: Lines, between: Lines, most: I64, limit: F64, wx: F64, wy: F64) -> tuple[F64, F64]:
-    """Return the velocity nearest to the wish that the first `most` borders allow, or the one with the least violation."""
+    """Return the velocity nearest to the wish that the first `most` borders allow. If there is none, return the one with the
+    least violation."""
     size = math.sqrt(wx * wx + wy * wy)
     part = 1.0
     if size > limit:
@@ -124,8 +135,10 @@ def _excess(borders: Lines, k: I64, x: F64, y: F64) -> F64:
 def _nearest_allowed(
     borders: Lines, most: I64, fastest: F64, wx: F64, wy: F64, x: F64, y: F64, along: BOOL
 ) -> tuple[F64, F64, I64]:
-    """Return the allowed point nearest to the wish, starting from (x, y) in the circle; with `along`, the farthest in its
-    direction. Also return the index of the border that left no allowed point."""
+    """Return the allowed point nearest to the wish, starting from (x, y) in the circle.
+
+    With `along`, return the allowed point that is farthest in the wish's direction. Also return the index of the border that
+    left no allowed point."""
     px, py, dx, dy, _ = borders
     bx, by = x, y
     for k in range(most):
@@ -162,7 +175,7 @@ def _nearest_allowed(
 
 @called
 def _least_violation(borders: Lines, between: Lines, most: I64, fastest: F64, x: F64, y: F64, failed: I64) -> tuple[F64, F64]:
-    """Return the point with the least violation of any border, starting from the point that the borders before `failed` allow."""
+    """Return the point that violates the borders least. It starts from the point that the borders before `failed` allow."""
     px, py, dx, dy, is_sound = borders
     qx, qy, ex, ey, _ = between
     bx, by, deepest = x, y, 0.0
@@ -189,10 +202,12 @@ def _least_violation(borders: Lines, between: Lines, most: I64, fastest: F64, x:
 
 
 def widest_gaps(x: Floats, y: Floats, is_present: NDArray[np.bool_]) -> tuple[Floats, Floats]:
-    """Return unit directions, float64[n] ahead and to the left, into the middle of the widest gap between the bearings of
-    neighbours. Neighbours are at `x` ahead and `y` to the left, float64[n,m], where they are `is_present`. One neighbour leaves a
-    gap all round, with its middle straight away from it. Of equally wide gaps, the one nearest to straight ahead wins, then the
-    one to the left. Without neighbours the result is 0."""
+    """Return unit directions (ahead, left; float64[n] each) into the middle of the widest gap between the bearings of
+    neighbours.
+
+    `x`, `y` float64[n,m]: positions of neighbours, ahead and to the left. `is_present`: which of them exist.
+    A single neighbour leaves a gap all round, with its middle opposite to that neighbour. Of equally wide gaps, the one
+    nearest to straight ahead is chosen, then the one to the left. Without neighbours, the result is 0."""
     n, most = x.shape
     if not most:
         return np.zeros(n), np.zeros(n)

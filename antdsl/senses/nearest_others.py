@@ -1,5 +1,7 @@
-"""The nearest others of any species, for agents on a ground. The search visits the cells in reach, and lists the nearest in
-scratch memory of the thread. A full list is reduced to the nearest, which also reduces the reach."""
+"""The nearest others of any species, for agents on a ground.
+
+The search visits the cells within the radius and lists the nearest agents in scratch memory of the thread. A full list is
+reduced to the nearest, which also reduces the radius."""
 
 from __future__ import annotations
 
@@ -36,9 +38,11 @@ _ORDER_BITS = (1 << 29) - 1  # last bits of a float64 that are 0 if it is a floa
 
 
 class Crowd(NamedTuple):
-    """All agents of a grid, in the order of cells. In groups of four, 0 for what is not finite: `up` and the number by species
-    and id; velocity and radius in `motion`. `by_name`: for these numbers, those by the name of the species and id; empty for one
-    species."""
+    """All agents of a grid, in the order of cells. Values that are not finite are 0.
+
+    `up`: four entries per agent: up x, y, z, and the agent's number in the order of species and ids.
+    `motion`: four entries per agent: velocity x, y, z, and radius.
+    `by_name`: for each of these numbers, the number in the order of species names and ids. Empty if there is only one species."""
 
     grid: Grid
     up: Array1[F32]
@@ -47,8 +51,13 @@ class Crowd(NamedTuple):
 
 
 class Requesters(NamedTuple):
-    """Agents that search: their positions in the order of cells, rows of their species, radius of the search (mm) and the largest
-    number of others. `heading`: of all rows of the species."""
+    """Agents that search for others.
+
+    `positions`: their positions in the order of cells.
+    `rows`: their rows in the population of their species.
+    `within`: the radius (mm) of each search.
+    `most`: the largest number of others.
+    `heading`: headings of all rows of the species."""
 
     positions: Array1[I32]
     rows: Array1[I64]
@@ -58,7 +67,7 @@ class Requesters(NamedTuple):
 
 
 class Plane(NamedTuple):
-    """The ground of an agent: unit `up`, `ahead` along its heading and `left`."""
+    """The tangent plane of an agent's ground: unit vectors `up`, `ahead` (along its heading) and `left`."""
 
     up: Vec3
     ahead: Vec3
@@ -66,8 +75,11 @@ class Plane(NamedTuple):
 
 
 class SearchMemory(NamedTuple):
-    """Scratch memory of a search, `SIZE` numbers each: agents by their position in the order of cells, their keys and ranks by
-    distance; then the nearest in order, and their keys."""
+    """Scratch memory of a search, `SIZE` numbers each.
+
+    `candidates`: agents, as positions in the order of cells.
+    `keys`, `ranks`: their sort keys, and their ranks by distance.
+    `nearest`, `nearest_keys`: the nearest agents in order, and their keys."""
 
     candidates: Array1[I64]
     keys: Array1[I64]
@@ -77,8 +89,11 @@ class SearchMemory(NamedTuple):
 
 
 class Other(NamedTuple):
-    """Another agent in the plane of a requester, ahead and to the left: relative position (mm), own minus other velocity (mm/s),
-    and the sum of both radii."""
+    """Another agent in the tangent plane of a requester; x is ahead and y is to the left.
+
+    `x`, `y`: relative position (mm).
+    `vx`, `vy`: own velocity minus the other's (mm/s).
+    `radius_sum`: the sum of both radii (mm)."""
 
     x: F64
     y: F64
@@ -89,7 +104,7 @@ class Other(NamedTuple):
 
 @inlined
 def plane_of(crowd: Crowd, requesters: Requesters, k: I64) -> Plane:
-    """Return the plane of requester k, as at the start of the step."""
+    """Return the tangent plane of requester k at the start of the step."""
     x, y, z = requesters.heading
     row, up = requesters.rows[k], sensed_vector(crowd.up, requesters.positions[k])
     ahead = unit_or_perpendicular(flat(finite_vector(x[row], y[row], z[row]), up), up)
@@ -98,22 +113,23 @@ def plane_of(crowd: Crowd, requesters: Requesters, k: I64) -> Plane:
 
 @inlined
 def sensed_vector(fours: Array1[F32], at: I64) -> Vec3:
-    """Return one of the vectors of a `Crowd`."""
+    """Return the vector of the agent at position `at` from an array of `Crowd` with four entries per agent."""
     x, y, z, _ = load_consecutive(fours, 4 * at, 4)
     return np.float64(x), np.float64(y), np.float64(z)
 
 
 @inlined
 def clear_memory(memory: SearchMemory) -> None:
-    """Make every listed number the position of an agent."""
+    """Fill the list of candidates with a valid position of an agent."""
     for p in range(SIZE):
         memory.candidates[p], memory.nearest[p], memory.nearest_keys[p] = 0, 0, 0
 
 
 @called
 def find_nearest(crowd: Crowd, requesters: Requesters, k: I64, up: Vec3, memory: SearchMemory) -> I64:
-    """Write the nearest others of requester k on the side of the ground that is `up` to `memory.nearest`, ordered by distance,
-    species and id. Return how many."""
+    """Write the nearest others of requester k to `memory.nearest`, ordered by distance, species and id; return their number.
+
+    Only others on the side of the ground that `up` points to count."""
     grid, at = crowd.grid, requesters.positions[k]
     low, inverse, size = grid.low, grid.inverse, grid.size
     x, y, z = grid.positions[0][at], grid.positions[1][at], grid.positions[2][at]
@@ -181,7 +197,7 @@ def _select_nearest(crowd: Crowd, at: I64, reach: F32, up: Vec3, count: I64, mos
 
 @inlined
 def relative_to(crowd: Crowd, plane: Plane, at: I64, q: I64) -> Other:
-    """Return the agent at position q in the order of cells as the one at position `at` senses it."""
+    """Return the agent at position q in the order of cells, relative to the agent at position `at`."""
     x, y, z, _ = load_consecutive(crowd.grid.fours, 4 * at, 4)
     u, v, w, _ = load_consecutive(crowd.grid.fours, 4 * q, 4)
     displacement = np.float64(u - x), np.float64(v - y), np.float64(w - z)
@@ -197,7 +213,7 @@ def relative_to(crowd: Crowd, plane: Plane, at: I64, q: I64) -> Other:
 
 @inlined
 def side_by_name(crowd: Crowd, at: I64, key: I64) -> F64:
-    """Return -1 if the agent at a position comes before the one with a key by the name of the species and id, else 1."""
+    """Return -1 if the agent at position `at` comes before the agent with `key` in the order of species names and ids, else 1."""
     own, other = np.int64(crowd.up[4 * at + 3]), key & _ORDER_BITS
     if crowd.by_name.size > 0:
         own, other = crowd.by_name[own], crowd.by_name[other]
@@ -209,7 +225,7 @@ def store_sensed(
     at: Array1[I32], up: VectorColumns, velocity: VectorColumns, radius: Array1[F32], numbers: Array1[I32],
     ordered: Array1[F32], motion: Array1[F32], begin: I64, end: I64,
 ) -> None:  # fmt: skip
-    """Write `up` and `motion` of a `Crowd`, for rows from the `begin`-th to before the `end`-th."""
+    """Write `up` and `motion` of a `Crowd`, for rows from `begin` to before `end`."""
     for row in range(begin, end):
         first, wide = 4 * at[row], np.isfinite(radius[row]) & (radius[row] > np.float32(0.0))
         u = finite_vector(up[0][row], up[1][row], up[2][row])
@@ -224,8 +240,10 @@ def fill_offsets(
     crowd: Crowd, requesters: Requesters, x: Array2[F64], y: Array2[F64], is_present: Array2[BOOL], axes: Array2[F64],
     begin: I64, end: I64,
 ) -> None:  # fmt: skip
-    """Write the relative positions of the nearest others to rows of `x` ahead and `y` to the left, and these directions to `axes`
-    (6, n), for requesters from the `begin`-th to before the `end`-th."""
+    """Write the nearest others of requesters from the `begin`-th to before the `end`-th.
+
+    `x`, `y`: rows of relative positions (mm), ahead and to the left. `is_present`: which entries are used.
+    `axes` (6, n): the directions ahead and left."""
     memory = SearchMemory(scratch(SIZE, I64), scratch(SIZE, I64), scratch(SIZE, I64), scratch(SIZE, I64), scratch(SIZE, I64))
     clear_memory(memory)
     for k in range(begin, end):

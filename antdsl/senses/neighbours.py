@@ -1,5 +1,6 @@
-"""Agents near agents: a sorted cell grid of positions that returns (query, neighbour) pairs within a radius. The pairs have the
-same bits, in the same order, for any order of rows, chunk or cell size."""
+"""A sorted cell grid of agents' positions, which returns pairs (query, neighbour) within a radius.
+
+The pairs have the same bits, in the same order, for any order of rows, chunk size or cell size."""
 
 from __future__ import annotations
 
@@ -33,8 +34,11 @@ PairColumns = tuple[Array1[I64], Array1[I64], Array1[F32], Array1[F32], Array1[F
 
 
 class Grid(NamedTuple):
-    """A `CellGrid` as kernels read it. In the order of cells: x, y and z, the same along the fast, middle and slow axis, and in
-    groups of four; rows, ids, cells. Then the first agent of each cell; low corner, inverse width, width and number of cells."""
+    """A `CellGrid` as kernels read it. Agents are in the order of cells.
+
+    `positions`: x, y, z. `along`: the same along the fast, middle and slow axis. `fours`: four entries per agent.
+    `rows`, `ids`, `keys`: row, id and cell of each agent. `starts`: the first agent of each cell.
+    `low`, `inverse`, `width`, `size`: low corner (mm), cells per mm, cell width (mm) and number of cells along each axis."""
 
     positions: Columns
     along: Columns
@@ -50,9 +54,11 @@ class Grid(NamedTuple):
 
 
 class Progress(NamedTuple):
-    """Progress of a search: the next query, the number of pairs, and how long `spans` and `near` must be to continue.
+    """Progress of a search when it stops.
 
-    `near` is -1 if a query has more others within its radius than allowed."""
+    `query`: the next query. `pairs`: the number of pairs so far.
+    `spans`, `near`: the lengths that these buffers need to continue. `near` is -1 if a query has more others within its radius
+        than allowed."""
 
     query: I64
     pairs: I64
@@ -61,17 +67,17 @@ class Progress(NamedTuple):
 
 
 class TooManyNeighbours(Exception):
-    """More others are within the radius of one query than may be examined."""
+    """More agents are within the radius of one query than may be examined."""
 
 
 @dataclass(frozen=True, slots=True)
 class Pairs:
-    """Pairs within reach, sorted by `i`, then the neighbour's cell, then its id. All arrays have one length.
+    """Pairs within the radius, sorted by `i`, then by the neighbour's cell, then by its id. All arrays have one length.
 
-    They do not depend on the order of rows. The order within one `i` may change with the extent of the whole crowd.
+    `i`: index of the query, from 0. `j`: row of the neighbour in the grid.
+    `dx`, `dy`, `dz`: neighbour minus query, float32 mm. `distance`: the length of that vector.
 
-    `i`: index of the query from 0; `j`: row of the neighbour in the grid; `dx dy dz`: neighbour minus query; `distance`: its
-    length, float32 mm."""
+    Pairs do not depend on the order of rows. The order within one `i` may change with the extent of the crowd."""
 
     i: Rows
     j: Rows
@@ -82,10 +88,12 @@ class Pairs:
 
 
 class CellGrid:
-    """Agents sorted into cells: rows along the crowd's longest axis, cut four times finer than across.
+    """Agents sorted into cells. Cells form rows along the crowd's longest axis and are four times shorter along it than
+    across.
 
-    `x y z`: float32[n] in millimetres. `ids`: int64[n], unique. `cell`: the usual radius of a query; any radius works, this one
-    fastest. An agent at a position that is not finite is never a neighbour."""
+    `x y z`: float32[n] in millimetres. `ids`: int64[n], unique.
+    `cell`: the usual radius (mm) of a query. Queries with any radius work; this radius is the fastest.
+    An agent with a position that is not finite is never a neighbour."""
 
     def __init__(self, x: Floats, y: Floats, z: Floats, ids: NDArray[np.int64], cell: float, threads: int = 1) -> None:
         self.x, self.y, self.z, self.ids = x, y, z, ids
@@ -108,12 +116,14 @@ class CellGrid:
         threads: int = 1,
         limit: int | None = None,
     ) -> Pairs:
-        """Return neighbours of the agents `rows` (all when None) within `radius` (one, or one for each of `rows`).
+        """Return the neighbours of the agents `rows` (None: all) within `radius` (mm; one number, or one for each row).
 
-        Without `qx qy qz`, queries are for the grid's own agents, and no agent is its own neighbour. With them, queries are for
-        those agents: `rows` selects from them, and `qid` gives their ids if they are in the grid. At most `limits.NEIGHBOURS` of
-        an agent are returned, the nearest by (distance, id). `view`, one value for each query, keeps only neighbours in its field
-        of view. Raises TooManyNeighbours early if an agent has more than `limit` others within its radius."""
+        Without `qx qy qz`, queries are for the grid's own agents, and no agent is its own neighbour.
+        With `qx qy qz`, queries are for agents at these positions: `rows` selects from them, and `qid` gives their ids if they
+        are in the grid.
+        `view`, one value per query, limits neighbours to its field of view.
+        An agent gets at most `limits.NEIGHBOURS` neighbours, the nearest by (distance, id). Raises TooManyNeighbours early if
+        an agent has more than `limit` others within its radius."""
         if qx is None or qy is None or qz is None:
             qx, qy, qz, qid = self.x, self.y, self.z, self.ids
         if rows is not None:
@@ -126,7 +136,7 @@ class CellGrid:
         return self._search((qx, qy, qz), reach, qid, view, threads, 1 << 62 if limit is None else limit)
 
     def table(self) -> Grid:
-        """Return the cells and their agents as kernels read them."""
+        """Return the cells and the agents in them as kernels read them."""
         order, shape, rows = self.order, self.shape, np.ascontiguousarray(self.order.rows)
         columns: Any = order.columns
         cells: Any = tuple(shape.low), shape.inverse, tuple(shape.width), tuple(shape.size)
@@ -160,9 +170,11 @@ class CellGrid:
 
 
 def _find_pairs(grid: Grid, axes: tuple[int, ...], query: list[NDArray[Any]], limit: int) -> tuple[NDArray[Any], ...] | None:
-    """Return pairs of all queries [m] as `Pairs` has them; None if a query has more than `limit` others within its radius.
-    `query`: x, y, z, ids (empty if they are not the grid's own), radius; heading x, y, z and cosine, empty for all-round
-    queries."""
+    """Return the pairs of all queries [m] as columns of `Pairs`; None if a query has more than `limit` others within its
+    radius.
+
+    `query`: x, y, z, ids (empty if they are not the grid's own), radius; then heading x, y, z and cosine of half the view,
+        empty for all-round queries."""
     positions, (who, radius, hx, hy, hz, cosine) = query[:3], query[3:]
     asking = (tuple(positions), tuple(positions[axis] for axis in axes), who, radius, (hx, hy, hz), cosine)
     m = radius.size
@@ -195,7 +207,7 @@ def upper_cell(q: F64, low: F64, inverse: F64, size: I64) -> I64:
 
 @inlined
 def _axis_distance(q: F64, cell: I64, low: F64, width: F64) -> F64:
-    """Return the least distance along an axis from q to a cell, rounded down."""
+    """Return the least distance (mm) along an axis from coordinate q to a cell, rounded down."""
     edge = low + cell * width
     return max(max(edge - q, q - (edge + width)), 0.0) * _INWARD
 
@@ -214,9 +226,9 @@ def _find_spans(
     size: Sizes,
     spans: Array1[I64],
 ) -> tuple[I64, I64]:
-    """Find the sorted agents in reach of a position as spans (first, one past the last). a, b, c: the position along the grid's
-    fast, middle and slow axis.
+    """Find the agents in cells within the radius of a position, as spans (first, one past the last) of the sorted agents.
 
+    `a`, `b`, `c`: the position along the fast, middle and slow axis of the grid.
     Returns the number of spans and of agents in them; or -1 and the required length of `spans`."""
     tiny = 1e-14 * max(max(abs(a), abs(b)), abs(c)) + 1e-18
     r = radius * SLACK + tiny
@@ -253,8 +265,10 @@ def _nearest_bound(
     x: F32, y: F32, z: F32,
     reach: F32, name: I64,
 ) -> tuple[F32, I64]:  # fmt: skip
-    """Return distance and id of the last of the `NEIGHBOURS` agents nearest to a position, among the first `candidate_count`
-    agents of `near` without the agent `name`. It uses bisection of the distance's bits, and of the ids at that distance."""
+    """Return distance and id of the last of the `NEIGHBOURS` agents nearest to a position.
+
+    Only the first `candidate_count` agents of `near` count, without the agent with id `name`. The search bisects the bits of
+    the distance, then the ids at that distance."""
     low, high = 0, as_bits(np.float64(reach)) >> _ZEROS
     nearer_count, closer = 0, 0
     while low < high:
@@ -291,9 +305,9 @@ def _nearest_bound(
 def _fill_pairs(
     grid: Grid, query: Query, limit: I64, spans: Array1[I64], near: Array1[I64], pairs: PairColumns, k: I64, used: I64
 ) -> Progress:
-    """Continue with query k, after `used` earlier pairs, until an array is full.
+    """Write pairs from query k on, after `used` earlier pairs, until all queries are done or an array is full.
 
-    Of more than `NEIGHBOURS`, the nearest are taken, by distance and id."""
+    If a query has more than `NEIGHBOURS` others, the nearest by distance and id are used."""
     (sx, sy, sz), _, _, rows, names, keys, starts, low, inverse, width, size = grid
     (qx, qy, qz), (fast, middle, slow), who, radius, (hx, hy, hz), cosine = query
     i, j, dx, dy, dz, distance = pairs

@@ -1,4 +1,4 @@
-"""Measures how far bodies overlap. Many at one position cost no more than as many next to each other."""
+"""Measures how far bodies overlap. Many bodies at one position need no more time than as many bodies next to each other."""
 
 from __future__ import annotations
 
@@ -18,11 +18,12 @@ _NEAREST = 8  # neighbours of the first query; each further query doubles the nu
 
 
 def worst_overlaps(x: Floats, y: Floats, z: Floats, radius: Floats) -> Floats:
-    """Return how far each agent (float32[n], mm) overlaps its worst neighbour: 0 apart, 1 at one position.
+    """Return how far each agent overlaps its worst neighbour, float32[n]: 0 without overlap, 1 at one position. Lengths are in
+    mm.
 
     The value is the greatest of 1 - distance / (sum of both radii), exact for any crowd. In dense crowds, a list of all pairs
-    would grow with the square of the number of agents. Therefore nearest neighbours are queried until none farther off can be
-    worse."""
+    would grow with the square of the number of agents. Therefore nearest neighbours are queried until no agent farther away
+    can overlap more."""
     x, y, z, radius = contiguous(x, y, z, radius)
     overlap, wide = np.zeros(len(x), np.float32), [each.astype(np.float64) for each in (x, y, z, radius)]
     budget = _MEASURED * len(x)
@@ -45,7 +46,7 @@ def _overlap_share(distance: Floats, one: Floats, other: Floats) -> Floats:
 
 
 def _overlaps_by_nearest(place: Floats, radius: Floats) -> Floats:
-    """As `worst_overlaps`, for places [n,3] of a dense crowd."""
+    """Return overlaps as `worst_overlaps` does, for positions [n,3] of a dense crowd."""
     from scipy.spatial import cKDTree
 
     # A tree cannot be cut between agents in one place; of these the widest stands for all, and all overlap wholly.
@@ -83,8 +84,9 @@ def fill_worst_overlaps(
     asking: Agents, agents: Agents, starts: Array1[I32], cells: I64, shifts: Array1[I64], own: BOOL, position: Columns,
     radius: Array1[F32], budget: I64, overlap: Array1[F32],
 ) -> I64:  # fmt: skip
-    """Raise the worst overlap of each agent to that of the pairs of a search. Returns how many pairs of the budget are left; if
-    negative, only a part of the pairs was measured."""
+    """Raise `overlap` of each agent to its greatest overlap in the pairs of a search.
+
+    Returns how many pairs of `budget` are left. If negative, only a part of the pairs was measured."""
     (asks, asking_rows, asking_keys), (ordered, rows, _) = asking, agents
     for at in range(asking_rows.size):
         (x, y, z, wide), a = load_consecutive(asks, 4 * at, 4), asking_rows[at]

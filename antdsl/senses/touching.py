@@ -1,8 +1,8 @@
-"""Agents near enough to touch: every pair once, from cells as wide as two agents.
+"""Pairs of agents that are near enough to touch. Every pair occurs once; cells are as wide as two agents.
 
-Method: a uniform grid and half of each cell's surroundings (C. Ericson, Real-Time Collision Detection, 2005, 7.1). There is one
-grid for agents of similar size; all smaller agents query it as well. In a dense cluster, each agent is paired with a bounded
-number of those in reach. Thus many agents at one position cost no more than as many next to each other."""
+Method: a uniform grid and half of each cell's surroundings (C. Ericson, Real-Time Collision Detection, 2005, 7.1). Agents of
+similar size have one grid; all smaller agents query it as well. In a dense cluster, each agent is paired with a bounded number
+of the agents in reach. Thus many agents at one position need no more time than as many agents next to each other."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ _WRITTEN = 4  # candidates of a span that are always written
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Pairs:
-    """Rows `i` and `j` of pairs, each once and in no order. `all_of_them`: False if a dense cluster led to omitted pairs."""
+    """Rows `i` and `j` of pairs, each pair once, in no order. `all_of_them`: False if pairs were omitted in a dense cluster."""
 
     i: Rows
     j: Rows
@@ -60,8 +60,11 @@ class Pairs:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Touching:
-    """The agents of one species that each agent of a species touches, the deepest first, then by id. Those of row r are
-    `ids[starts[r]:starts[r + 1]]`. `near`: deep enough that a contact may begin."""
+    """The agents of one species that each agent of a species touches, sorted by penetration depth, the deepest first, then by
+    id.
+
+    `ids[starts[r]:starts[r + 1]]`: ids of the agents that row r touches.
+    `near`: whether the pair is deep enough for a new contact."""
 
     starts: Rows
     ids: NDArray[np.int64]
@@ -69,10 +72,11 @@ class Touching:
 
 
 def find_touching(place: Three, reach: Floats, order: NDArray[np.int64], bounds: Bounds | None = None) -> Pairs:
-    """Return pairs of agents that are no farther apart than the sum of their reaches (float64[n], mm). `place`: x, y and z
-    float64[n], mm. `order` int64[n], all different: which agents count first in a dense cluster, whatever the rows. Agents
-    without a finite position and reach are in no pair. `bounds`: the least and the greatest x, y, z and reach, if known; not
-    finite if any of them is not."""
+    """Return the pairs of agents at a distance of at most the sum of their reaches (float64[n], mm).
+
+    `place`: x, y and z float64[n], mm. Agents without a finite position and reach are in no pair.
+    `order` int64[n], all different: which agents take precedence in a dense cluster, independent of rows.
+    `bounds`: the least and the greatest x, y, z and reach, if known. They are not finite if any value is not finite."""
     x, y, z, reach = contiguous(*place, reach)
     rows, bounds = _usable_rows((x, y, z), reach, bounds)
     if bounds is None:
@@ -86,8 +90,10 @@ def find_touching(place: Three, reach: Floats, order: NDArray[np.int64], bounds:
 
 
 def neighbour_searches(place: Three, reach: Floats) -> Iterator[Search]:
-    """Yield searches that together meet each pair of agents no farther apart than the sum of their reaches once. Arguments as for
-    `find_touching`. Sparse crowds get wider cells, so that a table of all cells stays small."""
+    """Yield searches that together meet each pair within the sum of both reaches exactly once. Arguments as for
+    `find_touching`.
+
+    Sparse crowds get wider cells, so that a table of all cells stays small."""
     x, y, z, reach = contiguous(*place, reach)
     rows, bounds = _usable_rows((x, y, z), reach, None)
     if bounds is not None:
@@ -95,7 +101,7 @@ def neighbour_searches(place: Three, reach: Floats) -> Iterator[Search]:
 
 
 def _usable_rows(place: Three, reach: Floats, bounds: Bounds | None) -> tuple[Rows, Bounds | None]:
-    """Return the rows with a finite position and reach (none: all rows), and their bounds; no bounds if there is no such row."""
+    """Return the rows with a finite position and reach (empty: all rows), and their bounds; None if there is no such row."""
     if bounds is None and len(reach):
         bounds = _find_bounds((*place, reach))
     if bounds is not None and all(isfinite(low + high) for low, high in bounds) and bounds[3][0] > 0:
@@ -106,12 +112,12 @@ def _usable_rows(place: Three, reach: Floats, bounds: Bounds | None) -> tuple[Ro
 
 
 def _find_bounds(numbers: Sequence[Floats], rows: Rows = NO_ORDER) -> Bounds:
-    """Return the least and the greatest value of each array, over some rows (none: over all)."""
+    """Return the least and the greatest value of each array, over the given rows (empty: all rows)."""
     return [(float(each.min()), float(each.max())) for each in (n[rows] if rows.size else n for n in numbers)]
 
 
 def _searches(place: Three, reach: Floats, rows: Rows, bounds: Bounds, widens: bool) -> Iterator[Search]:
-    """Yield the searches for pairs among rows (none: all) within bounds. `widens`: whether sparse grids get wider cells."""
+    """Yield the searches for pairs among rows (empty: all) within bounds. `widens`: whether sparse grids get wider cells."""
     low, high = bounds[3]
     if 2 * low >= high:
         yield _Grid.of(place, reach, rows, bounds, widens).own_search()
@@ -127,7 +133,7 @@ def _searches(place: Three, reach: Floats, rows: Rows, bounds: Bounds, widens: b
 
 
 def _find_pairs(search: Search) -> Pairs:
-    """Return the pairs that a search meets within their reaches."""
+    """Return the pairs of a search that are within the sum of their reaches."""
     count = search.asking[1].size
     buffers = tuple(np.empty((3, _TOGETHER * search.shifts.size * _MOST + _WRITTEN), np.int32))
     used, most_pairs, left_out = -1, 4 * count + 256, 0
@@ -139,9 +145,13 @@ def _find_pairs(search: Search) -> Pairs:
 
 
 class Search(NamedTuple):
-    """What a kernel needs to meet pairs of neighbours: agents that search and agents that are found (position and reach in groups
-    of four, row, cell), the first found agent of each cell, the number of cells, and the offsets of spans of three cells from an
-    agent's own cell. `own`: both are the same agents, and each pair is met once."""
+    """The input of a kernel that visits pairs of neighbours.
+
+    `asking`, `agents`: the agents that search, and the agents that can be found. Each: position and reach (four entries per
+        agent), row, cell.
+    `starts`: the first of `agents` in each cell. `cells`: the number of cells.
+    `shifts`: offsets from an agent's own cell to spans of three cells.
+    `own`: both are the same agents, and each pair is visited once."""
 
     asking: Agents
     agents: Agents
@@ -152,9 +162,12 @@ class Search(NamedTuple):
 
 
 class _Grid(NamedTuple):
-    """Agents of similar size in the order of their cells, with one free cell at either end of each axis. `axes`: from the longest
-    to the shortest. Along them: low corners (mm), cells per millimetre, and numbers of cells, 1 if layers are not separated.
-    `agents`: as in kernels. `starts`: the first agent of each cell, empty if there are too many for a table."""
+    """Agents of similar size in the order of their cells. At either end of each axis, one row of cells is free.
+
+    `axes`: from the longest to the shortest; the following values are in this order.
+    `low`: low corner (mm). `rate`: cells per mm. `size`: numbers of cells, 1 if layers are not separated.
+    `agents`: position and reach, row, and cell of each agent, as kernels read them.
+    `starts`: the first agent of each cell, empty if there are too many cells for a table."""
 
     axes: tuple[int, ...]
     low: tuple[float, ...]
@@ -165,7 +178,8 @@ class _Grid(NamedTuple):
 
     @staticmethod
     def of(place: Three, reach: Floats, rows: Rows, bounds: Bounds, widens: bool) -> _Grid:
-        """Return the grid of rows (none: all) within bounds. `widens`: whether cells become wider until a table holds them."""
+        """Return the grid of rows (empty: all) within bounds. `widens`: whether cells become wider until a table can hold all
+        of them."""
         low, extent = [low for low, _ in bounds[:3]], [high - low for low, high in bounds[:3]]
         axes = tuple(sorted(range(3), key=lambda axis: -extent[axis]))
         cell = max(2 * bounds[3][1], extent[axes[0]] / _ALONG, 1e-9)
@@ -194,27 +208,31 @@ class _Grid(NamedTuple):
         return self.size[0] * self.size[1] * self.size[2]
 
     def _cell_numbering(self) -> tuple[Any, ...]:
-        """Return what kernels need to number cells: low corners, cells per millimetre, sizes, and the index of the first cell in
+        """Return the inputs of kernels that number cells: low corners, cells per mm, sizes, and the index of the first cell in
         use."""
         across, broad, depth = self.size
         first, rate = (broad + 1) * across + 1 if depth > 1 else across + 1, self.rate
         return self.low, (rate, rate, rate if depth > 1 else 0.0), self.size, first
 
     def _count_agents(self, place: Three, rows: Rows, keys: NDArray[np.int64], most: int) -> tuple[NDArray[np.int32], int]:
-        """Store the cells of rows. Returns a table of the number of rows in each, empty if there are more than `most` cells, and
-        the number of pairs that share one."""
+        """Store the cell of each row in `keys`. Return the number of rows per cell as a table, and the number of pairs that
+        share a cell.
+
+        The table is empty if there are more than `most` cells."""
         counts = np.empty((1, self.cell_count + SPARE if self.cell_count <= most else 0), np.int32)
         return counts, _count_cells(reorder_axes(self.axes, place), *self._cell_numbering(), rows, keys, counts, 0, SHARES)
 
     def own_search(self) -> Search:
-        """Return the search for pairs among the grid's agents: each agent with later ones in its cell, and with all in the later
-        half of its neighbour cells."""
+        """Return the search for pairs among the grid's agents.
+
+        Each agent is paired with later agents of its cell, and with all agents in the later half of the neighbour cells."""
         across, layer = self.size[0], self.size[0] * self.size[1]
         shifts = [0, across, layer - across, layer, layer + across][: 2 if self.size[2] == 1 else 5]
         return Search(self.agents, self.agents, self.starts, self.cell_count, np.array(shifts), True)
 
     def search_for(self, place: Three, reach: Floats, rows: Rows) -> Search:
-        """Return the search for pairs of other rows with the grid's agents: each row with all agents in and around its cell."""
+        """Return the search for pairs of other rows with the grid's agents. Each row is paired with all agents in and around
+        its cell."""
         across, layer = self.size[0], self.size[0] * self.size[1]
         shifts = [depth * layer + aside * across for depth in (0, -1, 1) for aside in (-1, 0, 1)][: 3 if self.size[2] == 1 else 9]
         positions, own, keys = np.empty(4 * rows.size), np.empty(rows.size, np.int32), np.empty(rows.size, np.int64)
@@ -227,7 +245,7 @@ def _count_cells(
     along: Columns, low: Corner, inverse: Corner, size: Sizes, shift: I64, order: Array1[I64], keys: Array1[I64],
     counts: Array2[I32], begin: I64, end: I64,
 ) -> I64:  # fmt: skip
-    """As `counted`."""
+    """Store and count cells as `cell_order.count_cells` does, with float64 positions."""
     return count_cells(along, low, inverse, size, shift, order, keys, counts, begin, end)
 
 
@@ -236,7 +254,7 @@ def _store_agents(
     positions: Columns, reach: Array1[F64], order: Array1[I64], keys: Array1[I64], counts: Array2[I32], ordered: Array1[F64],
     rows: Array1[I32], cells: Array1[I64],
 ) -> None:  # fmt: skip
-    """Write x, y, z and reach (in groups of four), the row and the cell of each agent at its position."""
+    """Write position and reach (four entries per agent), row and cell of each agent at its position in the order."""
     for k in range(keys.size):
         if counts.shape[1] > 0:
             fetch_ahead(ordered, 4 * counts[0, keys[min(k + _FETCHED, keys.size - 1)] + 1])
@@ -252,7 +270,7 @@ def _store_queries(
     positions: Columns, along: Columns, reach: Array1[F64], low: Corner, inverse: Corner, size: Sizes, shift: I64,
     order: Array1[I64], asking: Array1[F64], rows: Array1[I32], cells: Array1[I64],
 ) -> I64:  # fmt: skip
-    """List the rows that are at most one cell away from cells in use; return their number."""
+    """Write the rows that are at most one cell away from used cells; return their number."""
     used = 0
     for k in range(order.size):
         row = order[k]
@@ -286,10 +304,10 @@ def _fill_pairs(
     asking: Agents, agents: Agents, starts: Array1[I32], cells: I64, shifts: Array1[I64], own: BOOL, most: I64,
     buffers: CandidateBuffers, i: Array1[I64], j: Array1[I64],
 ) -> tuple[I64, I64]:  # fmt: skip
-    """Fill `i` and `j` with pairs. Returns their number (-1 if `i` and `j` are too short), and how many spans miss some.
+    """Write pairs into `i` and `j`. Return their number (-1 if the arrays are too short), and how many spans have omitted
+    pairs.
 
-    An agent is paired with at most `most` agents of a span. `buffers`: buffers for candidates, listed without an unpredictable
-    branch, and for those that are near."""
+    An agent is paired with at most `most` agents of a span. `buffers`: work memory for candidates and for those in reach."""
     (asks, asking_rows, asking_keys), (ordered, rows, _), (one, other, near) = asking, agents, buffers
     used, count, left_out = 0, asking_rows.size, 0
     for begin in range(0, count, _TOGETHER):

@@ -1,4 +1,4 @@
-"""The shots of a sequence as tasks: each simulates a scene into a separate cache."""
+"""The shots of a sequence as tasks. Each task simulates a scene into a separate cache."""
 
 from __future__ import annotations
 
@@ -26,8 +26,11 @@ _REFUSALS = (
 
 
 def cache_task(shot: Shot, scene: Path, choices: RunChoices, options: Mapping[str, Any], to: Destination, name: str) -> Task:
-    """Return a task that writes the cache of a shot to the folder `name` of a destination. `options`: those of `Options` except
-    threads, and `resume` and `force`. Raises StartError like the shot."""
+    """Return a task that writes the cache of a shot to the folder `name` of a destination. Raises StartError if the shot cannot
+    start.
+
+    `options`: the fields of `Options` except threads, and `resume` and `force`.
+    """
     scene = real_path(scene)
     document = {
         "scene": str(scene),

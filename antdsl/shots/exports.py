@@ -1,4 +1,4 @@
-"""Exports with a file for each frame as tasks, each for some frames."""
+"""Exports with one file per frame, as tasks. Each task exports some frames."""
 
 from __future__ import annotations
 
@@ -20,13 +20,13 @@ CHUNK = 8  # frames of a task
 def export_tasks(
     cache: Path, name: str, form: str, ids: frozenset[int] | None, frames: Sequence[int], to: Destination
 ) -> Iterator[Task]:
-    """Yield tasks that write all frames to files with names from `name`. `cache`: an absolute path without links."""
+    """Yield tasks that write all frames. `name`: the pattern of the file names. `cache`: an absolute path without links."""
     document = {"cache": str(cache), "name": name, "form": form, "ids": None if ids is None else sorted(ids)}
     return to.frame_tasks(export_frames, document, frames, CHUNK)
 
 
 def export_frames(document: Mapping[str, Any], worker: Worker) -> dict[str, Any]:
-    """Write some frames."""
+    """Write the files of some frames."""
     to, name = Destination.of(document), document["name"]
     export = export_for(Path(name))
     if export is None or document["form"] not in export.each:

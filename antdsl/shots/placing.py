@@ -1,5 +1,5 @@
-"""Where a task writes its files: to the requested folder, if the worker can access it. Otherwise to a folder of the worker, from
-which they are fetched in parts and moved into place when complete."""
+"""Chooses where a task writes its files. If the worker can access the requested folder, the task writes to it. Otherwise it
+writes to a folder of the worker. The files are then fetched in parts, and moved into place when they are complete."""
 
 from __future__ import annotations
 
@@ -19,18 +19,18 @@ from antdsl.whole import new_sibling
 
 @dataclass(frozen=True, slots=True)
 class Destination:
-    """A folder with a marker file, by which a worker recognises the folder if it can access it."""
+    """A folder with a marker file. The marker shows a worker that it can access the same folder."""
 
     folder: str
     token: str
 
     @classmethod
     def of(cls, document: Mapping[str, Any]) -> Destination:
-        """Return the destination in the document of a task."""
+        """Return the destination that the document of a task contains."""
         return cls(document["folder"], document["token"])
 
     def task(self, work: Work, document: Mapping[str, Any]) -> Task:
-        """Return a task that writes to this folder, under a key made of its document."""
+        """Return a task that writes to this folder. Its key is made of its document."""
         document = {**document, **asdict(self)}
         key = document_digest(document)
         return Task(key, work, {**document, "key": key})
@@ -49,8 +49,8 @@ class Destination:
         return task_folder
 
     def describe_files(self, worker: Worker, place: Path, key: str) -> dict[str, Any]:
-        """Return the answer of a task after it has written files: which are to be fetched. Raises TaskRefused if they are too
-        large."""
+        """Return the answer of a task after it has written files. It lists the files that must be fetched. Raises TaskRefused if
+        they are too large."""
         if place == Path(self.folder):
             return {"worker": "", "made": key, "files": []}
         files = [path for path in sorted(place.rglob("*")) if path.is_file()]
@@ -66,7 +66,7 @@ class Destination:
 
 @contextmanager
 def mark_folder(folder: Path) -> Iterator[Destination]:
-    """Yield a folder as a destination; it has a marker file while the context is open."""
+    """Yield a folder as a destination. The folder has a marker file while the context is open."""
     token = new_sibling(folder / "seen")
     try:
         yield Destination(str(folder.resolve()), token.name)

@@ -1,4 +1,4 @@
-"""Stills of a cache as tasks, a few frames each: the frames of a cache are independent."""
+"""Stills of a cache as tasks of a few frames each. This is possible because the frames of a cache are independent."""
 
 from __future__ import annotations
 
@@ -22,14 +22,14 @@ CHUNK = 4  # frames of a task
 def still_tasks(
     cache: Path, picture_request: DrawRequest, frames: Sequence[int], together: Sequence[int], to: Destination
 ) -> Iterator[Task]:
-    """Yield tasks that draw all frames. `cache`: an absolute path without links; `together`: the frames for which the camera is
+    """Yield tasks that draw all frames. `cache`: an absolute path without links. `together`: the frames for which the camera is
     chosen."""
     pictures = {"cache": str(cache), "wanted": asdict(picture_request), "all": list(together)}
     return to.frame_tasks(draw_stills, {"pictures": pictures}, frames, CHUNK)
 
 
 def draw_stills(document: Mapping[str, Any], worker: Worker) -> dict[str, Any]:
-    """Draw some frames. The drawer of earlier frames is cached for the next task of the same pictures."""
+    """Draw some frames. The drawing state is cached in the process for the next task with the same picture settings."""
     to, pictures = Destination.of(document), document["pictures"]
     with refuse_task(ManifestError, CacheError, PictureUnavailable, AgentMissing, ValueError):
         if worker.cached_values.get("pictures") != pictures:

@@ -1,5 +1,5 @@
-"""Many runs of scenes: varied values and seeds, one resulting table. Runs go to other processes (`executors`); finished ones are
-stored."""
+"""Many runs of scenes with varied values and seeds, and one resulting table. Runs are executed by other processes (`executors`).
+Finished runs are stored."""
 
 from antdsl.sweep.finished_runs import RunStore
 from antdsl.sweep.jobs import Job, Variation, jobs, make_variations

@@ -1,7 +1,8 @@
-"""Designs of experiments: which points are run of the space that a sweep's factors span.
+"""Designs of experiments. A design chooses the points to run from the space of all values of a sweep's factors.
 
-A design returns shares from 0 to 1 for each factor, one row per point; factors convert shares to values. All draws come from one
-seed, so the same arguments choose the same points."""
+A design returns shares from 0 to 1 for each factor, one row per point. Factors convert shares to values. All draws come from one
+seed, so equal arguments choose equal points.
+"""
 
 from __future__ import annotations
 
@@ -24,8 +25,12 @@ Point = Mapping[str, str]
 
 @dataclass(frozen=True, slots=True)
 class Design:
-    """A design. `shares(factors, count, seed)`: an array (points, factors) of numbers from 0 to 1. `counted`: the meaning of
-    `count`. `analysis`: how to compute the importance of each factor from the results, for designs made for that."""
+    """A design.
+
+    `shares(factors, count, seed)`: returns an array (points, factors) of numbers from 0 to 1.
+    `counted`: the meaning of `count`.
+    `analysis`: computes the importance of each factor from the results; None if the design does not allow it.
+    """
 
     word: str
     is_one: str
@@ -41,7 +46,7 @@ class Design:
 
 @dataclass(frozen=True, slots=True)
 class ChosenPoints:
-    """The points of a design in order, possibly with duplicates, and the shares from which they were computed."""
+    """The points of a design in order, possibly with duplicates. `shares`: the shares from which they were computed."""
 
     design: Design
     factors: tuple[Factor, ...]
@@ -50,22 +55,23 @@ class ChosenPoints:
 
     @property
     def unique_points(self) -> list[Point]:
-        """Every point once, in order."""
+        """Return every point once, in order."""
         points_by_value = {tuple(point.values()): point for point in self.points}
         return list(points_by_value.values())
 
 
 def _latin(factors: int, count: int, seed: int) -> Shares:
-    """M. D. McKay, R. J. Beckman, W. J. Conover: A comparison of three methods for selecting values of input variables in the
-    analysis of output from a computer code, Technometrics 21 (1979)."""
+    """Return a Latin hypercube: shares of `count` points. M. D. McKay, R. J. Beckman, W. J. Conover: A comparison of three
+    methods for selecting values of input variables in the analysis of output from a computer code, Technometrics 21 (1979)."""
     from scipy.stats import qmc
 
     return np.asarray(qmc.LatinHypercube(factors, seed=np.random.default_rng(seed)).random(count))
 
 
 def _sobol(factors: int, count: int, seed: int) -> Shares:
-    """I. M. Sobol': On the distribution of points in a cube, USSR Comp. Math. Math. Phys. 7 (1967), scrambled after A. B. Owen:
-    Scrambling Sobol' and Niederreiter-Xing points, J. Complexity 14 (1998)."""
+    """Return `count` points of a scrambled Sobol sequence, as shares. I. M. Sobol': On the distribution of points in a cube, USSR
+    Comp. Math. Math. Phys. 7 (1967), scrambled after A. B. Owen: Scrambling Sobol' and Niederreiter-Xing points, J. Complexity 14
+    (1998)."""
     from scipy.stats import qmc
 
     return np.asarray(qmc.Sobol(factors, scramble=True, seed=np.random.default_rng(seed)).random(count))
@@ -99,7 +105,7 @@ _BY_WORD = {design.word: design for design in DESIGNS}
 
 
 def choose_design(word: str, factors: Sequence[Factor], points: int | None, seed: int) -> tuple[ChosenPoints | None, Report]:
-    """Return the points of the named design. Conflicts are in the report, with what to write instead."""
+    """Return the points of the named design, or None. Conflicting arguments are in the report, with corrections."""
     report, design = Report(), _BY_WORD[word]
     _check_fit(design, factors, points, report)
     if not report.ok:

@@ -16,7 +16,7 @@ _DIGITS = 6  # that a value drawn from a range is written with
 
 @dataclass(frozen=True, slots=True)
 class Factor:
-    """A name with its values: `levels`, or, if there are none, all from `low` to `high`, in `unit`."""
+    """A name with its values: `levels`, or if there are no levels, all values from `low` to `high`, in `unit`."""
 
     name: str
     levels: tuple[str, ...] = ()
@@ -30,17 +30,18 @@ class Factor:
         return self.name.rpartition(".")[2]
 
     def at(self, share: float) -> str:
-        """Return the value at a share, 0 to 1, between the first and the last, as text. Levels have equal shares."""
+        """Return a value as text. `share`: the position from 0 (first value) to 1 (last value). Each level covers an equal
+        part."""
         if self.levels:
             return self.levels[min(floor(share * len(self.levels)), len(self.levels) - 1)]
         return self._format_value(self.low + share * (self.high - self.low))
 
     def ends(self) -> tuple[str, ...]:
-        """Return the values to check to know whether all are allowed: each level, or the two ends."""
+        """Return the values to check: each level, or the two ends of the range. If these are allowed, all values are."""
         return self.levels or (self._format_value(self.low), self._format_value(self.high))
 
     def number(self, text: str) -> float:
-        """A value of a range as a number in `unit`."""
+        """Return a value of a range as a number in `unit`."""
         return float(text[: len(text) - len(self.unit)])
 
     def _format_value(self, value: float) -> str:
@@ -48,7 +49,7 @@ class Factor:
 
 
 def parse_factors(varied: Mapping[str, str]) -> tuple[list[Factor], Report]:
-    """Return factors from `NAME` to `A,B,C` or `A..B`, as in the source; unreadable ones are in the report."""
+    """Return factors from a mapping of names to `A,B,C` or `A..B`, as in the source. Unreadable ones are in the report."""
     report = Report()
     parsed_factors = [
         _parse_range(name, text, report) if ".." in text else _parse_levels(name, text, report) for name, text in varied.items()

@@ -1,7 +1,8 @@
-"""The one interface to matplotlib: figures with its packaged defaults, whatever the working directory or the user sets.
+"""The only interface to matplotlib. Figures have its packaged defaults, whatever settings the working directory or the user has.
 
-Its settings can start programs (`text.usetex` starts LaTeX). On import it looks for settings in the working directory first. It
-is therefore imported from a folder of antdsl, with separate variables pointing to the installation."""
+Settings of matplotlib can start programs (`text.usetex` starts LaTeX), and on import it first looks for settings in the working
+directory. Therefore it is imported from a folder of antdsl, with environment variables that point to the installation.
+"""
 
 from __future__ import annotations
 
@@ -24,13 +25,14 @@ NAME = "matplotlib"
 
 
 def is_available() -> bool:
-    """Return whether figures can be drawn here; nothing is imported."""
+    """Return whether matplotlib is installed, without importing anything."""
     return find_spec(NAME) is not None
 
 
 @contextmanager
 def open_figure(width: float, height: float, path: Path) -> Iterator[Figure]:
-    """Yield a figure of a size in inches; at the end it is written to `path` as a PNG file. Raises OSError if that fails."""
+    """Yield a figure of a size in inches. At the end of the context, it is written to `path` as a PNG file. Raises OSError if
+    that fails."""
     matplotlib = _import_matplotlib()
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
@@ -46,8 +48,8 @@ def open_figure(width: float, height: float, path: Path) -> Iterator[Figure]:
 
 @cache
 def _import_matplotlib() -> Any:
-    """Return matplotlib, with everything loaded that reads settings or the font list at import. The list is stored in a folder
-    that only this user may write to."""
+    """Return matplotlib, with all modules loaded that read settings or the font list on import. The font list is stored in a
+    folder that only this user may write to."""
     import importlib
 
     with ExitStack() as opened:

@@ -1,4 +1,4 @@
-"""Storage of finished runs: one small file per run, so that a stopped sweep can continue."""
+"""Stores finished runs, one small file per run, so that a stopped sweep can continue."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ _BYTES = limits.MAX_TASK_ANSWER_BYTES + 64 * limits.KIB  # of the stored data of
 
 
 class NoSweepFolder(Exception):
-    """The folder holds something else than a sweep."""
+    """The folder contains other files than those of a sweep."""
 
 
 class RunStore:
@@ -36,8 +36,8 @@ class RunStore:
         return self.runs / f"{job.key}.json"
 
     def read_measures(self, job: Job) -> dict[str, Any] | None:
-        """Return the measures of an earlier finished run, or None, also if its file is damaged. Files from before hashes were
-        introduced are accepted."""
+        """Return the measures of an earlier finished run. Return None if there is none or its file is damaged. Files of older
+        versions, which have no hash, are accepted."""
         try:
             document = json.loads(read_bounded(self.path(job), _BYTES))
         except (OSError, ValueError, RecursionError):
@@ -49,7 +49,7 @@ class RunStore:
         return measures
 
     def count_other_runs(self, jobs: Iterable[Job]) -> int:
-        """Return how many finished runs belong to none of these jobs."""
+        """Return the number of finished runs that belong to none of these jobs."""
         return len({path.stem for path in self.runs.glob("*.json")} - {job.key for job in jobs})
 
     def write_measures(self, job: Job, measures: Mapping[str, Any]) -> None:
@@ -65,5 +65,5 @@ def _document_hash(document: Mapping[str, Any]) -> str:
 
 
 def describe_job(job: Job) -> dict[str, Any]:
-    """What a run was, in plain words."""
+    """Return a description of a run as plain values."""
     return {"label": job.label, "scene": Path(job.scene).name, "set": dict(job.params), "seed": job.seed}

@@ -1,4 +1,4 @@
-"""The jobs of a sweep: each scene with each combination of values and each seed; and a key that identifies each run."""
+"""The jobs of a sweep: each scene with each combination of values and each seed. Each run has a key that identifies it."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from antdsl.source_hash import sources
 
 @dataclass(frozen=True, slots=True)
 class Variation:
-    """A scene with specific values: one line of the table."""
+    """A scene with specific values. It is one line of the table."""
 
     scene: Path
     params: Mapping[str, str]
@@ -34,8 +34,11 @@ class Variation:
 
 @dataclass(frozen=True, slots=True)
 class Job:
-    """One run. `until`: amounts (`food.load`, `food.apple.load`) that end it when all of them are 0. `key`: contains a hash of
-    all that the result depends on. It has plain values, so that it goes to another process as JSON."""
+    """One run. Its values are plain, so that it can be sent to another process as JSON.
+
+    `until`: amounts (`food.load`, `food.apple.load`); the run ends when all of them are 0.
+    `key`: contains a hash of everything that the result depends on.
+    """
 
     scene: str
     label: str
@@ -56,11 +59,11 @@ class Job:
 
     @classmethod
     def of(cls, document: Mapping[str, Any]) -> Job:
-        """Return the job of a document."""
+        """Return the job that `document` describes; the inverse of `Job.document`."""
         return _JOBS.validate_python(document)
 
     def choices(self) -> RunChoices:
-        """What opens the scene as this run has it."""
+        """Return the choices with which this run opens its scene."""
         grants = {name: Path(folder) for name, folder in self.grants}
         return RunChoices(grants, FrameRange(*self.frames), self.seed, dict(self.params))
 
@@ -69,7 +72,7 @@ _JOBS = TypeAdapter(Job)
 
 
 def make_variations(scenes: Iterable[Path], points: Iterable[Mapping[str, str]]) -> list[Variation]:
-    """Every scene with the values of every point."""
+    """Return every scene with the values of every point."""
     scenes, points = list(scenes), list(points)
     stems = [scene.stem for scene in scenes]
     combinations = []
@@ -90,8 +93,8 @@ def jobs(
     until: tuple[str, ...],
     grants: Mapping[str, Path],
 ) -> tuple[list[Job], Report]:
-    """Return all runs, seed by seed, so that a stopped sweep has results of every variation. Problems with a scene or a value are
-    in the report, once."""
+    """Return all runs, ordered by seed, so that a stopped sweep has results of every variation. Each problem with a scene or a
+    value is in the report once."""
     report = Report()
     shots: list[tuple[Variation, FrameRange, Scene, Mapping[str, str]]] = []
     parsed = SharedParsedFiles()
@@ -117,7 +120,7 @@ def jobs(
 
 
 def start_hashes(shot: Shot) -> Mapping[str, str]:
-    """Return a hash of the start state that a scene takes from another cache, and note that its files are read
+    """Return a hash of the start state that a scene takes from another cache. Also record that the files of that cache are read
     (`scene.paths.record_sought`)."""
     folder = source_of(shot)
     if folder is not None:
@@ -126,7 +129,7 @@ def start_hashes(shot: Shot) -> Mapping[str, str]:
 
 
 def job_key(shot: Shot, seed: int, until: tuple[str, ...], start: Mapping[str, str]) -> str:
-    """Return a hash of all that the measures of a run depend on. `start`: the hash of the cache it begins with (`start_hash`)."""
+    """Return a hash of everything that the measures of a run depend on. `start`: the result of `start_hashes`."""
     return _key(shot.scene, {**shot.inputs, **start}, shot.frames, seed, until)
 
 
@@ -159,6 +162,6 @@ def amount_names(shot: Shot) -> Iterator[str]:
 
 
 def is_match(requested_name: str, name: str) -> bool:
-    """Whether `food.load` or `food.apple.load` means the amount `food.apple.load`."""
+    """Return whether a requested name (`food.load` or `food.apple.load`) means the amount `food.apple.load`."""
     items, _, rest = name.partition(".")
     return requested_name in (name, f"{items}.{rest.partition('.')[2]}")

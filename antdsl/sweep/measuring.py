@@ -1,6 +1,6 @@
-"""Runs the jobs of a sweep as tasks, without caches: everything that `antdsl run --summary` reports, and the frame at which each
-amount ran out. A run that fails, or crashes its process, is reported, and the others continue. The distribution over processes
-changes no result."""
+"""Runs the jobs of a sweep as tasks, without caches. The measures are everything that `antdsl run --summary` reports, and the
+frame at which each amount ran out. If a run fails or crashes its process, this is reported, and the others continue. The
+distribution over processes does not change any result."""
 
 from __future__ import annotations
 
@@ -38,9 +38,11 @@ def run_all(
     report_frame: Callable[[Job, int], None] = lambda job, frame: None,
     noted: Callable[[str], None] = lambda sentence: None,
 ) -> Iterator[Outcome]:
-    """Run jobs and yield each outcome when it arrives; `jobs` is read one at a time, when there is capacity for another.
-    `report_frame` reports the progress of a run from time to time. `noted` reports what differed from the request, a sentence for
-    each run and cause."""
+    """Run jobs and yield each outcome when it arrives. `jobs` is read one at a time, when there is capacity for another.
+
+    `report_frame`: is called from time to time with the progress of a run.
+    `noted`: is called with messages about deviations from the request, one sentence for each run and cause.
+    """
     tasks = (Task(job.key, measure, job.document()) for job in jobs)
     for outcome in run_tasks(tasks, engine, lambda task, frame: report_frame(Job.of(task.document), frame), noted):
         for sentence in outcome.notes:
@@ -49,10 +51,11 @@ def run_all(
 
 
 def measure(document: Mapping[str, Any], worker: Worker) -> dict[str, Any]:
-    """Simulate the run of a job and return its measures by name: numbers, or None for what did not happen. Data that a run makes
-    from meshes stays in the process for the next run.
+    """Simulate the run of a job and return its measures by name. A measure is a number, or None if its event did not happen. Data
+    that a run computes from meshes stays in the process for the next run.
 
-    Everything but `seconds`, `fps` and `processor` is equal for the same job and antdsl."""
+    Equal jobs with the same antdsl give equal measures, except `seconds`, `fps` and `processor`.
+    """
     built: BindingCache = worker.cached_values.setdefault("built", BindingCache())
     job = Job.of(document)
     grants = tuple((name, str(worker.local_path(folder))) for name, folder in job.grants)

@@ -1,5 +1,5 @@
-"""Plots of a table. Every run is a dot, the median and the quartiles are a bar, with a panel for each measure. For a design over
-ranges there is a panel for each measure and range. Needs matplotlib."""
+"""Plots of a table, with a panel for each measure. Every run is a dot; the median and the quartiles are a bar. For a design over
+ranges, there is a panel for each measure and range. Needs matplotlib."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ HOW = "plots need matplotlib: pip install 'antdsl[plots]'"
 
 
 def draw_measures(results: Sequence[Result], measures: Sequence[str], path: Path) -> None:
-    """Write one PNG with a panel per measure. What did not happen is above the dashed line."""
+    """Write one PNG with a panel per measure. Runs in which the measured event did not happen are above the dashed line."""
     labels = list(dict.fromkeys(job.label for job, _ in results))
     height = max(2.0, 0.45 * len(labels) + 1.0)
     with open_figure(9.0, height * len(measures), path) as drawn:
@@ -54,9 +54,12 @@ def _draw_panel(panel: Axes, results: Sequence[Result], labels: Sequence[str], m
 
 
 def draw_factors(study: Study, results: Sequence[Result], measures: Sequence[str], effects: Sequence[Effect], path: Path) -> None:
-    """Write one PNG with a row per measure and a column per range; and a column for the importance of each factor, if the design
-    provides it. A dot is the median of a point over its seeds, with its quartiles. The line and the band are the median and the
-    quartiles of all points within a part of the range."""
+    """Write one PNG with a row per measure and a column per range. If the design provides the importance of factors, add a column
+    for it.
+
+    A dot is the median of a point over its seeds, with its quartiles. The line and the band are the median and the quartiles of
+    all points in a part of the range.
+    """
     columns = len(study.ranges) + bool(effects)
     names = [str(scene) for scene in study.scenes]
     scenes = {variation.label: str(variation.scene) for variation in study.variations}

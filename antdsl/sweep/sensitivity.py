@@ -1,6 +1,7 @@
-"""The importance of each factor of a sweep: Sobol indices and elementary effects, by SALib (the extra `[sensitivity]`).
+"""The importance of each factor of a sweep: Sobol indices and elementary effects, computed by SALib (the extra `[sensitivity]`).
 
-The analysis uses the median over seeds of a measure at each point; every point has the same seeds."""
+The analysis uses the median over seeds of a measure at each point. All points have the same seeds.
+"""
 
 from __future__ import annotations
 
@@ -26,8 +27,12 @@ EffectColumns = Mapping[str, Numbers]
 
 @dataclass(frozen=True, slots=True)
 class Analysis:
-    """An analysis. `work(shares, values)` returns columns by name, one number per factor. `first`: the column with the importance
-    of a factor; `half`: the column with half the width of its 95 % interval."""
+    """An analysis of the importance of factors.
+
+    `work(shares, values)`: returns columns by name, with one number per factor.
+    `first`: the column with the importance of a factor.
+    `half`: the column with half the width of its 95 % interval.
+    """
 
     title: str
     first: str
@@ -46,21 +51,21 @@ class Effect:
 
 
 def is_available() -> bool:
-    """Whether SALib is here; nothing is imported."""
+    """Return whether SALib is installed, without importing it."""
     return find_spec("SALib") is not None
 
 
 def saltelli_sample(factors: int, count: int, seed: int) -> Numbers:
-    """Return `count` × (factors + 2) points for Sobol indices of first and total order. A. Saltelli and others: Variance based
-    sensitivity analysis of model output, Comp. Phys. Comm. 181 (2010), on a scrambled Sobol sequence."""
+    """Return `count` × (factors + 2) points for Sobol indices of first and total order, from a scrambled Sobol sequence. A.
+    Saltelli and others: Variance based sensitivity analysis of model output, Comp. Phys. Comm. 181 (2010)."""
     from SALib.sample import sobol
 
     return np.asarray(sobol.sample(_salib_problem(factors), count, calc_second_order=False, seed=seed))
 
 
 def morris_sample(factors: int, count: int, seed: int) -> Numbers:
-    """Return `count` trajectories of factors + 1 points, each one step along one factor from the previous one. M. D. Morris:
-    Factorial sampling plans for preliminary computational experiments, Technometrics 33 (1991)."""
+    """Return `count` trajectories of factors + 1 points. Each point differs from the previous one by one step along one factor.
+    M. D. Morris: Factorial sampling plans for preliminary computational experiments, Technometrics 33 (1991)."""
     from SALib.sample import morris
 
     return np.asarray(morris.sample(_salib_problem(factors), count, num_levels=_LEVELS, seed=seed))
@@ -81,8 +86,8 @@ def _sobol_indices(shares: Numbers, values: Numbers) -> EffectColumns:
 
 
 def _elementary_effects(shares: Numbers, values: Numbers) -> EffectColumns:
-    """F. Campolongo, J. Cariboni, A. Saltelli: An effective screening design for sensitivity analysis of large models,
-    Environmental Modelling & Software 22 (2007)."""
+    """Return the elementary effects of each factor. F. Campolongo, J. Cariboni, A. Saltelli: An effective screening design for
+    sensitivity analysis of large models, Environmental Modelling & Software 22 (2007)."""
     from SALib.analyze import morris
 
     problem = _salib_problem(shares.shape[1])
@@ -109,8 +114,11 @@ def find_effects(
     medians: Mapping[tuple[str, str], float],
     measures: Sequence[str],
 ) -> tuple[list[Effect], list[str]]:
-    """Return the effect of each factor on each measure, and why some measures have none. `scenes`: by name, the label of each of
-    the design's points; `medians`: by label and measure."""
+    """Return the effect of each factor on each measure, and the reasons why some measures have none.
+
+    `scenes`: by name, the labels of the design's points.
+    `medians`: by label and measure.
+    """
     effect_list: list[Effect] = []
     notes: list[str] = []
     for scene, labels in scenes.items():
@@ -135,7 +143,7 @@ def find_effects(
 
 
 def text(analysis: Analysis, effect_list: Sequence[Effect]) -> str:
-    """Format a block of lines per scene and measure, the most important factor first."""
+    """Return a block of lines per scene and measure, with the most important factor first."""
     lines: list[str] = [analysis.title]
     width = max(len(effect.factor) for effect in effect_list)
     several = len({effect.scene for effect in effect_list}) > 1
@@ -151,7 +159,7 @@ def text(analysis: Analysis, effect_list: Sequence[Effect]) -> str:
 
 
 def as_csv(effect_list: Sequence[Effect]) -> str:
-    """One line an effect."""
+    """Return CSV with one line per effect."""
     head = ["scene", "measure", "factor", *effect_list[0].columns]
     lines = (
         [each.scene, each.measure, each.factor, *(f"{value:.9g}" for value in each.columns.values())] for each in effect_list

@@ -1,12 +1,13 @@
-"""Decides which runs of a sweep are still needed: a variation is complete once its medians are known to the requested width.
+"""Decides which runs of a sweep are still needed. A variation is complete once its medians are known to the requested width.
 
-Each decision uses the first n seeds of a variation. So the order in which runs end changes neither when the variation is complete
+Each decision uses the first n seeds of a variation. So the order in which runs end does not change when a variation is complete,
 nor its row of the table.
 
-The interval of a median holds whatever the measure's distribution. Of n independent draws in order, the median of what they
-are drawn from lies between the l-th and the l-th from the end with a chance of at least 1 - 2 P(B < l), B the number of heads
-of n fair coins: W. J. Conover, Practical Nonparametric Statistics, 3rd ed. (1999), section 3.2; H. A. David, H. N. Nagaraja,
-Order Statistics, 3rd ed. (2003), section 7.1. The sums are exact."""
+The interval of a median holds for any distribution of the measure. Sort n independent draws. With a probability of at least 1 - 2
+P(B < l), the distribution's median lies between the l-th draw and the l-th from the end. B is the number of heads of n fair
+coins. See W. J. Conover, Practical Nonparametric Statistics, 3rd ed. (1999), section 3.2; H. A. David, H. N. Nagaraja, Order
+Statistics, 3rd ed. (2003), section 7.1. The sums are exact.
+"""
 
 from __future__ import annotations
 
@@ -24,8 +25,8 @@ _GROWTH = Fraction(3, 2)  # of the number of runs, from one look to the next
 
 
 def interval_rank(count: int, doubt: Fraction = 1 - LEVEL) -> int:
-    """Return the greatest l for which the interval from the l-th to the l-th last misses the median with a probability of at most
-    `doubt`; 0 if `count` draws are too few."""
+    """Return the largest l for which the interval from the l-th to the l-th last draw misses the median with a probability of at
+    most `doubt`. Return 0 if `count` draws are too few."""
     least, below = 0, 0
     while 2 * (below + math.comb(count, least)) <= doubt * 2**count:
         below += math.comb(count, least)
@@ -34,7 +35,8 @@ def interval_rank(count: int, doubt: Fraction = 1 - LEVEL) -> int:
 
 
 def find_interval(values: Sequence[float], doubt: Fraction = 1 - LEVEL) -> tuple[float, float] | None:
-    """Return the two results between which the median lies; None for too few. An infinite result means that it never happened."""
+    """Return the two results between which the median lies, or None for too few. An infinite result means that the event never
+    happened."""
     place = interval_rank(len(values), doubt)
     if not place:
         return None
@@ -44,15 +46,18 @@ def find_interval(values: Sequence[float], doubt: Fraction = 1 - LEVEL) -> tuple
 
 @dataclass(frozen=True, slots=True)
 class Looks:
-    """The numbers of runs after which the interval is checked, and the error probability of each check. Checking repeatedly until
-    it is narrow would miss the median more often than one check, so all checks share the error probability (Bonferroni)."""
+    """The numbers of runs after which the interval is checked, and the error probability of each check.
+
+    If the interval is checked repeatedly until it is narrow, it misses the median more often than with one check. So all checks
+    share the total error probability (Bonferroni).
+    """
 
     run_counts: tuple[int, ...]
     doubt: Fraction
 
 
 def plan_looks(most: int) -> Looks | None:
-    """Return checks after half as many runs more each time, up to `most`; None if so few runs are never enough."""
+    """Return checks at growing numbers of runs, each half as many again, up to `most`. Return None if `most` runs are too few."""
     for count in range(1, most + 1):
         doubt = (1 - LEVEL) / count
         least = next((n for n in range(1, most + 1) if interval_rank(n, doubt)), None)
@@ -73,8 +78,12 @@ def least_runs() -> int:
 
 @dataclass(frozen=True, slots=True)
 class WidthGoal:
-    """How narrow the interval of a median has to be: at most `most`, or `share` of the median's size. `measure`: the beginning of
-    a name."""
+    """The requested width of a median's interval.
+
+    `measure`: the beginning of a measure's name.
+    `most`: the largest width.
+    `share`: whether `most` is a share of the median's size.
+    """
 
     measure: str
     most: float
@@ -89,7 +98,8 @@ class WidthGoal:
 
 @dataclass(frozen=True, slots=True)
 class KnownMedian:
-    """Knowledge about one measure of one variation: its median lies between `low` and `high`, after a number of runs."""
+    """The result for one measure of one variation: after `runs` runs, its median lies between `low` and `high`. `met`: whether
+    the interval is as narrow as requested."""
 
     label: str
     measure: str
@@ -102,7 +112,7 @@ class KnownMedian:
 
 @dataclass(slots=True)
 class JobChooser:
-    """All jobs that may run, seed by seed; `needed_jobs` yields the needed ones. Without widths, all are needed."""
+    """All jobs that may run, ordered by seed. `needed_jobs` yields those that are needed. Without `widths`, all are needed."""
 
     jobs: Sequence[Job]
     widths: Sequence[WidthGoal] = ()
@@ -118,13 +128,13 @@ class JobChooser:
             self._looks = plan_looks(max(map(len, self._by_label.values())))
 
     def needed_jobs(self) -> Iterator[Job]:
-        """Yield the next needed job, as long as there is one; to be called when a process is free."""
+        """Yield the next needed job, as long as there is one. Request the next job only when a process is free."""
         for job in self.jobs:
             if job.key not in self._measures and job.label not in self._final_counts:
                 yield job
 
     def record_result(self, job: Job, measures: Mapping[str, Any] | None) -> None:
-        """Record that a run has ended, with or without measures."""
+        """Record that a run has ended. `measures`: None if the run failed."""
         self._measures[job.key] = measures
         if self._looks is None or job.label in self._final_counts:
             return
@@ -138,12 +148,12 @@ class JobChooser:
 
     @property
     def counted_jobs(self) -> list[Job]:
-        """Return the jobs of the table: all that have ended; of a complete variation, those that completed it."""
+        """Return the jobs of the table: all that have measures. A complete variation counts only the jobs that completed it."""
         within = {job.key for label, of in self._by_label.items() for job in of[: self._final_counts.get(label, len(of))]}
         return [job for job in self.jobs if job.key in within and self._measures.get(job.key) is not None]
 
     def known_medians(self) -> list[KnownMedian]:
-        """Return what is known at the end about measures with a requested width."""
+        """Return the final intervals of all measures with a requested width."""
         if self._looks is None:
             return []
         return [
@@ -153,12 +163,12 @@ class JobChooser:
         ]
 
     def missing_measures(self) -> list[str]:
-        """Return the widths' measures that no run has reported, once one has ended."""
+        """Return the measures of the width goals that no run has reported. Empty as long as no run has ended."""
         names = self._names() if self.widths else ()
         return [w.measure for w in self.widths if names and not any(name.startswith(w.measure) for name in names)]
 
     def measure_prefixes(self) -> list[str]:
-        """Return the first words of the measures that runs have reported."""
+        """Return the first word of each name of a reported measure."""
         return list(dict.fromkeys(name.split(".")[0] for name in self._names()))
 
     def _names(self) -> dict[str, None]:

@@ -1,5 +1,5 @@
-"""The request of a sweep: a design and its variations, for comparison with the results. The sweep's folder stores it as JSON, so
-that the sweep can be resumed without the original options."""
+"""The request of a sweep, its design and its variations. The sweep's folder stores the request as JSON, so that the sweep can be
+resumed without its original options."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ NAME = "asked.json"
 
 @dataclass(frozen=True, slots=True)
 class Study:
-    """A study. `variations`: every scene with every point once."""
+    """The points and scenes of a sweep. `variations`: every scene with every point, each once."""
 
     chosen: ChosenPoints
     scenes: tuple[Path, ...]
@@ -33,17 +33,17 @@ class Study:
 
     @property
     def ranges(self) -> tuple[Factor, ...]:
-        """The factors that take all values between two."""
+        """Return the factors that have a range of values instead of single values."""
         return tuple(factor for factor in self.chosen.factors if not factor.levels)
 
     @property
     def units(self) -> dict[str, str]:
-        """The units of the ranges, by name."""
+        """Return the units of the ranges, by the names of their factors."""
         return {factor.name: factor.unit for factor in self.ranges}
 
     def effects(self, table: Sequence[Row], measures: Sequence[str]) -> tuple[list[Effect], list[str]]:
         """Return the effect of each factor on these measures, and notes on measures without a known effect. Empty if the design
-        is not made for it."""
+        has no analysis of effects."""
         design, shares = self.chosen.design, self.chosen.shares
         if design.analysis is None or shares is None:
             return [], []
@@ -54,11 +54,11 @@ class Study:
 
 
 class NoSweep(Exception):
-    """A folder has no sweep to continue; the message says why."""
+    """A folder has no sweep to continue. The message says why."""
 
 
 class SweepRequest(BaseModel):
-    """The command line arguments that decide which runs there are, and which the table counts."""
+    """The command line arguments that decide which runs exist and which of them the table counts."""
 
     model_config = ConfigDict(strict=True, extra="forbid", frozen=True)
 
@@ -88,7 +88,7 @@ class SweepRequest(BaseModel):
         return words
 
     def write(self, folder: Path) -> None:
-        """Write it with paths relative to the folder, so that everything may be moved together."""
+        """Write the request into a folder, with paths relative to the folder, so that everything can be moved together."""
         portable_request = self.model_copy(
             update={"scenes": [_relative_path(path, folder) for path in self.scenes], "root": self._relative_roots(folder)}
         )
@@ -99,7 +99,7 @@ class SweepRequest(BaseModel):
 
 
 def read_request(folder: Path) -> SweepRequest:
-    """Return the request stored in a folder, with paths as seen from here. Raises NoSweep if there is none."""
+    """Return the request stored in a folder, with paths relative to the working directory. Raises NoSweep if there is none."""
     try:
         request = SweepRequest.model_validate_json(read_bounded(folder / NAME, limits.MIB))
     except OSError:

@@ -1,4 +1,4 @@
-"""The table: median and quartiles over seeds, for each variation and measure; as text, CSV and JSON."""
+"""The table of a sweep: median and quartiles over seeds, for each variation and measure, as text, CSV and JSON."""
 
 from __future__ import annotations
 
@@ -23,8 +23,8 @@ NOT_COMPARED = ("seconds", "fps")  # say something about the machine
 
 @dataclass(frozen=True, slots=True)
 class Row:
-    """One measure of one variation. What did not happen counts as later than everything: a quantile there is infinite. The fields
-    are the columns of files."""
+    """One measure of one variation. An event that did not happen counts as infinitely late, so quantiles may be infinite. The
+    fields are the columns of files."""
 
     label: str
     measure: str
@@ -38,7 +38,8 @@ class Row:
 
 
 def quantile(values: Sequence[float], share: float) -> float:
-    """Return the quantile of sorted values, interpolated linearly; infinite if one of the two values is infinite."""
+    """Return the quantile of sorted values, interpolated linearly. If one of the two neighbouring values is infinite, so is the
+    quantile."""
     place = share * (len(values) - 1)
     low, high = math.floor(place), math.ceil(place)
     if low == high or values[low] == values[high]:
@@ -47,7 +48,7 @@ def quantile(values: Sequence[float], share: float) -> float:
 
 
 def rows(results: Iterable[Result]) -> list[Row]:
-    """Return all measures that are numbers, in the order in which the runs report them."""
+    """Return rows of all measures that are numbers, in the order in which the runs report them."""
     values_by_key: dict[tuple[str, str], list[float]] = {}
     counts: dict[str, int] = {}
     for job, measures in results:
@@ -66,8 +67,8 @@ def _make_row(label: str, name: str, values: list[float], runs: int) -> Row:
 
 
 def choose_measures(table: Sequence[Row], prefixes: Sequence[str]) -> list[str]:
-    """Return the measures to show: those with names that begin with a word in `prefixes`. By default, show when things ran out,
-    or else the motion measures."""
+    """Return the measures to display: those with names that begin with a word in `prefixes`. By default, return the frames at
+    which amounts ran out, or else the motion measures."""
     names = list(dict.fromkeys(row.measure for row in table))
     if not prefixes:
         empty = [row.measure for row in table if row.measure.startswith("empty.") and row.happened]
@@ -76,7 +77,7 @@ def choose_measures(table: Sequence[Row], prefixes: Sequence[str]) -> list[str]:
 
 
 def text(table: Sequence[Row], measures: Sequence[str]) -> str:
-    """Format variations as lines and measures as columns: median (lower quartile – upper quartile)."""
+    """Return a text with variations as lines and measures as columns: median (lower quartile – upper quartile)."""
     rows_by_key = {(row.label, row.measure): row for row in table}
     labels = list(dict.fromkeys(row.label for row in table))
     lines = [["", "runs", *(name.removeprefix("empty.") + (" 0 at" if name.startswith("empty.") else "") for name in measures)]]
@@ -102,7 +103,7 @@ def _format_number(value: float) -> str:
 
 
 def as_csv(table: Sequence[Row]) -> str:
-    """Return one CSV line per variation and measure; what never happened is empty."""
+    """Return one CSV line per variation and measure. Values of events that never happened are empty."""
     lines: list[list[object]] = [[column.name for column in fields(Row)]]
     for row in table:
         lines.append(["" if v is None else f"{v:.9g}" if isinstance(v, float) else v for v in _finite_entry(row).values()])
@@ -110,7 +111,8 @@ def as_csv(table: Sequence[Row]) -> str:
 
 
 def runs_parquet(results: Sequence[Result], units: Mapping[str, str] | None = None) -> bytes | None:
-    """Return the same as an Apache Parquet file, with numbers as numbers; None if pyarrow is not installed."""
+    """Return the table of runs as an Apache Parquet file, with numbers as numbers. Return None if pyarrow is not installed.
+    Arguments: as in `runs_csv`."""
     if find_spec("pyarrow") is None:
         return None
     import pyarrow
@@ -132,7 +134,8 @@ def runs_parquet(results: Sequence[Result], units: Mapping[str, str] | None = No
 
 
 def runs_csv(results: Sequence[Result], units: Mapping[str, str] | None = None) -> str:
-    """Return one line per run, with its values and all its measures. `units`: for names with values reported as plain numbers."""
+    """Return one CSV line per run, with its values and all its measures. `units`: by name, the units of values that are written
+    as plain numbers."""
     names = list(dict.fromkeys(name for _, measures in results for name in measures if name not in NOT_COMPARED))
     headings = _name_columns(results, units or {})
     lines: list[list[object]] = [["label", "seed", *headings.values(), *names]]
@@ -144,18 +147,18 @@ def runs_csv(results: Sequence[Result], units: Mapping[str, str] | None = None) 
 
 
 def _name_columns(results: Sequence[Result], units: Mapping[str, str]) -> dict[str, str]:
-    """Return the column names of the values, by name."""
+    """Return the column name of each value, by the value's name."""
     params = dict.fromkeys(name for job, _ in results for name, _ in job.params)
     return {name: f"{name} ({units[name]})" if units.get(name) else name for name in params}
 
 
 def _format_params(job: Job, units: Mapping[str, str]) -> dict[str, str]:
-    """Return the values of a run; those with units that are reported as numbers have none."""
+    """Return the values of a run. Values with an entry in `units` are written without their unit."""
     return {name: value.removesuffix(units.get(name, "")) for name, value in job.params}
 
 
 def known_text(known: Sequence[KnownMedian]) -> str:
-    """Return one line per median: the results it lies between, and whether they are as narrow as requested."""
+    """Return one line per median: the results between which it lies, and whether they are as narrow as requested."""
     lines = ["Medians, with 95 % between"]
     label_width, width = (max(map(len, words)) for words in zip(*((k.label, k.measure) for k in known), strict=True))
     for each in known:
@@ -172,7 +175,7 @@ def known_text(known: Sequence[KnownMedian]) -> str:
 def as_json(
     results: Sequence[Result], table: Sequence[Row], known: Sequence[KnownMedian] = (), effects: Sequence[Effect] = ()
 ) -> str:
-    """Everything, one document."""
+    """Return all runs, the table, and known medians and effects as one JSON document."""
     document: dict[str, Any] = {
         "runs": [describe_job(job) | {"measures": dict(measures)} for job, measures in results],
         "table": [_finite_entry(row) for row in table],
@@ -185,5 +188,5 @@ def as_json(
 
 
 def _finite_entry(of: Row | KnownMedian) -> dict[str, Any]:
-    """Return the fields by name; numbers that are infinite or unknown are None."""
+    """Return the fields by name. Numbers that are infinite or unknown become None."""
     return {name: None if isinstance(v, float) and not math.isfinite(v) else v for name, v in asdict(of).items()}

@@ -1,10 +1,12 @@
 """Rotations, scales, shears and affine matrices of many joints of many agents, one array per component.
 
-Components are the first axes: a quaternion is [4, …], a matrix [3, 4, …]; the remaining axes are equal for all. Every number is
-computed from sums, products, quotients and roots in one fixed order. So neither the count of agents nor the processor changes a
-bit (no BLAS, no `einsum`: those choose instructions and orders at run time). A local transform is translation · rotation · shear
-· scale of column vectors. A point is scaled first, then sheared (`x += shear1 y + shear2 z`, `y += shear3 z`), rotated, and
-translated."""
+Components are the first axes: a quaternion is [4, …], a matrix [3, 4, …]. The remaining axes are equal for all arguments. Every
+number is computed from sums, products, quotients and roots in one fixed order. So neither the number of agents nor the processor
+changes a bit. BLAS and `einsum` are not used, because they choose instructions and orders at run time.
+
+A local transform is translation · rotation · shear · scale of column vectors. A point is scaled first, then sheared (`x += shear1
+y + shear2 z`, `y += shear3 z`), rotated, and translated.
+"""
 
 from __future__ import annotations
 
@@ -20,7 +22,7 @@ _POLAR_ITERATIONS = 8  # of which six are enough for scales of 1 : 1e15 in one m
 
 
 def normalise(rotation: Numbers) -> Numbers:
-    """Quaternions [4, …] made unit in place; one of length 0 becomes no rotation."""
+    """Normalise quaternions [4, …] in place and return them. A quaternion of length 0 becomes the identity."""
     x, y, z, w = rotation
     square = x * x
     square += y * y
@@ -49,7 +51,13 @@ def quaternion_product(a: Numbers, b: Numbers) -> Numbers:
 def compose_matrices(
     translation: Numbers, rotation: Numbers, scale: Numbers | None, shear: Numbers | None, out: Numbers
 ) -> Numbers:
-    """Matrices [3, 4, …] of translations [3, …], unit quaternions [4, …], scales and shears [3, …] (None: 1, 0), into `out`."""
+    """Write matrices [3, 4, …] into `out` and return it.
+
+    `translation`: [3, …].
+    `rotation`: unit quaternions [4, …].
+    `scale`: [3, …]; None means 1.
+    `shear`: [3, …]; None means 0.
+    """
     x, y, z, w = rotation
     two = rotation.dtype.type(2)
     x2, y2, z2 = x * two, y * two, z * two
@@ -76,7 +84,7 @@ def compose_matrices(
 
 
 def multiply_matrices(a: Numbers, b: Numbers, out: Numbers) -> Numbers:
-    """The products a · b of matrices [3, 4, …] into `out`, which is neither of them."""
+    """Write the products a · b of matrices [3, 4, …] into `out` and return it. `out` must be neither `a` nor `b`."""
     part = np.empty(out.shape[2:], out.dtype)
     for r in range(3):
         for c in range(4):
@@ -90,7 +98,7 @@ def multiply_matrices(a: Numbers, b: Numbers, out: Numbers) -> Numbers:
 
 
 def cofactors(m: Numbers) -> Numbers:
-    """The cofactors [3, 3, …] of matrices [3, 3 or 4, …]: their inverse transposed, times the determinant."""
+    """Return the cofactors [3, 3, …] of matrices [3, 3 or 4, …]: the transposed inverse times the determinant."""
     turns = ((1, 2), (2, 0), (0, 1))
     return np.stack([
         np.stack([m[a, c] * m[b, d] - m[a, d] * m[b, c] for c, d in turns]) for a, b in turns
@@ -98,13 +106,13 @@ def cofactors(m: Numbers) -> Numbers:
 
 
 def determinants(m: Numbers, cofactor: Numbers) -> Numbers:
-    """Return the determinants […] of matrices with known cofactors."""
+    """Return the determinants […] of matrices. `cofactor`: their cofactors."""
     determinant: Numbers = (m[0, 0] * cofactor[0, 0] + m[0, 1] * cofactor[0, 1]) + m[0, 2] * cofactor[0, 2]
     return determinant
 
 
 def inverse_transposed(m: Numbers) -> Numbers:
-    """Return the inverse transposed [3, 3, …], which transforms normals; the cofactors where there is no inverse."""
+    """Return the transposed inverse [3, 3, …], which transforms normals. Where a matrix has no inverse, return its cofactors."""
     inverse = cofactors(m)
     determinant = determinants(m, inverse)
     inverse /= np.where(determinant == 0, m.dtype.type(1), determinant)
@@ -112,10 +120,12 @@ def inverse_transposed(m: Numbers) -> Numbers:
 
 
 def rotation_part(m: Numbers) -> Numbers:
-    """Return the rotation [3, 3, …] nearest to each matrix, from its polar decomposition M = R S. Where M mirrors, S takes the
-    sign, so R never mirrors. Uses Newton's iteration, scaled by Frobenius norms, in float64, with the same number of steps for
-    every matrix (N. J. Higham, Computing the Polar Decomposition, SIAM J. Sci. Stat. Comput. 7, 1986). Returns no rotation where
-    there is no inverse."""
+    """Return the rotation [3, 3, …] nearest to each matrix, from its polar decomposition M = R S. Where M mirrors, S contains the
+    mirroring, so R never mirrors. Where there is no inverse, R is the identity.
+
+    Uses Newton's iteration, scaled by Frobenius norms, in float64, with the same number of steps for every matrix (N. J. Higham,
+    Computing the Polar Decomposition, SIAM J. Sci. Stat. Comput. 7, 1986).
+    """
     rotation = m[:, :3].astype(np.float64)
     determinant = determinants(rotation, cofactors(rotation))
     rotation *= np.where(determinant < 0, -1.0, 1.0)
@@ -140,8 +150,8 @@ def _sum_of_squares(m: Numbers) -> Numbers:
 
 
 def quaternions(m: Numbers) -> Numbers:
-    """Return unit quaternions [4, …] of rotation matrices [3, 3 or 4, …], with w not negative. Of the four formulas, uses the one
-    with the largest divisor (S. W. Shepperd, Quaternion from Rotation Matrix, J. Guidance and Control 1, 1978)."""
+    """Return unit quaternions [4, …] of rotation matrices [3, 3 or 4, …], with w not negative. Uses the formula with the largest
+    divisor, out of four (S. W. Shepperd, Quaternion from Rotation Matrix, J. Guidance and Control 1, 1978)."""
     trace = (m[0, 0] + m[1, 1]) + m[2, 2]
     sizes = np.stack([m[0, 0], m[1, 1], m[2, 2], trace])
     best = sizes.argmax(axis=0)
@@ -158,12 +168,13 @@ def quaternions(m: Numbers) -> Numbers:
 
 
 def decompose_matrices(matrices: NDArray[np.float64]) -> tuple[Numbers, Numbers, Numbers, Numbers]:
-    """Return translation [3, J], rotation [4, J], scale and shear [3, J], float64, of matrices [J, 4, 4]; `composed` inverts
-    this.
+    """Return translation [3, J], rotation [4, J], scale and shear [3, J], float64, of matrices [J, 4, 4]. `compose_matrices` is
+    the inverse.
 
-    Uses Gram-Schmidt orthogonalisation, column by column; a mirroring matrix has a negative scale along x. A column of length 0
-    is an axis scaled by 0. A column in the plane of those before it cannot result from a shear of such an axis. It is treated as
-    off that plane by a millionth of its length."""
+    Uses Gram-Schmidt orthogonalisation, column by column. A mirroring matrix has a negative scale along x. A column of length 0
+    is an axis scaled by 0. If a column lies in the plane of the previous columns, no shear of an axis scaled by 0 can produce it.
+    It is then moved off that plane by a millionth of its length.
+    """
     m = np.moveaxis(np.asarray(matrices, np.float64)[:, :3], 0, -1)
     columns = [m[:, c].copy() for c in range(3)]
     axes: list[Numbers] = []

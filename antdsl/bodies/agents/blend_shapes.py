@@ -1,9 +1,11 @@
-"""Blend shapes: a shape moved toward other shapes of the library by channel values of each agent, with in-betweens.
+"""Blend shapes: a shape is moved towards other shapes of the library by channel values of each agent, with in-betweens.
 
-Each input adds its difference from the base shape, times its weight; weights are not normalised and may be below 0 or above 1. An
+Each input adds its difference from the base shape, times its weight. Weights are not normalised and may be below 0 or above 1. An
 input with in-betweens is piecewise linear: base at weight 0, each corrective shape at its own weight, primary shape at weight 1.
-The outermost pieces are extrapolated. An in-between that lacks an attribute is skipped for it. Points are matched by an attribute
-(`id` unless the base names another) where both shapes have it, else by number. Points without a match stay as in the base."""
+The outermost pieces are extrapolated. An in-between that lacks an attribute is skipped for that attribute. Points are matched by
+an attribute (`id` unless the base names another) if both shapes have it, else by number. Points without a match stay as in the
+base.
+"""
 
 from __future__ import annotations
 
@@ -20,11 +22,12 @@ _MIN_KNOT_SPACING = 1e-6  # in-betweens of the same weight are one
 
 
 def blend_shapes(deformed: Deformed, shape: Shape, definition: Definition, poses: Poses) -> Deformed:
-    """Add the inputs of a blend shape, weighted by the channels of each agent, to the attributes that it blends (default: P and
-    N). Primitives have no attributes here, so `Blend.primitive_id` is not matched.
+    """Return the shape with the inputs of a blend shape added, weighted by the channels of each agent. Only the attributes that
+    the shape blends change (default: P and N). Primitives have no attributes in antdsl, so `Blend.primitive_id` is not matched.
 
     Raises ValueError for a shape without blend shapes, for different numbers of inputs and channels, and for in-betweens at
-    weight 0 or 1. Raises KeyError for shapes that the library does not have, and channels that the rig does not have."""
+    weight 0 or 1. Raises KeyError for shapes that the library does not have, and for channels that the rig does not have.
+    """
     blend = shape.blend
     if blend is None:
         raise ValueError(f"shape `{shape.name}` names no blend shapes (blendshape_shapenames)")
@@ -54,7 +57,7 @@ def blend_shapes(deformed: Deformed, shape: Shape, definition: Definition, poses
 
 
 def _read_attribute(deformed: Deformed, name: str) -> Floats | None:
-    """Return an attribute [n, P, …] as deformed so far."""
+    """Return an attribute [n, P, …] in its current, possibly deformed, state."""
     return (
         {"P": deformed.points, "N": deformed.normals}[name]
         if name in _SHAPE_FIELD_BY_ATTRIBUTE
@@ -63,7 +66,7 @@ def _read_attribute(deformed: Deformed, name: str) -> Floats | None:
 
 
 def _by_component(values: Floats | None, n: int) -> Floats:
-    """An attribute as a new array [components, P, n]."""
+    """Return an attribute as a new array [components, P, n]."""
     assert values is not None
     wide = values.reshape(*values.shape[:2], -1).transpose(2, 1, 0)
     return np.ascontiguousarray(np.broadcast_to(wide, (*wide.shape[:2], n)).astype(np.float32))
@@ -88,8 +91,8 @@ def knots_of(definition: Definition, name: str) -> tuple[list[Shape], NDArray[np
 
 
 def shares_of(weights: Floats, knots: NDArray[np.float64]) -> Floats:
-    """Return the share of the difference of each of K shapes that an input of these weights [n] adds, float32[K, n]. A weight is
-    interpolated between the two nearest knots, the base at 0 among them."""
+    """Return the share of each of K shapes in an input with weights [n], float32[K, n]. A share multiplies the shape's difference
+    from the base. Weights are interpolated between the two nearest knots; the base is the knot at 0."""
     all_knots = np.sort(np.append(knots, 0.0))
     weight = weights.astype(np.float64)
     piece = np.clip(np.searchsorted(all_knots, weight, side="right") - 1, 0, len(all_knots) - 2)
@@ -103,7 +106,7 @@ def shares_of(weights: Floats, knots: NDArray[np.float64]) -> Floats:
 
 
 def match_points(base: Shape, target: Shape, point_id: str) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Return the matched points: those of the base, and the corresponding points of the other shape."""
+    """Return the matched points: indices of points of the base, and of the corresponding points of the other shape."""
     own, other = base.attributes.get(point_id), target.attributes.get(point_id)
     if own is None or other is None:
         both = np.arange(min(len(base.points), len(target.points)))
@@ -115,7 +118,7 @@ def match_points(base: Shape, target: Shape, point_id: str) -> tuple[NDArray[np.
 
 
 def values_of(shape: Shape, name: str) -> NDArray[np.generic] | None:
-    """An attribute [P, …] of the points of a shape."""
+    """Return an attribute [P, …] of the points of a shape."""
     values: NDArray[np.generic] | None = (
         getattr(shape, _SHAPE_FIELD_BY_ATTRIBUTE[name]) if name in _SHAPE_FIELD_BY_ATTRIBUTE else shape.attributes.get(name)
     )

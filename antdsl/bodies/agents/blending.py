@@ -1,24 +1,25 @@
-"""Clips blended by a tree of layers: what agents play, and the resulting poses.
+"""Blends clips by a tree of layers: from what agents play to the resulting poses.
 
-An agent has a list of clips, each with a time, a weight, a transform group and the layer it is an input of. Layers have a mode, a
-weight and a parent layer. Inputs of a layer are its clips in list order, then its layers in list order. The root layer, with
-parent -1, gives the pose; its weight is unused.
+An agent has a list of clips. Each clip has a time, a weight, a transform group and the layer that it is an input of. Layers have
+a mode, a weight and a parent layer. Inputs of a layer are its clips in list order, then its layers in list order. The root layer,
+with parent -1, gives the pose; its weight is unused.
 
 - `INTERPOLATE_MODE`: at each joint the weighted mean of the inputs. A weight is that of the input times its transform group's
-  weight for the joint. Where all weights are 0 the layer leaves the joint out: the joint gets the rest pose at the end, and the
-  layer is no input to its parent there. The weight of a nested layer is multiplied by the mean of the group weights below it,
-  so a layer with one input equals that input. Translations, scales, shears and channels are linear means. Rotations are a sum
-  of quaternions, each with its sign aligned to those before it, normalised.
-- `ADDITIVE_MODE`: the first input in full, whatever its weight, plus the difference of each other input times its weight and
-  its group's weight, not normalised. Differences are translation minus that of the rest pose, rotation relative to the rest
-  pose, and channels minus their defaults. Scales and shears are the first input's.
-- `OVER_MODE`: each input replaces those before it at each joint, by its weight times its group's weight, at most 1; the rest
+  weight for the joint. Where all weights are 0, the layer leaves the joint out: the joint finally gets the rest pose, and the
+  layer is no input to its parent at this joint. The weight of a nested layer is multiplied by the mean of the group weights below
+  it, so a layer with one input equals that input. Translations, scales, shears and channels are linear means. Rotations are a
+  normalised sum of quaternions, each with its sign aligned to the sum of the previous ones.
+- `ADDITIVE_MODE`: the first input in full, whatever its weight. Each other input adds its difference times its weight and its
+  group's weight, not normalised. Differences are translation minus that of the rest pose, rotation relative to the rest pose, and
+  channels minus their defaults. Scales and shears are those of the first input.
+- `OVER_MODE`: each input replaces the previous ones at each joint, by its weight times its group's weight, at most 1. The rest
   pose lies below the first. This mode is not in the documented form. It combines the state machines of an agent, such as a wave
-  of the arms over a walk. A layer that fades out shows what is below.
+  of the arms over a walk. A layer that fades out reveals the layers below.
 
-Additive inputs are measured from the rest pose, because a joint that a clip lacks is at rest there and so adds nothing. So any
-clip can be added without a prepared difference clip. The added rotation is on the parent's side: the joint is posed by the first
-input and then rotated. A share of it is nlerp from no rotation; weights above 1 add more."""
+Additive inputs are measured from the rest pose: a joint that a clip lacks has the rest pose, and so adds nothing. So any clip can
+be added without a prepared difference clip. The added rotation is on the parent's side: the joint is posed by the first input and
+then rotated. A share of a rotation is nlerp from the identity; weights above 1 add more.
+"""
 
 from __future__ import annotations
 
@@ -44,9 +45,13 @@ _MAX_WEIGHT, _MIN_TOTAL_WEIGHT = np.float32(1e18), np.float32(1e-30)
 
 @dataclass(frozen=True, slots=True)
 class ClipTree:
-    """The clip tree that several agents share. For each of S clips: its layer (`layers`: agentcliplayerids) and transform group
-    (`groups`: agentcliptransformgroups, "" for the whole rig). For each of L layers: its mode (agentcliplayermodes) and parent
-    (agentcliplayerparents). Raises ValueError if this is not a tree with one root."""
+    """The clip tree that several agents share, with S clips and L layers. Raises ValueError if this is not a tree with one root.
+
+    `layers`: the layer of each clip (agentcliplayerids).
+    `groups`: the transform group of each clip (agentcliptransformgroups); "" is the complete rig.
+    `modes`: the mode of each layer (agentcliplayermodes).
+    `parents`: the parent of each layer (agentcliplayerparents).
+    """
 
     layers: tuple[int, ...]
     groups: tuple[str, ...]
@@ -76,21 +81,28 @@ class ClipTree:
 
     @property
     def root(self) -> int:
-        """The layer that outputs the pose."""
+        """Return the layer that outputs the pose."""
         return self.parents.index(NO_PARENT)
 
     @staticmethod
     def flat(count: int, *groups: str) -> ClipTree:
-        """Return a tree of `count` clips in one layer, blended by their weights; `groups` are those of the first clips."""
+        """Return a tree of `count` clips in one layer, blended by their weights. `groups`: the transform groups of the first
+        clips."""
         return ClipTree((0,) * count, (*groups, *("",) * (count - len(groups))))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Playing:
-    """What each of n agents plays. `tree` int32[n] indexes `trees`. `clips` int32[n, S] are numbers of a `ClipTable`, -1 for
-    none. `times` [n, S] in seconds and `weights` float32[n, S] belong to the clips (agentclipnames, agentcliptimes,
-    agentclipweights); S is the largest number of clips in a tree. `layer_weights` float32[n, L] are those of the layers
-    (agentcliplayerweights). Entries beyond an agent's tree are not read. Weights below 0, and NaN, count as 0."""
+    """What each of n agents plays. S is the largest number of clips in a tree. Entries beyond an agent's tree are not read.
+
+    `tree`: int32[n], indices into `trees`.
+    `clips`: int32[n, S], numbers of a `ClipTable`, -1 for none (agentclipnames).
+    `times`: [n, S], seconds (agentcliptimes).
+    `weights`: float32[n, S] of the clips (agentclipweights).
+    `layer_weights`: float32[n, L] (agentcliplayerweights).
+
+    Weights below 0, and NaN, count as 0.
+    """
 
     trees: tuple[ClipTree, ...]
     tree: NDArray[np.int32]
@@ -102,7 +114,7 @@ class Playing:
     @staticmethod
     def alike(tree: ClipTree, clips: NDArray[np.int32], times: NDArray[np.float32] | NDArray[np.float64], weights: Floats,
               layer_weights: Floats | None = None) -> Playing:  # fmt: skip
-        """Return the playing of agents that all share one tree; layer weights are 1 by default."""
+        """Return the `Playing` of agents that all share one tree. Layer weights are 1 by default."""
         n = len(clips)
         layers = np.ones((n, len(tree.modes)), np.float32) if layer_weights is None else layer_weights
         return Playing((tree,), np.zeros(n, np.int32), clips, times, weights, layers)
@@ -111,11 +123,12 @@ class Playing:
 def posed(
     table: ClipTable, groups: Mapping[str, TransformGroup], playing: Playing, *, local: bool = False, threads: int = 1
 ) -> Poses:
-    """Return the transforms and channel values of all agents for the clips that they play; with `local` also local transforms.
+    """Return the transforms and channel values of all agents for the clips that they play. `local`: also return local transforms.
+    `threads` and the order of agents change no bit.
 
-    Raises KeyError for a transform group that does not exist, or that names what the rig does not have. Raises IndexError for a
-    clip or tree number out of range, and ValueError for arrays that do not fit each other or the trees. `threads` and the order
-    of agents change no bit."""
+    Raises KeyError for a transform group that does not exist, or that names a joint or channel that the rig does not have. Raises
+    IndexError for a clip or tree number out of range. Raises ValueError for arrays that do not match each other or the trees.
+    """
     _check_shapes(playing)
     n, joints = len(playing.tree), len(table.order)
     if n and not 0 <= int(playing.tree.min()) <= int(playing.tree.max()) < len(playing.trees):
@@ -149,7 +162,7 @@ def posed(
 
 
 def _check_shapes(playing: Playing) -> None:
-    """Reject arrays with shapes other than the trees need."""
+    """Raise ValueError for arrays with shapes that do not match the trees."""
     n = len(playing.tree)
     slots = max((len(tree.layers) for tree in playing.trees), default=0)
     layers = max((len(tree.modes) for tree in playing.trees), default=0)
@@ -160,7 +173,7 @@ def _check_shapes(playing: Playing) -> None:
 
 
 def _store_matrices(into: Floats, table: ClipTable, agents: slice | NDArray[np.intp], matrices: Floats) -> None:
-    """Write matrices of some agents into their rows, with joints in the order of the rig."""
+    """Write the matrices of `agents` into their rows of `into`, with joints in the order of the rig."""
     for r in range(3):
         for c in range(4):
             if isinstance(agents, slice):
@@ -171,7 +184,12 @@ def _store_matrices(into: Floats, table: ClipTable, agents: slice | NDArray[np.i
 
 @dataclass(slots=True, eq=False)
 class _BlendInput:
-    """The pose of a layer's input, its weight [n], and its coverage of each joint and channel: [n], or [J, n] and [C, n]."""
+    """An input of a layer.
+
+    `pose`: of n agents.
+    `weight`: [n].
+    `joints` and `channels`: the coverage of each joint and channel: [n], or [J, n] and [C, n].
+    """
 
     pose: Pose
     weight: Floats
@@ -183,7 +201,7 @@ def blend_agents(
     table: ClipTable, members: Mapping[str, tuple[Floats, Floats]], tree: ClipTree, playing: Playing,
     agents: slice | NDArray[np.intp],
 ) -> Pose:  # fmt: skip
-    """The local poses of some agents, all of which have this tree; `members`: weights of transform groups by name."""
+    """Return the local poses of `agents`, which all share `tree`. `members`: weights of transform groups by name."""
     clips = _columns_of(playing.clips, agents)
     times, weights = _columns_of(playing.times, agents), _clean_weights(_columns_of(playing.weights, agents))
     layer_weights = _clean_weights(_columns_of(playing.layer_weights, agents))
@@ -211,7 +229,7 @@ def blend_agents(
 
 
 def _columns_of(values: NDArray, agents: slice | NDArray[np.intp]) -> NDArray:  # type: ignore[type-arg]  # of any numbers
-    """Rows of some agents as one array a column."""
+    """Return the rows of some agents, transposed so that each column is contiguous."""
     return np.ascontiguousarray(values[agents].T)
 
 
@@ -221,7 +239,7 @@ def _clean_weights(weights: Floats) -> Floats:
 
 
 def _blend_mean(inputs: list[_BlendInput], rest: Pose) -> _BlendInput:
-    """The weighted mean of some inputs."""
+    """Return the weighted mean of the inputs."""
     if len(inputs) == 1:
         return _single_mean(inputs[0], rest)
     joint_shares, joints, no_joint = _shares([(each.weight, each.joints) for each in inputs])
@@ -251,7 +269,7 @@ def _blend_mean(inputs: list[_BlendInput], rest: Pose) -> _BlendInput:
 
 
 def _single_mean(only: _BlendInput, rest: Pose) -> _BlendInput:
-    """The mean of one input: itself, where it has any weight."""
+    """Return the mean of one input: the input itself where its weight is not 0."""
     joints = only.joints * (only.weight > 0)
     channels = only.channels * (only.weight > 0)
     _reset_to_rest(only.pose, rest, joints == 0, channels == 0)
@@ -259,7 +277,8 @@ def _single_mean(only: _BlendInput, rest: Pose) -> _BlendInput:
 
 
 def _shares(weights: list[tuple[Floats, Floats]]) -> tuple[list[Floats], Floats, NDArray[np.bool_]]:
-    """From weights and coverages, return shares that add up to 1, the mean coverage, and where there is none."""
+    """Return shares that add up to 1, the mean coverage, and a mask of where there is no coverage. `weights`: pairs of a weight
+    and a coverage."""
     products = [weight * presence for weight, presence in weights]
     total, weight_sum = products[0], weights[0][0]
     for each, (weight, _) in zip(products[1:], weights[1:], strict=True):
@@ -284,7 +303,7 @@ def _add_rotations(into: Floats, addend: Floats, share: Floats, part: Floats) ->
 
 
 def _reset_to_rest(pose: Pose, rest: Pose, no_joint: NDArray[np.bool_], no_channel: NDArray[np.bool_]) -> None:
-    """Set the rest pose at joints, and the defaults of channels, that no input covers."""
+    """Set joints that no input covers to the rest pose, and such channels to their defaults, in place."""
     if no_joint.any():
         parts = (pose.translation, pose.rotation, pose.scale, pose.shear)
         for into, still in zip(parts, (rest.translation, rest.rotation, rest.scale, rest.shear), strict=True):
@@ -295,7 +314,7 @@ def _reset_to_rest(pose: Pose, rest: Pose, no_joint: NDArray[np.bool_], no_chann
 
 
 def _blend_added(inputs: list[_BlendInput], rest: Pose) -> _BlendInput:
-    """The first input, and a share of the differences of the others from the rest pose."""
+    """Return the first input plus a share of the differences of the others from the rest pose."""
     first = inputs[0]
     pose, joints, channels = first.pose, first.joints, first.channels
     _reset_to_rest(pose, rest, joints == 0, channels == 0)
@@ -314,7 +333,7 @@ def _blend_added(inputs: list[_BlendInput], rest: Pose) -> _BlendInput:
 
 
 def _blend_over(inputs: list[_BlendInput], rest: Pose) -> _BlendInput:
-    """Each input over those before it, and the first over the rest pose."""
+    """Return the inputs, each over the previous ones, and the first over the rest pose."""
     parts = (rest.translation, rest.rotation, rest.scale, rest.shear, rest.channels)
     pose = Pose(*(None if each is None else each.copy() for each in parts))  # type: ignore[arg-type]
     joints, channels = np.float32(0), np.float32(0)

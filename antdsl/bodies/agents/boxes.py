@@ -1,8 +1,10 @@
-"""Bounding boxes of agents from the shapes of their layers: of the collision layers, or of the current layers if there are none.
+"""Bounding boxes of agents from the shapes of their collision layers, or of their current layers if there are no collision
+layers.
 
 A static shape's box is scaled by its binding's bounds scale and then transformed by its joint. A deforming shape's box is the
-scaled box of the positions of its captured joints (Houdini 20.5, Agent Primitives, Bounding Box). One that follows a single joint
-moves as a static one does. Boxes are scaled about their centre, so the result does not depend on their position."""
+scaled box of the positions of its captured joints (Houdini 20.5, Agent Primitives, Bounding Box). A deforming shape that follows
+a single joint moves as a static one does. Boxes are scaled about their centre, so the result does not depend on their position.
+"""
 
 from __future__ import annotations
 
@@ -20,8 +22,8 @@ Floats = NDArray[Any]  # float32 or float64
 
 
 def layer_boxes(definition: Definition, worlds: Floats, layers: Sequence[str]) -> tuple[Floats, Floats]:
-    """Return the lowest and highest corners [n, 3] of agents with joint world matrices `worlds` [n, J, 4, 4], in the type of the
-    matrices. Both are NaN for layers without a shape. Raises KeyError for a layer or a shape that the definition does not
+    """Return the lowest and highest corners [n, 3] of agents with joint world matrices `worlds` [n, J, 4, 4], in the dtype of
+    `worlds`. Both corners are NaN for layers without a shape. Raises KeyError for a layer or a shape that the definition does not
     have."""
     count = len(worlds)
     least = np.full((count, 3), np.inf, worlds.dtype)
@@ -41,8 +43,8 @@ def agent_boxes(
     definition: Definition, worlds: Floats, current: Sequence[tuple[str, ...]], collision: Sequence[tuple[str, ...]],
     wears: NDArray[np.integer], collides: NDArray[np.integer],
 ) -> tuple[Floats, Floats]:  # fmt: skip
-    """As `layer_boxes`, for agents with different layers: agent i wears `current[wears[i]]` and collides with
-    `collision[collides[i]]`. Collision layers take precedence where there are any."""
+    """Return boxes as `layer_boxes` does, for agents with different layers. Agent i wears `current[wears[i]]` and collides with
+    `collision[collides[i]]`. Collision layers take precedence where an agent has any."""
     least = np.full((len(worlds), 3), np.nan, worlds.dtype)
     most = least.copy()
     for a, b in sorted(set(zip(wears.tolist(), collides.tolist(), strict=True))):
@@ -78,7 +80,8 @@ def _scaled_box(extent: tuple[Floats, Floats], scale: Floats) -> tuple[Floats, F
 
 
 def _transform_box(extent: tuple[Floats, Floats], scale: Floats, worlds: Floats, own: Floats) -> tuple[Floats, Floats]:
-    """The box of a scaled box that is transformed by the matrix `own` [4, 4] and then by each of `worlds` [n, 4, 4]."""
+    """Return the bounding box of a scaled box that is transformed by the matrix `own` [4, 4] and then by each of `worlds` [n, 4,
+    4]."""
     matrices = worlds
     if (own != np.eye(4)).any():
         own = own.astype(worlds.dtype)
@@ -95,7 +98,7 @@ def _transform_box(extent: tuple[Floats, Floats], scale: Floats, worlds: Floats,
 
 
 def _joint_positions(worlds: Floats, chosen: list[int]) -> tuple[Floats, Floats]:
-    """Return the box of some joints' positions, computed joint by joint to avoid a copy of all matrices."""
+    """Return the box of the positions of the joints `chosen`. Computed joint by joint to avoid a copy of all matrices."""
     low = worlds[:, chosen[0], :3, 3].copy()
     high = low.copy()
     for joint in chosen[1:]:
@@ -125,8 +128,8 @@ def _shape_extent(definition: Definition, shape: Shape) -> tuple[NDArray[np.floa
 
 
 def rest_box(definition: Definition) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return the box of the points of all shapes of all layers in the rest pose, which defines a body's length. Without shapes it
-    is the box of the joints."""
+    """Return the box of the points of all shapes of all layers in the rest pose. It defines a body's length. Without shapes it is
+    the box of the joints."""
     world = world_matrices(definition.rig.parents, definition.rig.rest)
     point_sets = [world[:, :3, 3]]
     for layer in definition.layers.values():
@@ -153,5 +156,5 @@ def _rest_points(definition: Definition, binding: Binding, shape: Shape, world: 
 
 
 def _transform_points(matrix: NDArray[np.float64], points: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Points [P, 3] by one matrix [4, 4], or each by its own [P, 4, 4]."""
+    """Return points [P, 3] transformed by one matrix [4, 4], or each by its own, [P, 4, 4]."""
     return apply_transforms(matrix[..., :3, :], points)

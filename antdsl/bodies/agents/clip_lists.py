@@ -1,4 +1,5 @@
-"""What agents play, from one list per agent, as in a file of agents: clip names, times, weights, groups and layers."""
+"""Converts what agents play from the form of a file of agents, one list per agent: clip names, times, weights, groups and
+layers."""
 
 from __future__ import annotations
 
@@ -28,16 +29,21 @@ def playing_of(
     layer_weights: Numbers | None = None,
     parents: Numbers | None = None,
 ) -> Playing:
-    """Return what n agents play, from their concatenated lists.
+    """Return the `Playing` of n agents, from the concatenated lists of all agents.
 
-    `counts` [n]: the number of clips of each agent. `names` (text), `times`, `weights`, `groups` (text, "" for the whole rig) and
-    `layer_ids` are agentclipnames, agentcliptimes, agentclipweights, agentcliptransformgroups and agentcliplayerids of all of
-    them. `layer_counts` [n]: the number of layers of each agent. `modes`, `layer_weights` and `parents` are agentcliplayermodes,
-    agentcliplayerweights and agentcliplayerparents. Without layers the clips are blended by their weights. Agents with equal
-    lists of groups, layer ids, modes and parents share a tree.
+    `counts`: [n], the number of clips of each agent.
+    `names`, `times`, `weights`: agentclipnames (text), agentcliptimes (s) and agentclipweights.
+    `groups`: agentcliptransformgroups (text); "" is the complete rig.
+    `layer_ids`: agentcliplayerids.
+    `layer_counts`: [n], the number of layers of each agent.
+    `modes`, `layer_weights`, `parents`: agentcliplayermodes, agentcliplayerweights and agentcliplayerparents.
+
+    Without layers, the clips are blended by their weights. Agents with equal lists of groups, layer ids, modes and parents share
+    a tree.
 
     Raises KeyError for a clip that the definition does not have. Raises ValueError, which names the agent, for lists that do not
-    fit each other or do not form a tree with one root."""
+    match each other or do not form a tree with one root.
+    """
     n, counts = len(counts), np.asarray(counts, np.int64)
     if layer_counts is None:
         layer_counts = np.ones(n, np.int64)
@@ -67,13 +73,13 @@ def playing_of(
 
 
 def _number_names(names: Numbers, number: Callable[[str], int]) -> NDArray[np.int64]:
-    """Numbers of names, each name looked up once."""
+    """Return the number of each name, found by `number`; each distinct name is looked up once."""
     known, which = np.unique(np.asarray(names, np.str_), return_inverse=True)
     return np.array([number(str(name)) for name in known], np.int64)[which.reshape(-1)]
 
 
 def _distinct_names(names: Numbers | None, count: int) -> tuple[tuple[str, ...], NDArray[np.int64]]:
-    """The different names, and which each is."""
+    """Return the distinct names, and the index into them for each of `count` entries."""
     if names is None:
         return ("",), np.zeros(count, np.int64)
     known, which = np.unique(np.asarray(names, np.str_), return_inverse=True)
@@ -81,7 +87,7 @@ def _distinct_names(names: Numbers | None, count: int) -> tuple[tuple[str, ...],
 
 
 def _pad_lists(values: Numbers | None, counts: NDArray[np.int64], missing: float) -> Numbers:
-    """Return concatenated lists as rows [n, most], padded with `missing`; `counts` are the lengths."""
+    """Return concatenated lists as rows [n, longest length], padded with `missing`. `counts`: the lengths of the lists."""
     flat_values = np.asarray([] if values is None else values)
     kind = flat_values.dtype if len(flat_values) else np.asarray(missing).dtype
     padded_rows = np.full((len(counts), int(counts.max(initial=0))), missing, kind)
@@ -94,7 +100,7 @@ def _agent_tree(
     agent: int, words: tuple[str, ...], group: Numbers, layer: Numbers, mode: Numbers, parent: Numbers, counts: Numbers,
     layer_counts: Numbers,
 ) -> ClipTree:  # fmt: skip
-    """The tree of an agent."""
+    """Return the clip tree of an agent."""
     clips, layers = slice(int(counts[agent])), slice(int(layer_counts[agent]))
     layer_ids, modes, parents = (row.tolist() for row in (layer[agent, clips], mode[agent, layers], parent[agent, layers]))
     try:

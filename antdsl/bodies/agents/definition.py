@@ -1,6 +1,7 @@
-"""An agent definition: all that agents of one kind share, and its names as the language writes them.
+"""An agent definition: the data that all agents of one kind share, with names as the language writes them.
 
-`Armature|Walk` of a file is `armature_walk` in `play armature_walk`."""
+For example, the clip `Armature|Walk` of a file is `armature_walk` in `play armature_walk`.
+"""
 
 from __future__ import annotations
 
@@ -16,8 +17,8 @@ _NON_NAME_CHARACTERS = re.compile(r"[^a-z0-9_]+")
 
 
 class BodyError(Exception):
-    """A problem with a body file; the message fits after the file's name, such as `has no meshes`. `code` is a diagnostic's code,
-    `help` a correction."""
+    """A problem with a body file. The message fits after the file's name, such as `has no meshes`. `code`: a diagnostic's code.
+    `help`: a correction."""
 
     def __init__(self, message: str, help: str | None = None, code: str = "bad-body") -> None:
         super().__init__(message)
@@ -26,7 +27,7 @@ class BodyError(Exception):
 
 @dataclass(frozen=True, slots=True)
 class Channel:
-    """A number that clips animate, in addition to joints. `transform`: the joint that it belongs to, "" for none."""
+    """A number that clips animate, in addition to joints. `transform`: the joint that the channel belongs to, "" for none."""
 
     name: str
     default: float = 0.0
@@ -35,7 +36,12 @@ class Channel:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Rig:
-    """`names` of J joints, parents before children; `parents` int32[J], -1 for a root; `rest` float64[J, 4, 4], local."""
+    """A tree of J joints with a rest pose, and channels.
+
+    `names`: of joints, parents before children.
+    `parents`: int32[J], -1 for a root.
+    `rest`: float64[J, 4, 4], local matrices.
+    """
 
     names: tuple[str, ...]
     parents: NDArray[np.int32]
@@ -43,14 +49,14 @@ class Rig:
     channels: tuple[Channel, ...] = ()
 
     def joint(self, name: str) -> int:
-        """The number of a joint. Raises KeyError."""
+        """Return the number of a joint. Raises KeyError."""
         try:
             return self.names.index(name)
         except ValueError:
             raise KeyError(name) from None
 
     def channel(self, name: str) -> int:
-        """The number of a channel. Raises KeyError."""
+        """Return the number of a channel. Raises KeyError."""
         for number, each in enumerate(self.channels):
             if each.name == name:
                 return number
@@ -66,7 +72,7 @@ class Rig:
 
     @property
     def defaults(self) -> NDArray[np.float32]:
-        """The default of each channel, float32[C]."""
+        """Return the default of each channel, float32[C]."""
         return np.array([each.default for each in self.channels], np.float32)
 
 
@@ -76,8 +82,13 @@ STATE_MATERIAL = "state"  # the material that has the colour of the agent's stat
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Capture:
-    """The joints that each of P points follows. `joints` int32[P, K] index `names`; `weights` float32[P, K] add up to 1 for each
-    point. `inverse` float64[J, 4, 4] takes a point of the rest pose into the space of each joint at capture."""
+    """The joints that each of P points follows.
+
+    `names`: of the J captured joints.
+    `joints`: int32[P, K], indices into `names`.
+    `weights`: float32[P, K], which add up to 1 for each point.
+    `inverse`: float64[J, 4, 4], transforms a point of the rest pose to the space of each joint at capture.
+    """
 
     names: tuple[str, ...]
     joints: NDArray[np.int32]
@@ -87,8 +98,13 @@ class Capture:
 
 @dataclass(frozen=True, slots=True)
 class BlendTargets:
-    """Inputs of a blend shape: names of library shapes and of the channels that are their weights. Also which attributes are
-    blended, and the point attribute by which points are matched."""
+    """Inputs of a blend shape.
+
+    `shapes`: names of library shapes.
+    `channels`: the channels that weight these shapes.
+    `attributes`: the point attributes that are blended.
+    `point_id`: the point attribute by which points are matched; `primitive_id`: the same for primitives.
+    """
 
     shapes: tuple[str, ...]
     channels: tuple[str, ...]
@@ -99,7 +115,7 @@ class BlendTargets:
 
 @dataclass(frozen=True, slots=True)
 class InBetweens:
-    """Corrective shapes of a blend shape's input, each applied at a weight that is neither 0 nor 1."""
+    """Corrective shapes of a blend shape's input. Each applies in full at its weight in `weights`, which is neither 0 nor 1."""
 
     shapes: tuple[str, ...]
     weights: tuple[float, ...]
@@ -107,9 +123,12 @@ class InBetweens:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Shape:
-    """P points and M triangles. `normals` float32[P, 3], `uvs` float32[P, 2] or None. `materials`: names; `material` int32[M]:
-    the material number of each triangle. `attributes`: further point attributes by name, including an `id` and a blend
-    attribute."""
+    """A mesh of P points and M triangles.
+
+    `normals`: float32[P, 3] or None; `uvs`: float32[P, 2] or None.
+    `materials`: names; `material` int32[M]: the material number of each triangle.
+    `attributes`: further point attributes by name, including an `id` and a blend attribute.
+    """
 
     name: str
     points: Floats
@@ -127,7 +146,8 @@ class Shape:
 
 @dataclass(frozen=True, slots=True)
 class Binding:
-    """A shape at a joint (`transform`; "" for a deforming shape that follows many joints). `deformer`: "" for a static shape."""
+    """A shape at a joint. `transform`: the joint, "" for a deforming shape that follows many joints. `deformer`: "" for a static
+    shape."""
 
     transform: str
     shape: str
@@ -155,13 +175,17 @@ class TransformGroup:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Clip:
-    """F samples, `rate` per second, of the full local transforms of K joints and of C channels.
+    """F samples of the full local transforms of K joints and of C channels, `rate` samples per second.
 
-    `translation` float32[F, K, 3] in the definition's units; `rotation` float32[F, K, 4] (unit, x y z w); `scale` float32[F, K,
-    3]; `shear` float32[F, K, 3] or None. `transforms.py` defines their order. `values` float32[F, C]. The last sample of a
-    looping clip repeats its first pose. `stride`: the distance covered in one loop, in the definition's units; 0 for a clip in
-    place. `marks`: seconds by name. `feet`: whether feet are placed on the ground while it plays; else legs move as in the
-    clip."""
+    `translation`: float32[F, K, 3], in the definition's units.
+    `rotation`: float32[F, K, 4], unit quaternions x y z w.
+    `scale`: float32[F, K, 3]; `shear`: float32[F, K, 3] or None. `transforms.py` defines the order of the parts.
+    `values`: float32[F, C], of the channels.
+    `loop`: whether the clip loops. The last sample of a looping clip repeats its first pose.
+    `stride`: the distance covered in one loop, in the definition's units; 0 for a clip in place.
+    `marks`: seconds by name.
+    `feet`: whether feet are placed on the ground while the clip plays; otherwise legs move as in the clip.
+    """
 
     name: str
     rate: float
@@ -179,20 +203,25 @@ class Clip:
 
     @property
     def samples(self) -> int:
-        """How many samples it has."""
+        """Return the number of samples."""
         return max(len(self.translation), len(self.values))
 
     @property
     def duration(self) -> float:
-        """Seconds from its first sample to its last."""
+        """Return the seconds from the first sample to the last."""
         return (self.samples - 1) / self.rate
 
 
 @dataclass(frozen=True, slots=True)
 class Leg:
-    """A leg with a knee that bends so that its foot stands on the ground. `upper`, `lower` and `foot` are joints: the hip (start
-    of the thigh, femur), the knee (start of the shank, tibia), and the part that touches the ground. Each is a descendant of the
-    one before in the rig; other joints may lie between."""
+    """A leg with a knee that bends so that the foot stands on the ground.
+
+    `upper`: the joint of the hip, the start of the thigh (femur).
+    `lower`: the joint of the knee, the start of the shank (tibia); a descendant of `upper`.
+    `foot`: the joint of the part that touches the ground; a descendant of `lower`.
+
+    Other joints may lie between these.
+    """
 
     name: str
     upper: str
@@ -202,13 +231,18 @@ class Leg:
 
 @dataclass(frozen=True, slots=True)
 class Gait:
-    """The timing of feet at one speed. `speed`: length units of the definition per second. `stride`: distance of the body in one
-    cycle. `duty`: share of the cycle in which each foot is on the ground. `lift`: height of a swinging foot, in length units.
+    """The timing of feet at one speed.
+
+    `speed`: in length units of the definition per second.
+    `stride`: distance of the body in one cycle.
+    `duty`: share of the cycle in which each foot is on the ground.
+    `lift`: height of a swinging foot, in length units.
     `phases`: for each leg in order, its lead as a share of the cycle.
 
-    Between two gaits of a definition, stride, duty and lift are linear in the speed; phases are those of the slower one. Below
-    the slowest and above the fastest gait, the nearest one applies. Above the fastest, only the stride changes: it grows with the
-    speed, so that cycles per second stay constant."""
+    Between two gaits of a definition, stride, duty and lift are linear in the speed, and the phases are those of the slower gait.
+    Below the slowest and above the fastest gait, that gait applies. Above the fastest, only the stride changes: it grows with the
+    speed, so that the number of cycles per second stays constant.
+    """
 
     name: str
     speed: float
@@ -223,8 +257,11 @@ RgbColour = tuple[float, float, float]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Variation:
-    """Differences between bodies. `scales`: for each transform group, its smallest and largest scale. `materials`: for each
-    material, colours (linear, 0 to 1); each agent's colour lies on the path through them."""
+    """Differences between bodies.
+
+    `scales`: for each transform group, its smallest and largest scale.
+    `materials`: for each material, colours (linear, 0 to 1). Each agent's colour lies on the path through these colours.
+    """
 
     scales: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     materials: Mapping[str, tuple[RgbColour, ...]] = field(default_factory=dict)
@@ -242,10 +279,16 @@ DEFAULT_UP = (0.0, 1.0, 0.0)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Definition:
-    """An agent definition. `front` and `up`: the forward and upward axes of its space. `length`: its extent along `front` in its
-    own units, which an agent's `size` scales; `unit`: millimetres per unit. `materials`: base colours (linear, 0 to 1) by name.
-    `gaits` go from slow to fast. `idle`: the clip of agents that play none ("": rest pose). `variation`: differences between
-    bodies."""
+    """An agent definition.
+
+    `front` and `up`: the forward and upward axes of its space.
+    `length`: its extent along `front` in its own units; an agent's `size` scales it.
+    `unit`: millimetres per unit.
+    `materials`: base colours (linear, 0 to 1) by name.
+    `gaits`: from slow to fast.
+    `idle`: the clip of agents that play no other clip; "" means the rest pose.
+    `variation`: differences between bodies.
+    """
 
     name: str
     rig: Rig
@@ -265,7 +308,7 @@ class Definition:
     variation: Variation = NO_VARIATION
 
     def base_matrix(self) -> NDArray[np.float64]:
-        """Return the matrix float64[4, 4] from its own space to agent space: length 1, front +x, up +y."""
+        """Return the matrix float64[4, 4] from the definition's space to agent space: length 1, front +x, up +y."""
         ahead, up = np.array(self.front, np.float64), np.array(self.up, np.float64)
         matrix = np.eye(4)
         matrix[0, :3], matrix[1, :3], matrix[2, :3] = ahead, up, np.cross(ahead, up)
@@ -274,15 +317,15 @@ class Definition:
 
 
 def language_name(text: str) -> str:
-    """Return a name in lower-case letters, digits and `_` that begins with a letter; each run of other characters becomes one
+    """Return a name in lower-case letters, digits and `_` that begins with a letter. Each run of other characters becomes one
     `_`."""
     name = _NON_NAME_CHARACTERS.sub("_", text.lower()).strip("_")
     return name if name[:1].isalpha() else f"n{name}"
 
 
 def language_names(names: Iterable[str]) -> dict[str, str]:
-    """Return the display name of each name. Names that are valid in the language do not change. Of other names with equal display
-    names, the later ones get `_2`, `_3` and so on."""
+    """Return the display name of each name. Names that are valid in the language do not change. If the display names of other
+    names collide, the later ones get `_2`, `_3` and so on."""
     names = list(names)
     translations = {name: name for name in names if language_name(name) == name}
     taken = set(translations)
@@ -298,8 +341,8 @@ def language_names(names: Iterable[str]) -> dict[str, str]:
 
 
 def with_language_names(body: Definition) -> Definition:
-    """Return the definition with the display names of its clips (the idle one too), their marks, its layers and its transform
-    groups. Channel names do not change: clips and shapes refer to them."""
+    """Return the definition with the display names of its clips (also the idle clip), marks, layers and transform groups. Channel
+    names do not change, because clips and shapes refer to them."""
     clips, groups, layers = (language_names(each) for each in (body.clips, body.groups, body.layers))
     marked = {name: language_names(clip.marks) for name, clip in body.clips.items()}
     if all(name == own for each in (clips, groups, layers, *marked.values()) for name, own in each.items()):

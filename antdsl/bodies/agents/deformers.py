@@ -1,8 +1,9 @@
 """Deformers by name: functions that make a shape of the library follow the transforms and channel values of n agents.
 
-`DEFORMERS` has the documented ones: `linearskinning`, `dualquatskinning`, `dualquatblendskinning` and `blendshape`. Names joined
-by `+` are applied in sequence (`blendshape+linearskinning`); any may be joined. `register` adds new ones. A binding without a
-deformer is a static shape that moves rigidly with its joint."""
+`DEFORMER_BY_NAME` has the documented ones: `linearskinning`, `dualquatskinning`, `dualquatblendskinning` and `blendshape`. Names
+joined by `+` are applied in sequence (`blendshape+linearskinning`); any deformers may be joined. `register` adds new ones. A
+binding without a deformer is a static shape that moves rigidly with its joint.
+"""
 
 from __future__ import annotations
 
@@ -28,9 +29,12 @@ _POINTS_PER_CHUNK = 1 << 15  # points of agents worked on at once
 
 
 class Deformer(Protocol):
-    """A function of the current shape, the library shape, its definition, and the poses of n agents. The current shape is first
-    the library shape, shared by all agents (n is 1). It returns the shape for each agent and does not modify its arguments. It is
-    called for subsets of agents; the result for one must not depend on the others."""
+    """A function that deforms a shape. Its arguments are the current shape, the library shape, the definition, and the poses of n
+    agents. It returns the shape for each agent, and does not modify its arguments.
+
+    The current shape of the first deformer is the library shape, shared by all agents (its n is 1). Deformers are called for
+    subsets of agents, so the result for one agent must not depend on the others.
+    """
 
     def __call__(self, deformed: Deformed, shape: Shape, definition: Definition, poses: Poses) -> Deformed: ...
 
@@ -48,7 +52,7 @@ SKINNING_DEFORMERS = (linear_skinning, dual_quaternion_skinning, dual_quaternion
 
 
 def register(name: str, deformer: Deformer) -> None:
-    """Add a deformer by a name that bindings then use. Raises ValueError for a name that is taken, empty, or has a `+`."""
+    """Add a deformer under a name for use by bindings. Raises ValueError for a name that is taken, empty, or contains `+`."""
     if not name or "+" in name or name in DEFORMER_BY_NAME:
         raise ValueError(
             f"`{name}` cannot be the name of a deformer: it is empty, has a `+`, or is one of {', '.join(DEFORMER_BY_NAME)}"
@@ -57,7 +61,7 @@ def register(name: str, deformer: Deformer) -> None:
 
 
 def deformer_steps(name: str) -> tuple[Deformer, ...]:
-    """Return the deformers of a name, in the order of application. Raises KeyError with the existing names."""
+    """Return the deformers that a name lists, in the order of application. Raises KeyError with the existing names."""
     missing = [part for part in name.split("+") if part not in DEFORMER_BY_NAME]
     if missing:
         raise KeyError(f"there is no deformer `{missing[0]}`; there are {', '.join(DEFORMER_BY_NAME)}, and these joined by `+`")
@@ -65,10 +69,11 @@ def deformer_steps(name: str) -> tuple[Deformer, ...]:
 
 
 def bound(definition: Definition, binding: Binding, poses: Poses) -> Deformed:
-    """Return the shape of a binding for each of n agents, in agent space: deformed, and moved by its joint unless its points
-    follow joints.
+    """Return the shape of a binding for each of n agents, deformed, in agent space. A shape with points that follow no joints
+    moves with the binding's joint.
 
-    Raises KeyError for a missing shape, joint or deformer, and the errors of its deformers."""
+    Raises KeyError for a missing shape, joint or deformer, and the errors of its deformers.
+    """
     shape = definition.shapes[binding.shape]
     n = len(poses.world)
     named = shape.blend.attributes if shape.blend else ()
@@ -97,7 +102,7 @@ def bound(definition: Definition, binding: Binding, poses: Poses) -> Deformed:
 
 
 def _rigid_step(binding: Binding) -> Deformer:
-    """The step that moves a shape by its joint alone."""
+    """Return the deformer that moves a shape by its joint alone."""
 
     def carried(deformed: Deformed, shape: Shape, definition: Definition, poses: Poses) -> Deformed:
         joint = definition.rig.joint(binding.transform)

@@ -1,4 +1,4 @@
-"""Pose controls of behaviour other than clips: values of channels, and where parts of a body look."""
+"""Pose controls other than clips: values of channels, and directions in which parts of a body look."""
 
 from __future__ import annotations
 
@@ -19,10 +19,12 @@ from antdsl.bodies.agents.varied_bodies import VariationDraws
 class DrivenPose:
     """Values that drive the poses of n agents.
 
-    `channels` float32[n] by display name: the value that overrides the clips for a channel of the rig; NaN where the clips
-    decide. `looks` float32[n, 3] by transform group: unit vectors in the agent's space (+x ahead, +y up); (1, 0, 0) looks
-    straight ahead. `draws`: the random variation of bodies. `lean` float32[n, 2]: how much each agent turns (positive: left) and
-    climbs, from -1 to 1; None if no clip depends on it."""
+    `channels`: float32[n] by display name. A value overrides the clips for a channel of the rig; NaN leaves the value of the
+        clips.
+    `looks`: float32[n, 3] by transform group, unit vectors in the agent's space (+x ahead, +y up); (1, 0, 0) is straight ahead.
+    `draws`: the random variation of bodies.
+    `lean`: float32[n, 2], how much each agent turns (positive: left) and climbs, from -1 to 1; None if no clip depends on it.
+    """
 
     channels: Mapping[str, Floats] = field(default_factory=dict)
     looks: Mapping[str, Floats] = field(default_factory=dict)
@@ -31,7 +33,7 @@ class DrivenPose:
 
 
 def with_channels(table: ClipTable, poses: Poses, channels: Mapping[str, Floats]) -> Poses:
-    """Return poses in which the given channel values are set where finite. A channel that the rig does not have is ignored."""
+    """Return poses in which the given channel values are set where finite. Channels that the rig does not have are ignored."""
     names = {
         language_name: k for k, language_name in enumerate(language_names(each.name for each in table.rig.channels).values())
     }
@@ -50,10 +52,11 @@ def with_looks(
 ) -> Poses:
     """Return poses in which the joints of transform groups are turned towards the given directions.
 
-    Each joint of a group turns about its own position, with all joints below it. It turns by its weight's share of the shortest
-    rotation from straight ahead; joints of one chain together turn by at most the whole rotation. `base` [3, 3] transforms from
-    the body's space to that of agents. A group that the body does not have is ignored. `local` is None where anything was
-    turned."""
+    Each joint of a group turns about its own position, together with all joints below it. It turns by its weight's share of the
+    shortest rotation from straight ahead. The joints of one chain together turn by at most that full rotation. `base` [3, 3]
+    transforms from the body's space to that of agents. Groups that the body does not have are ignored. If anything was turned,
+    `local` is None.
+    """
     known_looks = {name: look for name, look in looks.items() if name in groups and len(look)}
     if not known_looks:
         return poses
@@ -69,8 +72,8 @@ def with_looks(
 
 
 def look_shares(rig: Rig, group: TransformGroup) -> Iterator[tuple[int, float]]:
-    """Yield the joints of a group by number, each with its share of the group's look rotation: its weight, but at most what its
-    ancestors left over."""
+    """Yield the joints of a group by number, each with its share of the group's look rotation. The share is the joint's weight,
+    limited to the remainder that its ancestors leave."""
     left = np.ones(len(rig.names))
     for joint, weight in sorted((rig.joint(member), weight) for member, weight in group.members):
         share = min(weight, float(left[joint]))
@@ -80,8 +83,8 @@ def look_shares(rig: Rig, group: TransformGroup) -> Iterator[tuple[int, float]]:
 
 
 def _shortest_turn(direction: Sequence[Floats], ahead: Floats) -> Floats:
-    """Return the quaternions float32[n, 4] of the shortest rotations that bring `ahead` [3] to unit vectors, given as x, y and z
-    [n]."""
+    """Return quaternions float32[n, 4] of the shortest rotations from `ahead` [3] to `direction`: unit vectors, as x, y and z [n]
+    each."""
     x, y, z = ahead
     quaternions = np.stack([
         y * direction[2] - z * direction[1], z * direction[0] - x * direction[2], x * direction[1] - y * direction[0],
@@ -92,14 +95,14 @@ def _shortest_turn(direction: Sequence[Floats], ahead: Floats) -> Floats:
 
 
 def _partial_turn(turn: Floats, weight: float) -> Floats:
-    """A share of turns [n, 4], by nlerp from none."""
+    """Return a share of turns [n, 4], by nlerp (normalised linear interpolation) from the identity."""
     part = turn * np.float32(weight)
     part[:, 3] += np.float32(1 - weight)
     return np.ascontiguousarray(normalise(np.ascontiguousarray(part.T)).T)
 
 
 def _turn_joints(world: Floats, joint: int, moved: NDArray[np.intp], turn: Floats) -> None:
-    """Rotate some joints [n, J, 3, 4] about the position of one joint, in place."""
+    """Rotate the joints `moved` of world matrices [n, J, 3, 4] about the position of one joint, in place."""
     x, y, z, w = turn.T
     matrix = np.empty((len(turn), 3, 3), np.float32)
     matrix[:, 0] = np.stack([1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)], axis=1)

@@ -1,4 +1,4 @@
-"""The joint chains of legs: which joints move with each bone, and the positions of hip and foot in the standing pose."""
+"""The joint chains of legs: the joints that move with each bone, and the positions of hip and foot in the standing pose."""
 
 from __future__ import annotations
 
@@ -17,8 +17,13 @@ Joints = NDArray[np.intp]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LegChain:
-    """A leg by joint numbers: `upper`, `lower`, `foot`. `thigh`: `upper` and its descendants that are not below `lower`. `shank`:
-    the same for `lower` and `foot`. `sole`: `foot` and all below it."""
+    """A leg by joint numbers.
+
+    `upper`, `lower`, `foot`: the joints of hip, knee and foot.
+    `thigh`: `upper` and its descendants that are not at or below `lower`.
+    `shank`: `lower` and its descendants that are not at or below `foot`.
+    `sole`: `foot` and all joints below it.
+    """
 
     upper: int
     lower: int
@@ -29,7 +34,7 @@ class LegChain:
 
 
 def leg_chain(rig: Rig, leg: Leg) -> LegChain:
-    """The chain of a leg. Raises KeyError for a joint that the rig does not have."""
+    """Return the chain of a leg. Raises KeyError for a joint that the rig does not have."""
     upper, lower, foot = rig.joint(leg.upper), rig.joint(leg.lower), rig.joint(leg.foot)
     below = [_descendant_mask(rig, joint) for joint in (upper, lower, foot)]
     thigh, shank = (np.flatnonzero(a & ~b) for a, b in pairwise(below))
@@ -45,8 +50,8 @@ def _descendant_mask(rig: Rig, joint: int) -> NDArray[np.bool_]:
 
 
 def standing_joints(body: Definition) -> NDArray[np.float64]:
-    """Return joint positions in the standing pose, float64[J, 3], in body lengths along the axes of agents. The pose is the first
-    sample of its idle clip, or the rest pose."""
+    """Return joint positions in the standing pose, float64[J, 3], in body lengths along the axes of agents. The standing pose is
+    the first sample of the idle clip, or else the rest pose."""
     table = clip_table(body)
     number = table.number(body.idle) if body.idle in body.clips else REST_CLIP
     world = transforms(table, sample_poses(table, np.array([number]), np.zeros(1)))[1]
@@ -59,7 +64,7 @@ def standing_joints(body: Definition) -> NDArray[np.float64]:
 
 
 def legs_data(body: Definition) -> LegsData:
-    """Return the legs of a body that has some, in body lengths."""
+    """Return the legs of a body that has legs, in body lengths."""
     positions = standing_joints(body)
     chains = [leg_chain(body.rig, leg) for leg in body.legs]
     hip, knee, foot = (positions[[getattr(each, name) for each in chains]] for name in ("upper", "lower", "foot"))

@@ -1,8 +1,10 @@
-"""Legs bent so that feet reach their footholds: two-bone inverse kinematics of many agents, one leg after the other.
+"""Bends legs so that feet reach their footholds: two-bone inverse kinematics of many agents, one leg after the other.
 
-The law of cosines opens or closes the knee in its plane in the pose. Then the whole leg rotates about the hip by the shortest
-rotation to the goal, so the knee stays on its side. Joints between keep their local transforms. The foot and all below it keep
-their rotation, so the angle to the ground is the clip's. For a goal out of reach, the leg stretches towards it."""
+The law of cosines opens or closes the knee in its plane in the pose. Then the complete leg rotates about the hip by the shortest
+rotation to the goal, so the knee does not change its side. Joints in between keep their local transforms. The foot and all joints
+below it keep their rotation, so the foot's angle to the ground is that of the clip. If the goal is out of reach, the leg
+stretches towards it.
+"""
 
 from __future__ import annotations
 
@@ -32,9 +34,13 @@ LEG_BENDING_LIMITS = {
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BodySpaceFeet:
-    """The feet of n agents relative to their bodies, in body lengths along ahead, up and aside. `place` float32[n, L, 3]: the
-    ground below each foot, or the position of a swinging foot; `down` bool[n, L]: on the ground. `rise` float32[n] and `tilt`
-    float32[n, 4] (x y z w): height and rotation of the trunk relative to its rest."""
+    """The feet of n agents relative to their bodies, in body lengths along ahead, up and aside.
+
+    `place`: float32[n, L, 3], the ground below each foot, or the position of a swinging foot.
+    `down`: bool[n, L], whether the foot is on the ground.
+    `rise`: float32[n], height of the trunk relative to its rest.
+    `tilt`: float32[n, 4], rotation of the trunk relative to its rest, x y z w.
+    """
 
     place: Floats
     down: NDArray[np.bool_]
@@ -42,7 +48,7 @@ class BodySpaceFeet:
     tilt: Floats
 
     def scale_trunk(self, stands: Floats) -> BodySpaceFeet:
-        """Return the same with the movement of trunks scaled by `stands` [n], from 0 to 1."""
+        """Return the feet with the movement of trunks scaled by `stands` [n], from 0 to 1."""
         tilt = self.tilt * stands[:, None]
         tilt[:, 3] += 1 - stands
         return replace(self, rise=self.rise * stands, tilt=tilt)
@@ -50,8 +56,13 @@ class BodySpaceFeet:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PlacedFeet:
-    """The feet of n agents in a frame, as stored in caches, in scene units: `P` float32[n, L, 3], `down` uint8[n, L], `phase` and
-    `rise` float32[n], `tilt` float32[n, 4]."""
+    """The feet of n agents in a frame, as stored in caches, in scene units.
+
+    `P`: float32[n, L, 3], positions.
+    `down`: uint8[n, L], whether the foot is on the ground.
+    `phase`: float32[n], of the gait.
+    `rise`: float32[n]; `tilt`: float32[n, 4]: height and rotation of the trunk relative to its rest.
+    """
 
     P: Floats
     down: NDArray[np.uint8]
@@ -62,7 +73,7 @@ class PlacedFeet:
     def relative_to(
         self, position: NDArray[np.floating], orient: NDArray[np.floating], scale: NDArray[np.floating]
     ) -> BodySpaceFeet:
-        """Return the feet relative to bodies at `position` [n, 3] with rotation `orient` [n, 4] and length `scale` [n]. Numbers
+        """Return the feet relative to bodies with `position` [n, 3], rotation `orient` [n, 4] and length `scale` [n]. Numbers
         that are not finite count as 0."""
         with np.errstate(all="ignore"):
             away = np.asarray(self.P, np.float64) - np.asarray(position, np.float64)[:, None]
@@ -78,7 +89,7 @@ class PlacedFeet:
 
 
 class LegSolver:
-    """The legs of a definition, ready to be bent."""
+    """The legs of a definition, prepared for inverse kinematics."""
 
     def __init__(self, body: Definition) -> None:
         self._chains = [leg_chain(body.rig, leg) for leg in body.legs]
@@ -100,23 +111,23 @@ class LegSolver:
 
     @property
     def count(self) -> int:
-        """How many there are."""
+        """Return the number of legs."""
         return len(self._chains)
 
     @property
     def chains(self) -> Sequence[LegChain]:
-        """The joints of each."""
+        """Return the joint chain of each leg."""
         return self._chains
 
     def straight_axes(self) -> Floats:
-        """Return the axes float32[L, 3], in the definition's space, about which knees bend that are straight in a pose."""
+        """Return the bend axes float32[L, 3] of knees that are straight in a pose, in the definition's space."""
         return np.concatenate([self._straight_axis(each) for each in self._chains], axis=1).T
 
     def stance_weights(
         self, clips: Sequence[tuple[str, str] | PlayedClip], machines: Sequence[MachineClips], count: int
     ) -> Floats:
-        """Return how strongly the feet of `count` agents are placed, float32[n] from 0 to 1. Clips that leave feet free lower it,
-        by the layers and weights of their poses."""
+        """Return how strongly the feet of `count` agents are placed on the ground, float32[n] from 0 to 1. Clips that do not
+        place feet reduce it, according to their layers and weights in the pose."""
         stands = np.ones(count, np.float32)
         played = [PlayedClip(*each) for each in clips]
         free = np.array([each.clip in self._free for each in played] + [False])
@@ -133,7 +144,7 @@ class LegSolver:
         return stands.astype(np.float32)
 
     def bend_legs(self, poses: Poses, feet: BodySpaceFeet, stands: Floats) -> Poses:
-        """Return poses with the feet at their targets, weighted by `stands` [n], on trunks that are moved by `rise` and `tilt`.
+        """Return poses with the feet at their targets, weighted by `stands` [n], and with trunks moved by `rise` and `tilt`.
         `local` is None."""
         world = np.array(poses.world.transpose(2, 3, 1, 0), np.float32, order="C")
         goals = self._goals(feet)
@@ -155,7 +166,7 @@ class LegSolver:
         return goals
 
     def _lower_bodies(self, world: Floats, goals: list[Floats], down: NDArray[np.bool_], stands: Floats) -> None:
-        """Lower bodies until feet on the ground can reach it: the trunk of a clip may be too high for the stance."""
+        """Lower bodies until the feet that stand reach the ground: the trunk of a clip may be too high for the stance."""
         most = np.zeros(len(stands), np.float32)
         for k, (each, goal) in enumerate(zip(self._chains, goals, strict=True)):
             hip, knee, foot = (world[:, 3, joint] for joint in (each.upper, each.lower, each.foot))
@@ -193,7 +204,8 @@ class LegSolver:
         world[:, 3, leg.sole] += moved[:, None, :]
 
     def _knee_axis(self, world: Floats, leg: LegChain, thigh: Floats, shank: Floats, size: Floats) -> Floats:
-        """Return the unit axis [3, n] about which the knee opens; where a leg is straight, the axis of the standing pose."""
+        """Return the unit axis [3, n] about which the knee opens. Where a leg is straight, it is the axis of the standing
+        pose."""
         axis = _cross(thigh, shank)
         rest = self._straight_axis(leg)
         straight = _length(axis) <= np.float32(_MIN_KNEE_SINE) * size
@@ -208,7 +220,7 @@ class LegSolver:
         return rest
 
     def _move_trunk(self, world: Floats, feet: BodySpaceFeet) -> None:
-        """Move all joints by `rise` and `tilt`, in place."""
+        """Move all joints of `world` by `rise` and `tilt` of the feet, in place."""
         base, turn = self._base, _rotation_matrices(feet.tilt)
         half = [
             [(turn[a, 0] * base[0, s] + turn[a, 1] * base[1, s]) + turn[a, 2] * base[2, s] for s in range(3)] for a in range(3)
@@ -221,13 +233,13 @@ class LegSolver:
 
 
 def _rotation_matrices(quaternions: NDArray[np.floating]) -> Numbers:
-    """Return matrices float64[3, 3, n] of quaternions [n, 4]; a zero quaternion gives no rotation."""
+    """Return matrices float64[3, 3, n] of quaternions [n, 4]. A zero quaternion becomes the identity."""
     q = normalise(np.array(np.asarray(quaternions, np.float64).T, order="C"))
     return compose_matrices(np.zeros((3, q.shape[1])), q, None, None, np.empty((3, 4, q.shape[1])))[:, :3]
 
 
 def _turn_joints(world: Floats, joints: Joints, turn: Floats, pivots: Floats) -> None:
-    """Turns joints by matrices [3, 3, n] about points [3, n], in place."""
+    """Rotate joints by matrices [3, 3, n] about points [3, n], in place."""
     old = world[:, :, joints]
     old[:, 3] -= pivots[:, None]
     for r in range(3):
@@ -237,7 +249,7 @@ def _turn_joints(world: Floats, joints: Joints, turn: Floats, pivots: Floats) ->
 
 
 def _axis_rotation(axis: Floats, cosine: Floats, sine: Floats) -> Floats:
-    """Matrices [3, 3, n] of turns about unit axes [3, n] (Rodrigues)."""
+    """Return matrices [3, 3, n] of rotations about unit axes [3, n] (Rodrigues' formula). `cosine` and `sine`: of the angles."""
     x, y, z = axis
     left = 1 - cosine
     return np.stack([
@@ -248,7 +260,7 @@ def _axis_rotation(axis: Floats, cosine: Floats, sine: Floats) -> Floats:
 
 
 def _rotation_between(a: Floats, b: Floats) -> Floats:
-    """Matrices [3, 3, n] that turn unit vectors a to b by the shortest way."""
+    """Return matrices [3, 3, n] of the shortest rotations from unit vectors `a` to `b`."""
     axis, cosine = _cross(a, b), _dot(a, b)
     x, y, z = axis
     by = 1 / np.maximum(1 + cosine, np.float32(1e-6))

@@ -1,4 +1,5 @@
-"""Converts what the state machines of agents play to a tree of clip layers: one layer per machine, each over those before it."""
+"""Converts what the state machines of agents play to a tree of clip layers. Each machine has one layer, over those of the
+machines before it."""
 
 from __future__ import annotations
 
@@ -16,11 +17,17 @@ from antdsl.bodies.agents.poses import REST_CLIP, ClipTable
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MachineClips:
-    """The clips that one machine of each of n agents plays. `clip` and `before` int[n] index what the species plays, -1 for none:
-    the clip of the state, and the clip that fades out. `turns` and `before_turns` float32[n]: how many times each was played
-    through. `weight` and `before_weight`: their weights from 0 to 1. `fade`: the share of the pose that `before` still has.
-    `earlier_fade`: the share of that which belongs to `earlier`, a clip still fading out when `before` began to; None if there is
-    none."""
+    """The clips that one machine of each of n agents plays. At most three clips overlap: the clip of the state (`clip`), the
+    previous one, which fades out (`before`), and one that was still fading out when `before` began to (`earlier`).
+
+    `clip`, `before`, `earlier`: int[n], indices into what the species plays, -1 for none.
+    `turns`, `before_turns`, `earlier_turns`: float32[n], how many times the clip was played through.
+    `weight`, `before_weight`, `earlier_weight`: float32[n], from 0 to 1.
+    `fade`: float32[n], the share of the pose that `before` and `earlier` still have.
+    `earlier_fade`: the share of `fade` that belongs to `earlier`.
+
+    The fields of `earlier` are None if no agent has such a clip.
+    """
 
     clip: NDArray[np.int16]
     turns: Floats
@@ -35,7 +42,7 @@ class MachineClips:
     earlier_fade: Floats | None = None
 
     def clip_slots(self) -> Iterator[tuple[NDArray[np.int16], Floats, Floats]]:
-        """Yield clips, turns and shares of the pose float32[n], from the clip that fades out first to the current one."""
+        """Yield clips, turns and shares of the pose, float32[n], from the clip that fades out first to the current clip."""
         fade = np.clip(self.fade, 0, 1)
         if self.earlier is None or self.earlier_turns is None or self.earlier_weight is None or self.earlier_fade is None:
             part = np.zeros_like(fade)
@@ -51,9 +58,12 @@ EARLIER_FIELDS = ("earlier", "earlier_turns", "earlier_weight", "earlier_fade")
 
 
 class PlayedClip(NamedTuple):
-    """A clip that a line of a state plays on the joints of a transform group ("": the whole rig). With `add` its differences from
-    the rest pose are added over all others. `left`, `right`, `up` and `down`: the clips that replace it as an agent turns, climbs
-    or descends, "" for none."""
+    """A clip that a line of a state plays on the joints of a transform group.
+
+    `on`: the transform group, "" for the complete rig.
+    `add`: whether the clip's differences from the rest pose are added over all other clips.
+    `left`, `right`, `up` and `down`: the clips that replace it as an agent turns, climbs or descends; "" for none.
+    """
 
     clip: str
     on: str = ""
@@ -66,7 +76,8 @@ class PlayedClip(NamedTuple):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _ClipSlot:
-    """A clip of each agent: its machine, whether it is additive, its row among the clips, times, weights and groups."""
+    """A clip of each agent. `machine`: the number of its machine. `add`: whether the clip is additive. The arrays: its row among
+    the clips, its times, weights and groups."""
 
     machine: int
     add: bool
@@ -80,11 +91,14 @@ def playing_of_machines(
     table: ClipTable, clips: Sequence[tuple[str, str] | PlayedClip], machines: Sequence[MachineClips], count: int,
     lean: Floats | None = None,
 ) -> Playing:  # fmt: skip
-    """Return what `count` agents play. `clips`: what their states play; a name that the table lacks means no clip. `lean`
-    float32[n, 2], from -1 to 1: how much each turns (left above 0) and climbs.
+    """Return the `Playing` of `count` agents.
 
-    A machine's layer is the mean of its clips by fade and weight. It covers the layers of the machines before it by its total
-    weight; where it fades out to nothing, they show. Additive clips lie over all of them, in the order of machines."""
+    `clips`: the clips that the states of their machines play; a name that the table lacks means no clip.
+    `lean`: float32[n, 2], from -1 to 1, how much each agent turns (positive: left) and climbs.
+
+    A machine's layer is the mean of its clips by fade and weight. It covers the layers of the previous machines by its total
+    weight; where it fades out completely, those layers are visible. Additive clips lie over all layers, in the order of machines.
+    """
     played = [PlayedClip(*each) for each in clips]
     groups = ["", *sorted({each.on for each in played} - {""})]
     slots = [
@@ -120,7 +134,7 @@ def playing_of_machines(
 def _slots(
     table: ClipTable, played: Sequence[PlayedClip], groups: Sequence[str], number: int, machine: MachineClips, lean: Floats | None
 ) -> Iterator[_ClipSlot]:
-    """Yield the clips that a machine plays; additive ones are separate slots."""
+    """Yield the clips that a machine plays. Additive clips are separate slots."""
     names = [(each.clip, each.left, each.right, each.up, each.down) for each in played]
     numbers = np.array([[_clip_number(table, name) for name in row] for row in (*names, ("",) * 5)], np.int32)
     seconds = np.array([[table.duration(n) if n != REST_CLIP else 0.0 for n in row] for row in numbers])
@@ -143,8 +157,8 @@ def _slots(
 
 
 def _lean_shares(numbers: NDArray[np.int32], lean: Floats | None) -> Iterator[Floats | None]:
-    """Yield the share of each agent's clip itself and of its variants to the left, to the right, up and down, [n] each. A variant
-    that no agent uses gives None."""
+    """Yield the share of each agent's clip and of its variants to the left, to the right, up and down, [n] each. For a variant
+    that no agent uses, yield None."""
     ones = np.ones(len(numbers), np.float32)
     if lean is None or not (numbers[:, 1:] != REST_CLIP).any():
         yield ones

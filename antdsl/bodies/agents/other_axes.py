@@ -1,4 +1,4 @@
-"""An agent definition in other axes and another unit of length: the same body in other coordinates."""
+"""Converts an agent definition to other axes and another unit of length. The body itself does not change."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ Floats = NDArray[np.float64]
 
 
 def convert_axes(body: Definition, front: AxisVector, up: AxisVector, unit: float) -> Definition:
-    """Return the definition with other axes of its front and up (both along coordinate axes), and `unit` millimetres per unit of
-    length. All of its local space is transformed alike. So joints have the same names, and posed points the same positions in a
-    scene up to the last digits of float32."""
+    """Return the definition with other forward and upward axes (both coordinate axes), and `unit` millimetres per unit of length.
+    All local spaces are transformed alike. So joints keep their names, and posed points their positions in a scene, up to the
+    last digits of float32."""
     turn = _axis_frame(front, up) @ _axis_frame(body.front, body.up).T
     size = body.unit / unit
     if size == 1.0 and (turn == np.eye(3)).all():
@@ -73,7 +73,7 @@ def _convert_shape(shape: Shape, change: Floats, back: Floats) -> Shape:
 
 
 def _convert_layer(layer: Layer, which: Floats) -> Layer:
-    """Return a layer with bounds scales permuted to the new axes."""
+    """Return a layer with the bounds scales permuted to the new axes."""
 
     def turned(scale: tuple[float, float, float]) -> tuple[float, float, float]:
         x, y, z = (which @ np.array(scale)).tolist()

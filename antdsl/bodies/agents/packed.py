@@ -1,7 +1,8 @@
-"""An agent definition as a few plain arrays, and back: the form that caches store.
+"""Converts an agent definition to a few plain arrays, and back. Caches store this form.
 
-`text` uint8: a JSON document of all names, counts and bindings. In it, an array of the definition is `[kind, first, shape]`: a
-range of `f4`, `f8`, `i4` or `i8`. Metadata is left out: drawing does not need it."""
+`text` uint8: a JSON document of all names, counts and bindings. In this document, an array of the definition is
+`[kind, first, shape]`: a range of the arrays `f4`, `f8`, `i4` or `i8`. Metadata is left out, because drawing does not need it.
+"""
 
 from __future__ import annotations
 
@@ -40,7 +41,7 @@ Arrays = dict[str, NDArray[Any]]
 
 
 def pack_definition(body: Definition) -> Arrays:
-    """The arrays `PARTS` of a definition; the same definition gives the same bytes."""
+    """Return the arrays `ARRAY_NAMES` of a definition. Equal definitions give equal bytes."""
     flat: dict[str, list[NDArray[Any]]] = {kind: [] for kind in NUMBER_KINDS}
     used = dict.fromkeys(NUMBER_KINDS, 0)
 
@@ -97,7 +98,7 @@ def pack_definition(body: Definition) -> Arrays:
 
 @lru_cache(maxsize=16)
 def digest(body: Definition) -> str:
-    """Return a hash of all that `packed` stores of a definition. The definition must not change after it is built."""
+    """Return a hash of everything that `pack_definition` stores of a definition. The definition must not change afterwards."""
     hasher = hashlib.blake2b(digest_size=16)
     for name, array in pack_definition(body).items():
         hasher.update(f"{name} {array.size} ".encode())
@@ -106,8 +107,9 @@ def digest(body: Definition) -> str:
 
 
 def unpack_definition(arrays: Mapping[str, NDArray[Any]]) -> Definition:
-    """The definition that `packed` made these arrays of: each place, type, shape and index is checked, but not that what one part
-    names is in another (`body_arrays.unpack_checked` of caches). Raises BodyError for any others: nothing in them is trusted."""
+    """Return the definition that `pack_definition` stored in these arrays. Raises BodyError for damaged arrays: none of their
+    content is trusted. Every range, type, shape and index is checked. Names by which one part refers to another are not checked
+    here, but by `body_arrays.unpack_checked` of caches."""
     try:
         definition = _read(arrays)
         _check_bounds(definition)
@@ -125,7 +127,7 @@ def _read(arrays: Mapping[str, NDArray[Any]]) -> Definition:
         raise ValueError
 
     def get(place: Any, *expected_sides: int | None, kind: str = "f4") -> NDArray[Any]:
-        """Return an array of the given kind and numbers of rows; None allows any number."""
+        """Return an array of the given kind. `expected_sides`: its number of rows along each axis; None allows any number."""
         own, first, shape = place
         sides = tuple(_integer(side) for side in shape)
         if (

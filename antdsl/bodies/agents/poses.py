@@ -1,11 +1,14 @@
-"""Poses of many agents: the clips of a definition as one table, samples of it at each agent's own time, and the transforms that
-follow.
+"""Poses of many agents: the clips of a definition as one table, samples of it at each agent's own time, and the resulting
+transforms.
 
-The table has one row a sample, so that one gather takes the samples of all agents.
-Between two samples translations, scales, shears and channels go linearly. Rotations do too, by the shorter way, and are made unit
-again (nlerp): it needs no sine, so that all processors give the same bits, and it is the one way that also blends many clips
-without an order among them. Slerp, which two rotations only have, turns at a constant speed; for samples 10 degrees apart the two
-differ by 0.0013 degrees at most, for 90 degrees apart by 0.92, so a reader of keys that lie far apart samples them by slerp."""
+The table has one row per sample, so that one gather reads the samples of all agents.
+
+Between two samples, translations, scales, shears and channels are interpolated linearly. Rotations are too, along the shorter
+path, and are then normalised (nlerp). Nlerp needs no sine, so all processors give the same bits. Only nlerp can also blend many
+clips without an order among them. Slerp works for two rotations only, but turns at a constant speed. For samples 10 degrees apart
+the two differ by at most 0.0013 degrees, for 90 degrees by 0.92. A reader of keys that are far apart therefore samples them by
+slerp.
+"""
 
 from __future__ import annotations
 
@@ -30,8 +33,14 @@ REST_CLIP = -1  # the number of no clip: the rest pose, and the defaults of chan
 
 @dataclass(slots=True, eq=False)
 class Pose:
-    """Local poses of n agents, one array a component: `translation` float32[3, J, n], `rotation` [4, J, n] (unit, x y z w),
-    `scale` and `shear` [3, J, n] or None for 1 and 0, joints in the order of a `ClipTable`; `channels` float32[C, n]."""
+    """Local poses of n agents, one array per component, joints in the order of a `ClipTable`.
+
+    `translation`: float32[3, J, n].
+    `rotation`: float32[4, J, n], unit quaternions x y z w.
+    `scale`: float32[3, J, n]; None means 1.
+    `shear`: float32[3, J, n]; None means 0.
+    `channels`: float32[C, n].
+    """
 
     translation: Floats
     rotation: Floats
@@ -44,9 +53,13 @@ class Pose:
 class Poses:
     """Transforms and channel values of n agents, joints and channels in the order of the rig.
 
-    `world` and `local` float32[n, J, 3, 4]: the upper three rows of each joint's matrix, in agent space and in parent space; the
-    fourth is 0 0 0 1. `channels` float32[n, C]. The arrays are views of [3, 4, J, n] memory, where each component of a joint is
-    contiguous over agents; computations use that layout. `numpy.ascontiguousarray` makes each agent contiguous."""
+    `world` and `local`: float32[n, J, 3, 4], the upper three rows of each joint's matrix, in agent space and in parent space; the
+        fourth row is 0 0 0 1.
+    `channels`: float32[n, C].
+
+    The arrays are views of [3, 4, J, n] memory, in which each component of a joint is contiguous over agents. Computations use
+    that layout. `numpy.ascontiguousarray` makes each agent contiguous.
+    """
 
     world: Floats
     local: Floats | None
@@ -54,10 +67,11 @@ class Poses:
 
 
 def sample_poses(table: ClipTable, clips: NDArray[np.integer], times: NDArray[np.floating]) -> Pose:
-    """Return the pose of each of n agents in its own clip, int[n], at its own time in seconds, [n].
+    """Return the pose of each of n agents in its own clip, `clips` int[n], at its own time in seconds, `times` [n].
 
-    A clip that loops is periodic, before time 0 too; any other clip holds its first and its last sample. Clip -1 is the rest
-    pose. A time that is not finite counts as 0. Raises IndexError for a clip number out of range."""
+    A looping clip is periodic, also before time 0. Any other clip holds its first and its last sample. Clip -1 is the rest pose.
+    A time that is not finite counts as 0. Raises IndexError for a clip number out of range.
+    """
     row, next_row, share = _sample_rows(table, clips, times)
     if not len(table.order) + len(table.rig.channels):
         return _split_rows(table, np.empty((0, len(row)), np.float32))
@@ -86,23 +100,23 @@ def rest_pose(table: ClipTable, count: int) -> Pose:
 
 
 def transforms(table: ClipTable, pose: Pose) -> tuple[Floats, Floats]:
-    """Local and world matrices of poses, float32[3, 4, J, n] each, joints in the order of the table."""
+    """Return local and world matrices of poses, float32[3, 4, J, n] each, joints in the order of the table."""
     shape = (3, 4, *pose.rotation.shape[1:])
     local = compose_matrices(pose.translation, pose.rotation, pose.scale, pose.shear, np.empty(shape, np.float32))
     return local, _world_matrices(table, local)
 
 
 def world_transforms(table: ClipTable, local: Floats) -> Floats:
-    """Return world transforms float32[n, J, 3, 4] of local ones, joints in the order of the rig. For transforms that are not a
-    clip's, such as those of legs after inverse kinematics or of a head that looks at something."""
+    """Return world transforms float32[n, J, 3, 4] of local ones, joints in the order of the rig. Use this for transforms that do
+    not come from a clip, such as legs after inverse kinematics or a head that looks at a point."""
     world = np.empty((3, 4, local.shape[1], len(local)), np.float32)
     world[:, :, table.order] = _world_matrices(table, local.transpose(2, 3, 1, 0)[:, :, table.order])
     return world.transpose(3, 2, 0, 1)
 
 
 def local_transforms(table: ClipTable, world: Floats) -> Floats:
-    """Return the local transforms float32[n, J, 3, 4] of world transforms, joints in the order of the rig. They are each parent's
-    inverse times the joint's own transform. A parent with scale 0 loses the local transforms of its children."""
+    """Return local transforms float32[n, J, 3, 4] of world transforms, joints in the order of the rig. A local transform is the
+    inverse of the parent's world transform times the joint's own. Below a parent with scale 0, the local transforms are lost."""
     placed = world.transpose(2, 3, 1, 0)
     local = np.array(placed, np.float32)
     children = np.flatnonzero(np.asarray(table.rig.parents) >= 0)
@@ -116,8 +130,7 @@ def local_transforms(table: ClipTable, world: Floats) -> Floats:
 
 
 def square_matrices(matrices: Floats) -> Floats:
-    """Return matrices float32[…, 4, 4] from matrices of three rows, each agent contiguous: for column vectors, as everywhere
-    here."""
+    """Return matrices float32[…, 4, 4] from matrices of three rows, each agent contiguous. Matrices are for column vectors."""
     squares = np.zeros((*matrices.shape[:-2], 4, 4), np.float32)
     squares[..., :3, :] = matrices
     squares[..., 3, 3] = 1
@@ -125,8 +138,8 @@ def square_matrices(matrices: Floats) -> Floats:
 
 
 def _world_matrices(table: ClipTable, local: Floats) -> Floats:
-    """Return world matrices [3, 4, J, n] of local ones, joints in the order of the table. Computed by depth of the rig: each
-    joint's is its parent's times its own."""
+    """Return world matrices [3, 4, J, n] of local ones, joints in the order of the table. Computed by depth of the rig: the world
+    matrix of a joint is that of its parent times its local matrix."""
     world = np.empty(local.shape, np.float32)
     for begin, end, parents in table.levels:
         if not len(parents):
@@ -139,7 +152,7 @@ def _world_matrices(table: ClipTable, local: Floats) -> Floats:
 def _sample_rows(
     table: ClipTable, clips: NDArray[np.integer], times: NDArray[np.floating]
 ) -> tuple[NDArray[np.int64], NDArray[np.int64], Floats]:
-    """Return the rows of the samples before and after each agent's time, and the fraction between them."""
+    """Return the table rows of the samples before and after each agent's time, and the fraction between the two."""
     clip = np.asarray(clips, np.int64) + 1
     if ((clip < 0) | (clip >= len(table.counts))).any():
         raise IndexError(f"clips are numbered from 0 to {len(table.names) - 1}, and -1 for none")
@@ -155,7 +168,7 @@ def _sample_rows(
 
 
 def _split_rows(table: ClipTable, rows: Floats) -> Pose:
-    """The parts of rows [W, n] of a table."""
+    """Return the rows [W, n] of a table, split into the parts of a pose."""
     joints, n = len(table.order), rows.shape[1]
     at, parts = 0, []
     for width in (3, 4, *([3] if table.scaled else []), *([3] if table.sheared else [])):
@@ -170,12 +183,16 @@ def _split_rows(table: ClipTable, rows: Floats) -> Pose:
 class ClipTable:
     """Samples of all clips, for J joints and C channels of one rig.
 
-    `names`: the clips; the index of a clip is its number. `samples` float32[R, W]: row 0 is the rest pose with the default values
-    of channels; the rows of a clip begin at `first[clip + 1]`. A row contains translations (3 J, component by component),
-    rotations (4 J), scales (3 J, if `scaled`), shears (3 J, if `sheared`) and channels (C). Values that a clip does not set are
-    those of the rest pose. Joints are ordered by depth in the rig's tree: `order` int32[J] is the rig's number of each, `levels`
-    the joints of each depth as (begin, end, indices of their parents). Successive rotations within a clip take the shorter
-    path."""
+    `names`: the clips; the index of a clip is its number.
+    `samples`: float32[R, W]. Row 0 is the rest pose with the default values of channels. A row contains translations (3 J,
+        component by component), rotations (4 J), scales (3 J, if `scaled`), shears (3 J, if `sheared`) and channels (C). Values
+        that a clip does not set are those of the rest pose.
+    `first`: `first[clip + 1]` is the first row of a clip.
+    `order`: int[J], the rig's number of each joint of the table; joints are ordered by depth in the rig's tree.
+    `levels`: the joints of each depth as (begin, end, indices of their parents).
+
+    Within a clip, signs of quaternions are such that interpolation takes the shorter path.
+    """
 
     rig: Rig
     names: tuple[str, ...]
@@ -190,19 +207,19 @@ class ClipTable:
     sheared: bool
 
     def number(self, name: str) -> int:
-        """The number of a clip. Raises KeyError."""
+        """Return the number of a clip. Raises KeyError."""
         try:
             return self.names.index(name)
         except ValueError:
             raise KeyError(name) from None
 
     def duration(self, number: int) -> float:
-        """Seconds from the first sample of a clip to its last."""
+        """Return the seconds from the first sample of a clip to its last."""
         return float(self.counts[number + 1] - 1) / float(self.rates[number + 1])
 
     def weights(self, group: TransformGroup) -> tuple[Floats, Floats]:
-        """The weights of a transform group: float32[J] of joints, in the order of the table, and float32[C] of channels, 1 for
-        those it names. Raises KeyError for a name that the rig does not have."""
+        """Return the weights of a transform group: float32[J] of joints, in the order of the table, and float32[C] of channels. A
+        channel has 1 if the group names it, else 0. Raises KeyError for a name that the rig does not have."""
         joints, channels = np.zeros(len(self.order), np.float32), np.zeros(len(self.rig.channels), np.float32)
         for name, weight in group.members:
             joints[self.rig.joint(name)] = weight
@@ -212,8 +229,9 @@ class ClipTable:
 
 
 def clip_table(definition: Definition) -> ClipTable:
-    """Build the table of a definition's clips. Joints and channels of clips that the rig does not have are left out: clips are
-    shared between rigs. Raises ValueError if arrays of a clip do not match each other, or if the rig's tree has a cycle."""
+    """Return the table of a definition's clips. Joints and channels of clips that the rig does not have are left out, because
+    clips are shared between rigs. Raises ValueError if arrays of a clip do not match each other, or if the rig's tree has a
+    cycle."""
     rig = definition.rig
     order, levels = _depth_order(rig)
     clips = tuple(definition.clips.values())
@@ -234,7 +252,7 @@ def clip_table(definition: Definition) -> ClipTable:
 
 
 def _depth_order(rig: Rig) -> tuple[NDArray[np.intp], tuple[tuple[int, int, NDArray[np.intp]], ...]]:
-    """The joints of a rig by their depth, and where each depth begins and ends."""
+    """Return the joints of a rig by depth, and for each depth (begin, end, indices of the parents)."""
     parents = np.asarray(rig.parents, np.intp)
     depth, above = np.zeros(len(parents), np.intp), parents.copy()
     while (above >= 0).any():
@@ -260,7 +278,7 @@ def _rest_row(rig: Rig, rest: list[NDArray[np.float64]], order: NDArray[np.intp]
 def _clip_rows(
     clip: Clip, rig: Rig, rest: list[NDArray[np.float64]], order: NDArray[np.intp], scaled: bool, sheared: bool
 ) -> Floats:
-    """Return the rows of a clip: its samples where it has some, else the rest pose."""
+    """Return the rows of a clip. Joints that the clip animates have its samples, all others the rest pose."""
     count = clip.samples
     if count < 1 or not clip.rate > 0:
         raise ValueError(f"clip `{clip.name}` has no samples, or its rate is not above 0")
@@ -291,9 +309,9 @@ def _clip_rows(
 
 
 def _align_signs(rotation: NDArray[np.float64], rest: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return quaternions [4, F, J] as [F, 4, J] with continuous signs. Each sample has the sign nearest to the sample before it,
-    the first the sign nearest to the rest [4, J]. So interpolation takes the shorter path without a test, and clips seldom need a
-    change of sign."""
+    """Return quaternions [4, F, J] as [F, 4, J] with continuous signs. Each sample has the sign nearest to the previous sample,
+    the first the sign nearest to `rest` [4, J]. Interpolation then takes the shorter path without a test, and signs seldom change
+    between clips."""
     previous_rotation = np.concatenate([rest[:, None], rotation[:, :-1]], 1)
     near = previous_rotation * rotation
     dots = ((near[0] + near[1]) + near[2]) + near[3]

@@ -1,16 +1,17 @@
 """Skinning: points and normals of n agents that follow several joints each, by matrices or by dual quaternions.
 
-One matrix per joint takes a point from capture to the joint's current transform: world transform times `Capture.inverse`.
+One matrix per joint transforms a point from capture to the joint's current position: world transform times `Capture.inverse`.
 
-Linear: the mean of these matrices by the point's weights; normals by the mean of their inverses transposed.
+Linear skinning uses the mean of these matrices by the point's weights. Normals use the mean of the transposed inverses.
 
-Dual quaternions (L. Kavan, S. Collins, J. Zara and C. O'Sullivan, Skinning with Dual Quaternions, I3D 2007): the mean of rigid
-transforms, each with its sign aligned to that of the point's strongest joint. So a twisted joint does not lose its volume. A dual
-quaternion holds only a rotation and a translation. So each matrix is decomposed, M = R S: R is the nearest rotation (polar
+Dual quaternion skinning (L. Kavan, S. Collins, J. Zara and C. O'Sullivan, Skinning with Dual Quaternions, I3D 2007) uses the mean
+of rigid transforms. The sign of each is aligned to that of the point's strongest joint. So a twisted joint does not lose volume.
+A dual quaternion holds only a rotation and a translation. So each matrix is decomposed, M = R S: R is the nearest rotation (polar
 decomposition), S the remaining scale, shear and mirroring. The point is first transformed by the linear mean of the S, in capture
 space, and then by the blended R with the translations. These two phases are as in L. Kavan et al., Geometric Skinning with
 Approximate Dual Quaternion Blending, ACM TOG 27, 2008, and in USD. For a point that follows one joint the result equals linear
-skinning. Between joints of different scale or shear S is a linear mean; only rotations do not collapse."""
+skinning. S is a linear mean between joints of different scale or shear; only rotations are free of collapse.
+"""
 
 from __future__ import annotations
 
@@ -34,8 +35,12 @@ from antdsl.bodies.agents.poses import Poses
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Deformed:
-    """A shape for n agents, or shared by all if n is 1. `points` float32[n, P, 3]; `normals` the same shape, unit, or None;
-    `attributes` float32[n, P, …]: other point attributes that a blend shape names."""
+    """A shape for n agents; n is 1 if all agents share it.
+
+    `points`: float32[n, P, 3].
+    `normals`: unit vectors float32[n, P, 3], or None.
+    `attributes`: float32[n, P, …], other point attributes that a blend shape names.
+    """
 
     points: Floats
     normals: Floats | None
@@ -43,7 +48,8 @@ class Deformed:
 
 
 def linear_skinning(deformed: Deformed, shape: Shape, definition: Definition, poses: Poses) -> Deformed:
-    """Linear blend skinning. Raises ValueError for a shape without a capture, KeyError for joints that the rig does not have."""
+    """Return a shape after linear blend skinning. Raises ValueError for a shape without a capture, KeyError for joints that the
+    rig does not have."""
     joints, weights, matrices = _joint_transforms(shape, definition, poses)
     x, y, z = _components(deformed.points)
     points = np.empty((3, len(joints), matrices.shape[-1]), np.float32)
@@ -57,7 +63,7 @@ def linear_skinning(deformed: Deformed, shape: Shape, definition: Definition, po
 
 
 def dual_quaternion_skinning(deformed: Deformed, shape: Shape, definition: Definition, poses: Poses) -> Deformed:
-    """Dual quaternion skinning in two phases. Raises as `linear`."""
+    """Return a shape after dual quaternion skinning in two phases. Raises the errors of `linear_skinning`."""
     joints, weights, matrices = _joint_transforms(shape, definition, poses)
     rotation = rotation_part(matrices)
     rest = _remove_rotation(rotation, matrices)
@@ -77,8 +83,9 @@ def dual_quaternion_skinning(deformed: Deformed, shape: Shape, definition: Defin
 
 
 def dual_quaternion_blend(deformed: Deformed, shape: Shape, definition: Definition, poses: Poses) -> Deformed:
-    """Blend between linear (0) and dual quaternion skinning (1) by the point attribute that `Shape.dual_quaternion_blend` names
-    (deformDualQuaternionBlendAttrib). Raises as `linear`, and ValueError if the shape lacks the attribute."""
+    """Return a blend of linear (0) and dual quaternion skinning (1) by the point attribute that `Shape.dual_quaternion_blend`
+    names (deformDualQuaternionBlendAttrib). Raises the errors of `linear_skinning`, and ValueError if the shape lacks the
+    attribute."""
     name = shape.dual_quaternion_blend
     if name not in shape.attributes:
         raise ValueError(f"shape `{shape.name}` has no point attribute `{name}` (deformDualQuaternionBlendAttrib) to blend by")
@@ -96,7 +103,7 @@ def dual_quaternion_blend(deformed: Deformed, shape: Shape, definition: Definiti
 
 
 def transform_points(matrices: Numbers, points: Floats) -> Floats:
-    """Return points [n, P, 3] transformed by matrices [3, 3 or 4, P, n], as [3, P, n]; matrices of three columns transform
+    """Return points [n, P, 3] transformed by matrices [3, 3 or 4, P, n], as [3, P, n]. Matrices of three columns transform
     directions."""
     x, y, z = _components(points)
     products = np.stack([(m[0] * x + m[1] * y) + m[2] * z for m in matrices])
@@ -111,7 +118,7 @@ def turned(normals: Floats, matrices: Numbers) -> Floats:
 
 
 def normalise_in_place(vectors: Floats) -> Floats:
-    """Normalise vectors [3, …] in place; those of length 0 stay."""
+    """Normalise vectors [3, …] in place and return them. Vectors of length 0 do not change."""
     x, y, z = vectors
     length = np.sqrt((x * x + y * y) + z * z)
     length[length == 0] = 1
@@ -150,13 +157,13 @@ def _joint_transforms(shape: Shape, definition: Definition, poses: Poses) -> tup
 
 
 def _components(points: Floats) -> tuple[Floats, Floats, Floats]:
-    """x, y and z, each [P, n]."""
+    """Return x, y and z of points, [P, n] each."""
     x, y, z = points.transpose(2, 1, 0)
     return x, y, z
 
 
 def _mean(values: Floats, joints: NDArray[np.intp], weights: Floats) -> Floats:
-    """Return the mean [P, n] of joint values [joints, n] by the weights of points."""
+    """Return the weighted mean [P, n] of joint values [joints, n] for each point."""
     mean = values.take(joints[:, 0], axis=0)
     mean *= weights[:, 0, None]
     for k in range(1, joints.shape[1]):
@@ -167,12 +174,12 @@ def _mean(values: Floats, joints: NDArray[np.intp], weights: Floats) -> Floats:
 
 
 def _means(matrices: Floats, joints: NDArray[np.intp], weights: Floats) -> Floats:
-    """The mean [3, 3 or 4, P, n] of matrices of joints [3, 3 or 4, joints, n]."""
+    """Return the weighted mean [3, 3 or 4, P, n] of joint matrices [3, 3 or 4, joints, n] for each point."""
     return np.stack([np.stack([_mean(each, joints, weights) for each in row]) for row in matrices])
 
 
 def _remove_rotation(rotation: NDArray[np.float64], matrices: Floats) -> Floats:
-    """Return the remainder of matrices M without their rotation R: S = R⁻¹ M, float32[3, 3, joints, n]."""
+    """Return matrices M without their rotation R: S = R⁻¹ M, float32[3, 3, joints, n]."""
     m = matrices[:, :3].astype(np.float64)
     rest = np.empty(m.shape, np.float32)
     for r in range(3):
@@ -182,7 +189,8 @@ def _remove_rotation(rotation: NDArray[np.float64], matrices: Floats) -> Floats:
 
 
 def _blend_dual_quaternions(real: Floats, dual: Floats, joints: NDArray[np.intp], weights: Floats) -> tuple[Floats, Floats]:
-    """The rotation [4, P, n] and the translation [3, P, n] of the mean of dual quaternions of joints [4, joints, n] each."""
+    """Return the rotation [4, P, n] and the translation [3, P, n] of the mean dual quaternion of each point. `real` and `dual`:
+    the parts of the joints' dual quaternions, [4, joints, n] each."""
     most = joints[np.arange(len(joints)), weights.argmax(axis=1)]
     pivot = real.take(most, axis=1)
     turn = np.zeros_like(pivot)

@@ -1,8 +1,9 @@
-"""Local transforms as a translation, a rotation, a shear and a scale, and as matrices for column vectors.
+"""Local transforms as translation, rotation, shear and scale, and as matrices for column vectors.
 
-A point goes through the scale first, then the shear, then the rotation, then the translation: `T @ R @ H @ S`. `H` adds to x
-`shear1` times y and `shear2` times z, and to y `shear3` times z. Every invertible matrix has exactly one such form (Thomas,
-Decomposing a Matrix into Simple Transformations, in Graphics Gems II, 1991)."""
+A point is scaled first, then sheared, then rotated, then translated: `T @ R @ H @ S`. `H` adds to x `shear1` times y and `shear2`
+times z, and to y `shear3` times z. Every invertible matrix has exactly one such form (Thomas, Decomposing a Matrix into Simple
+Transformations, in Graphics Gems II, 1991).
+"""
 
 from __future__ import annotations
 
@@ -17,16 +18,17 @@ ROTATION_ORDERS = ("xyz", "xzy", "yxz", "yzx", "zxy", "zyx")
 
 
 def rotation_matrix(quaternion: Floats) -> Floats:
-    """Matrices float64[..., 3, 3] of unit quaternions float64[..., 4] (x, y, z, w)."""
+    """Return matrices float64[..., 3, 3] of unit quaternions float64[..., 4] (x, y, z, w)."""
     nowhere, plain = np.zeros((*quaternion.shape[:-1], 3)), np.ones((*quaternion.shape[:-1], 3))
     return matrix_of(nowhere, quaternion, plain)[..., :3, :3]
 
 
 def rotation_of(matrix: Floats) -> Floats:
-    """Return unit quaternions float64[..., 4] of rotations float64[..., 3, 3]; w is not negative.
+    """Return unit quaternions float64[..., 4], with w not negative, of rotation matrices float64[..., 3, 3].
 
     The largest of the four components is computed first, so that no divisor is near 0 (Shepperd, Quaternion from Rotation Matrix,
-    1978)."""
+    1978).
+    """
     m = np.moveaxis(matrix.reshape(-1, 3, 3), 0, -1)
     four = np.array(
         [m[0, 0] - m[1, 1] - m[2, 2], m[1, 1] - m[0, 0] - m[2, 2], m[2, 2] - m[0, 0] - m[1, 1], m[0, 0] + m[1, 1] + m[2, 2]]
@@ -45,20 +47,20 @@ def rotation_of(matrix: Floats) -> Floats:
 
 
 def unit_quaternion(quaternion: Floats) -> Floats:
-    """Return quaternions float64[..., 4] of length 1; a zero quaternion becomes no rotation."""
+    """Return quaternions float64[..., 4] normalised to length 1. A zero quaternion becomes the identity."""
     length = np.sqrt((quaternion * quaternion).sum(axis=-1, keepdims=True))
     known = np.isfinite(length) & (length > 1e-30)
     return np.where(known, quaternion / np.where(known, length, 1.0), np.array([0.0, 0.0, 0.0, 1.0]))
 
 
 def rotation_product(a: Floats, b: Floats) -> Floats:
-    """The rotation `b` and then `a`, as quaternions float64[..., 4]."""
+    """Return the rotation by `b` followed by `a`, as quaternions float64[..., 4]."""
     return np.moveaxis(affine.quaternion_product(np.moveaxis(a, -1, 0), np.moveaxis(b, -1, 0)), 0, -1)
 
 
 def rotation_of_angles(angles: Floats, order: str) -> Floats:
-    """Return unit quaternions float64[..., 4] of radians float64[..., 3] about x, y and z, applied in `order`: "xyz" rotates
-    about x first. Signs are continuous along the first axis."""
+    """Return unit quaternions float64[..., 4] of angles float64[..., 3] (rad) about x, y and z, applied in `order`: "xyz" rotates
+    about x first. Signs are continuous along the first array axis."""
     rotation = np.broadcast_to(np.array([0.0, 0.0, 0.0, 1.0]), (*angles.shape[:-1], 4))
     for letter in order:
         axis = "xyz".index(letter)
@@ -70,7 +72,8 @@ def rotation_of_angles(angles: Floats, order: str) -> Floats:
 
 
 def angles_of_rotation(quaternion: Floats) -> Floats:
-    """Return radians float64[..., 3] about x, then y, then z. Where y is 90 degrees, z is 0."""
+    """Return angles float64[..., 3] (rad) of a rotation about x, then y, then z. If the angle about y is 90 degrees, that about z
+    is 0."""
     m = rotation_matrix(quaternion)
     level = np.sqrt(m[..., 0, 0] ** 2 + m[..., 1, 0] ** 2)
     locked = level < 1e-7
@@ -80,7 +83,8 @@ def angles_of_rotation(quaternion: Floats) -> Floats:
 
 
 def align_signs(quaternion: Floats) -> Floats:
-    """Return quaternions float64[F, ..., 4] with continuous signs: each has the sign that is nearer to the one before it."""
+    """Return quaternions float64[F, ..., 4] with continuous signs: each has the sign that is closer to the previous
+    quaternion."""
     if quaternion.ndim < 2 or len(quaternion) < 2:
         return quaternion
     turned = (quaternion[1:] * quaternion[:-1]).sum(axis=-1) < 0
@@ -89,8 +93,8 @@ def align_signs(quaternion: Floats) -> Floats:
 
 
 def slerp(a: Floats, b: Floats, share: Floats) -> Floats:
-    """Return the rotation at `share` float64[...] of the shortest path from `a` to `b`, float64[..., 4], at constant speed
-    (Shoemake, Animating Rotation with Quaternion Curves, 1985)."""
+    """Return the rotation at `share` float64[...] of the shortest path from `a` to `b`, float64[..., 4] each. The angular speed
+    is constant (Shoemake, Animating Rotation with Quaternion Curves, 1985)."""
     b = np.where((a * b).sum(axis=-1, keepdims=True) < 0, -b, b)
     chord, along = np.sqrt(((a - b) ** 2).sum(axis=-1)), np.sqrt(((a + b) ** 2).sum(axis=-1))
     angle = 2 * wide_atan2(chord, along)
@@ -103,7 +107,8 @@ def slerp(a: Floats, b: Floats, share: Floats) -> Floats:
 
 
 def matrix_of(translation: Floats, rotation: Floats, scale: Floats, shear: Floats | None = None) -> Floats:
-    """Matrices float64[..., 4, 4] of translations [..., 3], unit quaternions [..., 4], scales [..., 3] and shears [..., 3]."""
+    """Return matrices float64[..., 4, 4] of translations [..., 3], unit quaternions [..., 4], scales [..., 3] and shears [...,
+    3]."""
     count = translation[..., 0].size
     matrices = np.zeros((count, 4, 4))
     matrices[:, 3, 3] = 1.0
@@ -114,8 +119,8 @@ def matrix_of(translation: Floats, rotation: Floats, scale: Floats, shear: Float
 
 
 def parts_of(matrix: Floats) -> tuple[Floats, Floats, Floats, Floats]:
-    """Return translations, unit quaternions, scales and shears of matrices float64[..., 4, 4], the arguments of `matrix_of`. The
-    scale of z is negative for mirroring matrices; for singular ones the rotation is arbitrary."""
+    """Return translations, unit quaternions, scales and shears of matrices float64[..., 4, 4]: the arguments of `matrix_of`. For
+    mirroring matrices, the scale along z is negative. For singular matrices, the rotation is arbitrary."""
     x, y, z = (matrix[..., :3, column] for column in range(3))
     wide = _lengths(x)
     first = _normalise_or(x, wide, (1.0, 0.0, 0.0))
@@ -147,8 +152,8 @@ def _normalise_or(vectors: Floats, lengths: Floats, otherwise: tuple[float, floa
 
 
 def compose_transforms(outer: Floats, inner: Floats) -> Floats:
-    """Return the matrix float64[..., 4, 4] of `inner` followed by `outer`. Sums are explicit, so that every processor gives the
-    same bits."""
+    """Return the matrix float64[..., 4, 4] of `inner` followed by `outer`. Sums are written out, so that every processor gives
+    the same bits."""
     a, b = outer[..., :, :, None], inner[..., None, :, :]
     matrix: Floats = ((a[..., 0, :] * b[..., 0, :] + a[..., 1, :] * b[..., 1, :]) + a[..., 2, :] * b[..., 2, :]) + a[
         ..., 3, :
@@ -157,7 +162,7 @@ def compose_transforms(outer: Floats, inner: Floats) -> Floats:
 
 
 def world_matrices(parents: NDArray[np.int32], local: Floats) -> Floats:
-    """World matrices float64[J, 4, 4] of a rig's local ones, parents before children."""
+    """Return world matrices float64[J, 4, 4] of a rig's local ones; parents come before children."""
     world = np.empty_like(local)
     for joint, parent in enumerate(parents):
         world[joint] = local[joint] if parent < 0 else compose_transforms(world[parent], local[joint])

@@ -1,4 +1,4 @@
-"""Bodies that differ by each agent's id: scales of parts and colours of materials, in the ranges of a definition."""
+"""Bodies that differ by each agent's id: scales of parts and colours of materials, within the ranges of a definition."""
 
 from __future__ import annotations
 
@@ -16,22 +16,23 @@ from antdsl.numerics.randomness import uniform
 
 @dataclass(frozen=True, slots=True, eq=False)
 class VariationDraws:
-    """The sources of random differences between the bodies of n agents: their ids int64[n], the scene's seed and the species."""
+    """The sources of random differences between the bodies of n agents: their ids int64[n], the scene's seed, and the species."""
 
     ids: NDArray[np.int64]
     seed: int = 0
     species: str = ""
 
     def of(self, what: str) -> Floats:
-        """Return a number from 0 to 1 per agent, constant for its whole life: float32[n]."""
+        """Return a random number from 0 to 1 per agent for the property `what`, float32[n]. It is constant for the agent's
+        life."""
         return uniform(self.seed, 0, self.species, f"variation {what}", 0, self.ids)
 
 
 def with_scales(
     table: ClipTable, poses: Poses, variation: Variation, groups: Mapping[str, TransformGroup], draws: VariationDraws | None
 ) -> Poses:
-    """Return poses with each transform group scaled to its agent's size. The group's uppermost joints, with their descendants,
-    are scaled about their own positions, in proportion to their weights."""
+    """Return poses with each transform group scaled to its agent's size. The uppermost joints of the group are scaled about their
+    own positions, together with their descendants, in proportion to their weights."""
     if draws is None or not variation.scales or not len(draws.ids):
         return poses
     world = np.array(poses.world, np.float32)
@@ -62,13 +63,17 @@ def scaled_joints(rig: Rig, group: TransformGroup) -> Iterator[tuple[int, float]
 
 
 def colour_position(variation: Variation, material: str, draws: VariationDraws) -> Floats:
-    """Return the position of each agent's material on the path through its colours, counted from 0, float32[n]."""
+    """Return the position of each agent's material on the path through its colours, counted from 0 at the first colour,
+    float32[n]."""
     return draws.of(f"material {material}") * np.float32(len(variation.materials[material]) - 1)
 
 
 def colours_of(variation: Variation, draws: VariationDraws | None, material: NDArray[np.str_], own: Floats) -> Floats:
-    """Return the linear colours float32[n, v, 3] of vertices with materials `material` [v] that may differ between agents; [1, v,
-    3] if none differ. `own` [v, 3]: the colours of the definition."""
+    """Return linear colours of v vertices: float32[n, v, 3] if they may differ between agents, else [1, v, 3].
+
+    `material`: [v], the material of each vertex.
+    `own`: [v, 3], the colours of the definition.
+    """
     varied = [name for name in variation.materials if (material == name).any()]
     if draws is None or not varied:
         return own[None]

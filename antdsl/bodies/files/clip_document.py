@@ -1,4 +1,4 @@
-"""A clip as JSON text, in a form of our own with the documented channel names (`joint:tx … joint:shear3`): built from its model,
+"""A clip as JSON text, in antdsl's own form with the documented channel names (`joint:tx … joint:shear3`): built from its model,
 and written."""
 
 from __future__ import annotations
@@ -23,8 +23,8 @@ _STILL = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0, 1.0, 1.0, 0.0, 0.0, 0.0)
 
 
 def build_clip(form: ClipForm, root: Node, report: Report, rig: Rig | None = None) -> Clip | None:
-    """Return a clip, or None if it has mistakes. Parts of a joint that the text leaves out are those of the rig's rest pose
-    (without a rig: of the identity transform). Joints that the rig does not have are reported and left out."""
+    """Return a clip, or None if it has mistakes. Parts of a joint that the text leaves out are taken from the rig's rest pose,
+    without a rig from the identity transform. Joints that the rig does not have are reported and left out."""
     findings = Report()
     samples = max(len(each) for each in form.channels.values())
     joints, numbers = _split_channels(form, root, findings, rig)
@@ -59,7 +59,7 @@ def build_clip(form: ClipForm, root: Node, report: Report, rig: Rig | None = Non
 
 
 def _split_channels(form: ClipForm, root: Node, report: Report, rig: Rig | None) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """Return the joints that the channels move, and the channels that are numbers of the rig, in the order of the text."""
+    """Return the joints that the clip's channels move, and the channels of the rig that it animates, in the order of the text."""
     joints: dict[str, None] = {}
     numbers: list[str] = []
     rig_channels = None if rig is None else {each.name for each in rig.channels}
@@ -90,7 +90,7 @@ def check_marks(marks: Mapping[str, float], seconds: float, root: Node, report: 
 
 
 def _rest_parts(joints: tuple[str, ...], rig: Rig | None) -> Floats:
-    """The twelve parts of each joint's rest pose, angles in radians in the order x, y, z."""
+    """Return the twelve parts of each joint's rest pose; angles are in radians, in the order x, y, z."""
     if rig is None:
         return np.tile(np.array(_STILL), (len(joints), 1))
     chosen = rig.rest[[rig.names.index(joint) for joint in joints]].reshape(-1, 4, 4)
@@ -99,7 +99,8 @@ def _rest_parts(joints: tuple[str, ...], rig: Rig | None) -> Floats:
 
 
 def write_clip(clip: Clip) -> str:
-    """Write a clip as text: rotations in degrees about x, then y, then z, unwrapped so that they have no jumps of 360 degrees."""
+    """Return a clip as text. Rotations are in degrees about x, then y, then z, unwrapped so that they have no jumps of 360
+    degrees."""
     channels: dict[str, Any] = {}
     angles = np.unwrap(angles_of_rotation(clip.rotation.astype(np.float64)), axis=0) * (180 / np.pi)
     columns = [clip.translation, angles, clip.scale, *(() if clip.shear is None else (clip.shear,))]
@@ -119,6 +120,7 @@ def write_clip(clip: Clip) -> str:
 
 
 def _samples(column: NDArray[Any]) -> Any:
-    """Return a single number for a constant channel. float32 values are written with only the digits that they have."""
+    """Return the samples of a channel as JSON values, a single number for a constant channel. float32 values are written with as
+    few digits as they need."""
     short = [float(f"{value:.9g}") for value in column.tolist()]
     return short[0] if len(set(short)) == 1 and len(short) > 1 else short

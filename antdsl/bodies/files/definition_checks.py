@@ -1,5 +1,5 @@
-"""Checks that need the complete definition: that named parts exist, that deformers, legs and gaits have what they need, and how
-long the body is."""
+"""Checks that need the complete definition: that named parts exist, and that deformers, legs and gaits have all their inputs.
+Also measures the length of the body."""
 
 from __future__ import annotations
 
@@ -24,8 +24,11 @@ DOCUMENTED_DEFORMERS = ("blendshape", *DEFORMERS, *(f"blendshape+{name}" for nam
 
 @dataclass(slots=True)
 class Parts:
-    """A definition that was read, and the place that names it. `nodes`: its parts in a document, by key and name (of a list by
-    key and ""); none of what is read from glTF, USD or a cache. `measured`: whether its length must still be measured."""
+    """A definition that was read, and the location that names it.
+
+    `nodes`: its parts in a document, by key and name; a list has its key and "". Parts from glTF, USD or a cache have no nodes.
+    `measured`: whether the length must still be measured.
+    """
 
     definition: Definition
     span: Span | None = None
@@ -33,18 +36,19 @@ class Parts:
     measured: bool = True
 
     def place(self, key: str, name: str = "", path: Sequence[PathKey] = ()) -> Span | None:
-        """Return the place of a part, or of what a path inside it leads to."""
+        """Return the location of a part, or of the value that `path` leads to inside the part."""
         node = self.nodes.get((key, name))
         return None if node is None else find_span(node, path)
 
     def place_of(self, key: str, name: str, text: str) -> Span | None:
-        """Return the place of a text in a part."""
+        """Return the location of a text inside a part."""
         node = self.nodes.get((key, name))
         return None if node is None else find_text(node, text)
 
 
 def check_definition(parts: Parts, report: Report) -> Definition | None:
-    """Return the definition, with its length measured if none is given; None if one of the findings is an error."""
+    """Return the definition, with its length measured if the document gives none. Return None if one of the findings is an
+    error."""
     definition = parts.definition
     sound = report.ok  # else a shape may be missing only because its file could not be read
     _check_sizes(definition, parts.span, report)
@@ -139,7 +143,7 @@ def _check_shape(definition: Definition, shape: Shape, place: Span | None, repor
 
 
 def _check_legs(parts: Parts, report: Report) -> None:
-    """Report legs with joints that are missing or not below each other, gaits that do not fit the legs, and a missing idle
+    """Report legs with joints that are missing or not below each other, gaits that do not match the legs, and a missing idle
     clip."""
     definition = parts.definition
     for leg in definition.legs:

@@ -1,5 +1,5 @@
-"""A definition file: our own JSON that names the parts of an agent definition. Each part is inline in its documented form, or
-`{"file": "rig.json"}`, a path below the file's folder or a granted root."""
+"""A definition file: antdsl's own JSON that names the parts of an agent definition. Each part is inline in its documented form,
+or `{"file": "rig.json"}`, a path below the file's folder or a granted root."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ _SEPARATE = {"rig": "a rig", "metadata": "metadata", "layers": "a layer", "group
 
 
 def read_document(root: Node, files: BodyFiles, name: str) -> Parts | None:
-    """Read the definition in a file, without the checks that need the complete definition."""
+    """Return the definition in a file without the checks that need the complete definition. Return None if it cannot be read."""
     report = files.report
     if _report_part_file(root, report):
         return None
@@ -74,8 +74,8 @@ def read_document(root: Node, files: BodyFiles, name: str) -> Parts | None:
 
 
 def _insert_files(root: Node, files: BodyFiles) -> Node:
-    """Return the tree of a definition with the parts that are in separate files in their places, and without those that cannot
-    be read."""
+    """Return the tree of a definition with separate files inserted in place of the references. Parts that cannot be read are left
+    out."""
 
     def part(node: Node, what: str) -> Node | None:
         file = node.inner("file")
@@ -99,7 +99,7 @@ def _insert_files(root: Node, files: BodyFiles) -> Node:
 
 
 def _note_places(parts: Parts, key: str, names: list[str], root: Node, tree: Node, report: Report) -> None:
-    """Store the nodes of named parts, and report a name that is given twice."""
+    """Store the nodes of named parts, and report names that occur twice."""
     parts.nodes[key, ""] = find_node(root, (key,))
     first: dict[str, int] = {}
     for number, name in enumerate(names):
@@ -123,7 +123,7 @@ _SIGNS = (
 
 
 def _report_part_file(root: Node, report: Report) -> bool:
-    """Return whether a file is only a part of a definition, and report it if so."""
+    """Return whether a file is only a part of a definition, and report this."""
     if not isinstance(root.value, dict) or "antdsl_body" in root.value:
         return False
     for key, what, line in _SIGNS:
@@ -135,7 +135,7 @@ def _report_part_file(root: Node, report: Report) -> bool:
 
 
 def _read_base(base: BaseForm, node: Node, files: BodyFiles, name: str) -> Definition | None:
-    """Return the definition of the glTF or USD file that everything else is added to."""
+    """Return the definition of the glTF or USD file in `from`, to which all other parts are added."""
     place = find_span(node, ("file",))
     if files.is_closed_format(base.file, place):
         return None
@@ -161,7 +161,8 @@ def _read_axes(form: BodyForm, root: Node, base: Definition, report: Report) -> 
 
 
 def _read_clips(form: BodyForm, root: Node, files: BodyFiles, rig: Rig, clips: dict[str, Clip]) -> dict[str, Clip]:
-    """Return the clips of a list: inline, from clip files, from glTF or USD files, or those of `from` with other settings."""
+    """Return the clips of a list. They are inline, from clip files, from glTF or USD files, or clips of `from` with other
+    settings."""
     first: dict[str, Span] = {}
     for number, entry in enumerate(form.clips):
         node = find_node(root, ("clips", number))
@@ -206,7 +207,7 @@ def _referenced_clips(entry: ClipReference, node: Node, files: BodyFiles, rig: R
 
 
 def _read_clip_file(entry: ClipReference, path: str, place: Span, files: BodyFiles, rig: Rig) -> dict[str, Clip]:
-    """Return the clips of a file: one from a text, all of a glTF or USD file, without joints that the rig lacks."""
+    """Return the clips of a file, without joints that the rig lacks: one clip of a text, or all clips of a glTF or USD file."""
     if file_ending(path) in (*GLTF, *USD):
         body = files.body(path, place, entry.prim or "", entry.rate or 0.0, rig)
         return {name: _fit_to_rig(files, clip, rig, place) for name, clip in (body.clips if body else {}).items()}
@@ -222,7 +223,7 @@ def _read_clip_file(entry: ClipReference, path: str, place: Span, files: BodyFil
 
 
 def _fit_to_rig(files: BodyFiles, clip: Clip, rig: Rig, place: Span) -> Clip:
-    """Return a clip of another file for this rig. Joints and channels that the rig does not have are reported and left out."""
+    """Return a clip of another file for `rig`. Joints and channels that the rig does not have are reported and left out."""
     names, channels = set(rig.names), {each.name for each in rig.channels}
     joints = [number for number, joint in enumerate(clip.joints) if joint in names]
     numbers = [number for number, channel in enumerate(clip.channels) if channel in channels]

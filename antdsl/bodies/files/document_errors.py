@@ -1,4 +1,4 @@
-"""Reads a tree of JSON into a model of `document_model`, and reports each mistake at its place with what to write instead."""
+"""Reads a tree of JSON into a model of `document_model`, and reports each mistake at its location, with a correction."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ _CONTAINERS = ("list_type", "tuple_type", "dict_type", "model_type")
 
 
 def read_form(form: type[F], root: Node, report: Report) -> F | None:
-    """Return the model of a document, or None if one of its mistakes is an error."""
+    """Return the model of a document, or None if the report has an error about it."""
     tree = _plain(root)
     while True:
         try:
@@ -54,7 +54,7 @@ def read_form(form: type[F], root: Node, report: Report) -> F | None:
 
 
 def _plain(node: Node) -> Any:
-    """Return the values of a tree."""
+    """Return the plain values of a tree."""
     if isinstance(node.value, dict):
         return {key: _plain(value) for key, value in node.value.items()}
     if isinstance(node.value, list) and not node.numbers:
@@ -63,7 +63,7 @@ def _plain(node: Node) -> Any:
 
 
 def _delete(tree: Any, path: Path) -> None:
-    """Delete an entry of a tree. Its path may have tags of unions."""
+    """Delete an entry of a tree. The path may contain tags of unions."""
     for key in path[:-1]:
         if isinstance(key, int) or key in tree:
             tree = tree[key]
@@ -71,7 +71,7 @@ def _delete(tree: Any, path: Path) -> None:
 
 
 def _diagnose(form: type[Form], root: Node, error: Any) -> Diagnostic:
-    """Return the finding about an error of pydantic."""
+    """Return the finding for an error that pydantic raised."""
     kind, path, context = error["type"], tuple(error["loc"]), error.get("ctx", {})
     owner, field = _form_at(form, path)
     last, example = path[-1] if path else "", _example(field)
@@ -106,8 +106,13 @@ def _diagnose(form: type[Form], root: Node, error: Any) -> Diagnostic:
 
 
 def _diagnose_worded(root: Node, path: Path, context: Any) -> Diagnostic:
-    """Return the finding about an error of `document_model`. `at`: the rest of its path; `key`: its place is that of the key;
-    `complete`: all of the value is marked; `first`: the path of another place."""
+    """Return the finding about an error that `document_model` raised. Entries of `context`:
+
+    `at`: the remainder of the error's path.
+    `key`: the location is that of the key.
+    `complete`: the complete value is marked.
+    `first`: the path of another location.
+    """
     is_key = "key" in context or path[-1:] == ("[key]",)
     labels = (Label(find_span(root, (*path, *context["first"])), "here first"),) if "first" in context else ()
     path = (*(path[:-1] if path[-1:] == ("[key]",) else path), *context.get("at", ()))
@@ -125,7 +130,7 @@ def _diagnose_unknown_key(owner: type[Form], span: Span, key: str, meant: str | 
 
 
 def _subject(path: Path, owner: type[Form]) -> str:
-    """Return what an error is about, in words."""
+    """Return the subject of an error, in words."""
     names = [key for key in path if isinstance(key, str) and not key.startswith("clip-")]
     if not names:
         return owner.noun
@@ -139,7 +144,7 @@ def _example(field: FieldInfo | None) -> str:
 
 
 def _form_at(form: type[Form], path: Sequence[PathKey]) -> tuple[type[Form], FieldInfo | None]:
-    """Return the innermost form that contains what a path leads to, and the field of it that the path ends at."""
+    """Return the innermost form that contains the value at `path`, and the field of the form at which the path ends."""
     kind: Any = form
     field: FieldInfo | None = None
     for key in path:
@@ -155,7 +160,7 @@ def _form_at(form: type[Form], path: Sequence[PathKey]) -> tuple[type[Form], Fie
 
 
 def _without_marks(kind: Any) -> Any:
-    """Return a type without annotations and without None."""
+    """Return a type without annotations and without its alternative None."""
     while True:
         arms = [arm for arm in get_args(kind) if arm is not NoneType]
         if get_origin(kind) is Annotated or (get_origin(kind) in (Union, UnionType) and len(arms) == 1):
@@ -165,7 +170,7 @@ def _without_marks(kind: Any) -> Any:
 
 
 def _inner_type(kind: Any, key: PathKey) -> Any:
-    """Return the type of an entry, of an item, or of the choice that a tag names."""
+    """Return the type of an object's entry, of an array's item, or of the choice that a tag names."""
     arms = get_args(kind)
     if get_origin(kind) in (Union, UnionType):
         return next((arm for arm in arms if Tag(str(key)) in getattr(arm, "__metadata__", ())), None)

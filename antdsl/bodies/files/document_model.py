@@ -1,8 +1,9 @@
 """The JSON documents of a body, as pydantic models: the definition, its rig, layers, transform groups and clips, and the settings
 of a clip in the extras of a glTF animation.
 
-`document_values` has the types of their values. `document_errors` turns what does not match into findings. What needs other parts
-of the definition, such as the name of a joint, is checked when the definition is built."""
+`document_values` has the types of their values. `document_errors` turns mismatches into findings. A value that depends on other
+parts of the definition, such as the name of a joint, is checked when the definition is built.
+"""
 
 from typing import Annotated, Any, ClassVar, Self
 
@@ -43,14 +44,14 @@ from antdsl.scene.values import make_error
 
 
 class Form(BaseModel):
-    """An object of a document, in a form of antdsl. `noun`: what it is, in messages."""
+    """An object of a document in antdsl's own form. `noun`: the kind of the object, for messages."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, hide_input_in_errors=True)
     noun: ClassVar[str]
 
 
 class DocumentedForm(Form):
-    """An object in a form that others published. A later version may have further keys, so an unknown one is only a warning."""
+    """An object in a form that others published. Later versions may have further keys, so an unknown key is only a warning."""
 
 
 # ---- rig, layers, transform groups
@@ -63,7 +64,7 @@ class ChannelForm(DocumentedForm):
 
 
 class RigForm(DocumentedForm):
-    """`transforms`: the children of each joint, in any order. `antdsl_rest`: the local matrix of a joint by rows."""
+    """A rig. `transforms`: the children of each joint, in any order. `antdsl_rest`: the local matrix of a joint, row by row."""
 
     noun = "a rig"
     rig_version: Annotated[int, edition(1)] = Field(examples=["1"])
@@ -130,7 +131,7 @@ class ClipSettings(Form):
 
 
 class ClipForm(ClipSettings):
-    """A clip with its samples. Channels are `joint:tx` … `joint:shear3`, or numbers of the rig."""
+    """A clip with its samples. Channels are `joint:tx` … `joint:shear3`, or channels of the rig."""
 
     antdsl_clip: Annotated[int, edition(1)] = Field(examples=["1"])
     name: Text
@@ -150,7 +151,7 @@ class ClipForm(ClipSettings):
 
 
 class ClipReference(ClipSettings):
-    """Clips of another file, or a clip of `from`. The settings that are given replace those of the file."""
+    """Clips of another file, or a clip of `from`. Settings in the reference replace those of the file."""
 
     file: Text | None = None
     clip: Text | None = None
@@ -160,7 +161,7 @@ class ClipReference(ClipSettings):
 
 
 class AnimationSettings(ClipSettings):
-    """What glTF has no place for: the settings of a clip in the extras of its animation. Unknown keys are ignored."""
+    """Settings of a clip that glTF cannot express, stored in the extras of its animation. Unknown keys are ignored."""
 
     model_config = ConfigDict(extra="ignore")
     rate: SampleRate | None = None
@@ -179,8 +180,8 @@ Clip = Annotated[
 
 
 class ShapeReference(Form):
-    """Shapes of a file, or (without `file`) a shape that is known, with other settings and with the documented attributes of
-    blend shapes."""
+    """A reference to shapes of a file, or (without `file`) to an existing shape. It can change settings and blend-shape
+    attributes."""
 
     noun = "a shape"
     file: Text | None = None
@@ -238,7 +239,7 @@ BaseFile = Annotated[BaseForm, BeforeValidator(lambda value: {"file": value} if 
 
 
 class BodyForm(Form):
-    """A definition. `rig`, `layers`, `groups` and `metadata` are here as their own files have them."""
+    """A definition. `rig`, `layers`, `groups` and `metadata` have the same form inline and in separate files."""
 
     noun = "a definition"
     antdsl_body: Annotated[int, edition(1)] = Field(examples=["1"])
@@ -265,5 +266,5 @@ class BodyForm(Form):
 
 
 def keys_of(form: type[Form]) -> list[str]:
-    """The keys of a form, in its order."""
+    """Return the keys of a form, in its order."""
     return [field.alias or name for name, field in form.model_fields.items()]

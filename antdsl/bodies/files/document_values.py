@@ -1,6 +1,7 @@
 """The kinds of values in JSON documents of a body, as pydantic types: texts, numbers in a range, units, axes, colours, lists.
 
-Texts, numbers and booleans are strict. Each type returns a value, or refuses with words and what to write instead."""
+Texts, numbers and booleans are strict. Each type returns a value, or raises an error with a message and a correction.
+"""
 
 import re
 from typing import Annotated, Any
@@ -32,7 +33,7 @@ def _check_filled(value: str) -> str:
 
 
 def one_of(*words: str) -> BeforeValidator:
-    """One word of a closed list."""
+    """Return a validator that accepts one of the given words."""
 
     def check(value: Any) -> Any:
         if value not in words:
@@ -43,7 +44,7 @@ def one_of(*words: str) -> BeforeValidator:
 
 
 def edition(number: int) -> BeforeValidator:
-    """The version of a form, of which one is read."""
+    """Return a validator that accepts only the version `number` of a form."""
 
     def check(value: Any) -> int:
         if value != number or isinstance(value, bool):
@@ -54,7 +55,7 @@ def edition(number: int) -> BeforeValidator:
 
 
 def at_most(limit: str, what: str, owner: str = "a body") -> BeforeValidator:
-    """No more entries than a limit of `antdsl.limits`."""
+    """Return a validator of the number of entries. `limit`: the name of the largest number in `antdsl.limits`."""
 
     def check(entries: Any) -> Any:
         most = getattr(limits, limit)
@@ -66,7 +67,7 @@ def at_most(limit: str, what: str, owner: str = "a body") -> BeforeValidator:
 
 
 def _refuse_numbers(entries: Any) -> Any:
-    """Refuse an array of numbers at once: a document may have millions of them in a row."""
+    """Reject an array of numbers at once, because a document may have millions of them in a row."""
     if isinstance(entries, list) and entries and all(type(entry) in (int, float) for entry in entries):
         raise make_error("this must be a list of texts or objects, not of numbers")
     return entries
@@ -83,7 +84,7 @@ def _check_names(entries: tuple[Any, ...]) -> tuple[Any, ...]:
 
 
 def unit_mm(text: object) -> float:
-    """Return the millimetres of a length unit such as `mm` or `6 mm`; 0 if the text is not one."""
+    """Return the millimetres of a length unit such as `mm` or `6 mm`. Return 0 if the text is not a unit."""
     match = _UNIT.fullmatch(text) if isinstance(text, str) else None
     return float(match[1] or 1) * UNIT_MM[match[2]] if match else 0.0
 
@@ -173,7 +174,7 @@ _NUMBERS = TypeAdapter(Annotated[list[Number], FailFast()])
 
 
 def _read_samples(value: Any) -> NDArray[np.float64]:
-    """Return the samples of a channel; a single number is a constant channel."""
+    """Return the samples of a channel. A single number is a constant channel."""
     return np.array(_NUMBERS.validate_python(value if isinstance(value, list | dict) else [value]), np.float64)
 
 

@@ -1,7 +1,8 @@
 """The documented parts of a definition: rig, layer, transform group and metadata, from their models and as text. The forms are
 those of the page Agent Primitives of Houdini 20.5.
 
-The rest pose of a rig has no documented form: `antdsl_rest`, a matrix a joint, is our own."""
+The rest pose of a rig has no documented form. antdsl stores it in its own key `antdsl_rest`, one matrix per joint.
+"""
 
 from __future__ import annotations
 
@@ -27,7 +28,7 @@ _ROWS = re.compile(r"\[\n([-+0-9.eE,\s]+)\]")  # strings contain no raw line bre
 
 
 def build_rig(form: RigForm, root: Node, report: Report) -> Rig | None:
-    """Return a rig, or None if its joints are no tree."""
+    """Return a rig, or None if its joints do not form a tree."""
     tree = _joint_order(form, root, report)
     if tree is None:
         return None
@@ -49,8 +50,8 @@ def build_rig(form: RigForm, root: Node, report: Report) -> Rig | None:
 
 
 def _joint_order(form: RigForm, root: Node, report: Report) -> tuple[tuple[str, ...], list[int]] | None:
-    """Return joints and the number of each one's parent, in the order of the text. If parents do not come first there, the order
-    goes from the roots down."""
+    """Return the joints, and the number of each joint's parent (-1 for a root). The order is that of the text if parents precede
+    their children there, else it goes from the roots down. Return None after errors."""
     joints = form.transforms
     parent: dict[str, tuple[str, Span]] = {}
     children: dict[str, list[str]] = {name: [] for name in joints}
@@ -114,7 +115,7 @@ def _report_circles(report: Report, parent: Mapping[str, tuple[str, Span]]) -> b
 
 
 def write_rig(rig: Rig) -> str:
-    """Return a rig as text in the documented form, with our own rest pose where there is one."""
+    """Return a rig as text in the documented form, with the rest pose in antdsl's own key if the rig has one."""
     children: dict[str, list[str]] = {name: [] for name in rig.names}
     for name, parent in zip(rig.names, rig.parents, strict=True):
         if parent >= 0:
@@ -132,7 +133,7 @@ def write_rig(rig: Rig) -> str:
 
 
 def build_layer(form: LayerForm) -> Layer:
-    """Return a layer: lists of static and of deforming bindings of shapes to joints."""
+    """Return a layer: static and deforming bindings of shapes to joints."""
     static, deforming = (tuple(Binding(**dict(each)) for each in part) for part in (form.static, form.deforming))
     return Layer(form.name, static, deforming)
 
@@ -157,7 +158,7 @@ def write_group(group: TransformGroup) -> str:
 
 
 def _integral(value: Any) -> Any:
-    """Return a document with whole numbers without their fraction, as the documented forms write them."""
+    """Return a document in which numbers without a fraction are integers, as in the documented forms."""
     if isinstance(value, dict):
         return {key: _integral(each) for key, each in value.items()}
     if isinstance(value, list | tuple):
@@ -170,7 +171,7 @@ def _integral(value: Any) -> Any:
 
 @dataclass(frozen=True, slots=True)
 class TypedValue:
-    """A value with its type: an object with the keys `type` and `value`, and no other."""
+    """A metadata value with an explicit type: an object with exactly the keys `type` and `value`."""
 
     type: str
     value: Any
@@ -231,7 +232,7 @@ def _fits(name: str, value: Any) -> bool:
 
 
 def plain_metadata(metadata: Mapping[str, Any]) -> dict[str, Any]:
-    """Metadata as JSON has it: typed values as objects with their type."""
+    """Return metadata as JSON values. Typed values become objects with their type."""
     return {key: _plain(value) for key, value in metadata.items()}
 
 
@@ -244,11 +245,11 @@ def _plain(value: Any) -> Any:
 
 
 def write_metadata(metadata: Mapping[str, Any]) -> str:
-    """Metadata as text in the documented form, typed values with their type."""
+    """Return metadata as text in the documented form. Typed values have their type."""
     return json_text(plain_metadata(metadata))
 
 
 def json_text(value: Any) -> str:
-    """Return JSON in our file style: two spaces per level, lists of numbers on one line, a final line end."""
+    """Return JSON in antdsl's file style: two spaces per level, lists of numbers on one line, a final line end."""
     text = json.dumps(value, indent=2, ensure_ascii=False, allow_nan=False)
     return _ROWS.sub(lambda match: f"[{', '.join(match[1].replace(',', ' ').split())}]", text) + "\n"

@@ -1,7 +1,8 @@
-"""A glTF file as an agent definition: nodes are joints, meshes shapes, morph targets blend shapes, animations clips.
+"""Reads a glTF file as an agent definition: nodes become joints, meshes shapes, morph targets blend shapes, animations clips.
 
 The nodes that become joints are joints of skins, animated nodes, nodes with a mesh, and all nodes above them. So the world
-transform of a joint is that of its node. Khronos Group, glTF 2.0 Specification, 2021, sections 3.5, 3.7 and 3.11."""
+transform of a joint is that of its node. Khronos Group, glTF 2.0 Specification, 2021, sections 3.5, 3.7 and 3.11.
+"""
 
 from __future__ import annotations
 
@@ -27,11 +28,12 @@ _EXPORT = "export it again, as glTF 2.0"
 def read_gltf(
     data: bytes, name: str, beside: Callable[[str, int], bytes], rate: float, pose: Rig | None = None
 ) -> tuple[Definition, list[str]]:
-    """Return the definition in a file's bytes, and sentences about the parts of it that are not read.
+    """Return the definition in a file's bytes, and sentences about the parts that are not read. Raises BodyError.
 
-    Animations are sampled about `rate` times per second, so that each ends on a sample. What they do not key stays as in the rest
-    pose of the file, or of `pose` for the joints that it has. `beside(path, cap)` reads a file relative to this one. Raises
-    BodyError."""
+    `beside(path, cap)`: reads a file relative to this one.
+    `rate`: approximate samples per second of animations; it is adjusted so that each animation ends on a sample.
+    `pose`: its joints' rest pose applies where an animation has no keys; other joints have the rest pose of the file.
+    """
     with np.errstate(all="ignore"):  # values that are not finite are reported where they are detected
         try:
             return _read_definition(data, name, beside, rate, pose)
@@ -61,7 +63,7 @@ def _read_definition(
 
 
 def _find_joint_nodes(file: GltfDocument, parents: list[int]) -> list[int]:
-    """Return the nodes that become joints, parents before children, in the scene's order."""
+    """Return the nodes that become joints, parents before children, in the order of the scene."""
     nodes = file.top("nodes")
     roots = scene_roots(file) or [number for number, parent in enumerate(parents) if parent < 0]
     joint_nodes: set[int] = set()
@@ -113,7 +115,7 @@ def _build_rig(body: GltfBody, joint_nodes: list[int], parents: list[int]) -> Ri
 
 
 def _with_rest_pose(rig: Rig, pose: Rig | None) -> Rig:
-    """Return a rig with the rest pose of the joints that another rig has by the same names."""
+    """Return a rig with another rest pose: that of `pose` for joints with the same names."""
     if pose is None:
         return rig
     rest, known = rig.rest.copy(), {name: number for number, name in enumerate(pose.names)}
@@ -124,7 +126,7 @@ def _with_rest_pose(rig: Rig, pose: Rig | None) -> Rig:
 
 
 def local_matrix(file: GltfDocument, node: dict[str, Any]) -> Floats:
-    """The matrix float64[4, 4] of a node."""
+    """Return the matrix float64[4, 4] of a node."""
     if "matrix" in node:
         matrix = file.get_floats(node, "matrix", tuple(np.eye(4).ravel())).reshape(4, 4).T
         return np.concatenate([matrix[:3], [[0.0, 0.0, 0.0, 1.0]]])
@@ -133,7 +135,7 @@ def local_matrix(file: GltfDocument, node: dict[str, Any]) -> Floats:
 
 
 def local_parts(file: GltfDocument, node: dict[str, Any]) -> tuple[Floats, Floats, Floats]:
-    """Translation, rotation and scale of a node that has no matrix."""
+    """Return translation, rotation and scale of a node that has no matrix."""
     rotation = unit_quaternion(file.get_floats(node, "rotation", (0.0, 0.0, 0.0, 1.0)))
     return file.get_floats(node, "translation", (0.0, 0.0, 0.0)), rotation, file.get_floats(node, "scale", (1.0, 1.0, 1.0))
 
@@ -142,7 +144,7 @@ def local_parts(file: GltfDocument, node: dict[str, Any]) -> tuple[Floats, Float
 
 
 def _read_layer(body: GltfBody) -> Layer:
-    """Return the layer of all meshes, and read them into shapes."""
+    """Read all meshes into shapes, and return the layer that binds them."""
     file = body.file
     nodes, meshes, skins = file.top("nodes"), file.top("meshes"), file.top("skins")
     known: dict[tuple[int, ...], str] = {}

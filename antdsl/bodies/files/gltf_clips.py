@@ -29,9 +29,12 @@ _WIDTHS = {"translation": 3, "rotation": 4, "scale": 3}
 def read_clips(
     file: GltfDocument, joint: Mapping[int, str], weights: Mapping[int, tuple[str, ...]], rig: Rig, rate: float
 ) -> list[Clip]:
-    """Return the clips of a file. `joint`: names of nodes by number; `weights`: the channels that weigh the morph targets of a
-    node's mesh. Clips are sampled about `rate` times per second, from 0 to the last key, or at the rate in their extras. What a
-    clip does not key stays as in the rest pose of `rig`."""
+    """Return the clips of a file. Where a clip has no keys, it has the rest pose of `rig`.
+
+    `joint`: joint names by node number.
+    `weights`: the channels that weight the morph targets of a node's mesh.
+    `rate`: approximate samples per second, from 0 s to the last key; a rate in the extras of a clip overrides it.
+    """
     animations = file.top("animations")
     if len(animations) > limits.MAX_BODY_PARTS:
         raise BodyError(f"has {len(animations):,} animations, more than are read", code="too-large")
@@ -47,7 +50,7 @@ def read_clips(
 
 
 def even_times(seconds: float, rate: float) -> tuple[NDArray[Any], float]:
-    """Return times from 0 to `seconds`, both included, about `rate` per second; and their exact rate."""
+    """Return times from 0 to `seconds`, both included, about `rate` per second, and their exact rate."""
     steps = max(1, round(seconds * rate))
     if seconds <= 0:
         return np.zeros(1), rate
@@ -58,7 +61,7 @@ def _read_clip(
     file: GltfDocument, animation: dict[str, Any], name: str, joint: Mapping[int, str], weights: Mapping[int, tuple[str, ...]],
     rig: Rig, rate: float, left: int,
 ) -> tuple[Clip | None, int]:  # fmt: skip
-    """Return a clip and its bytes, at most `left`."""
+    """Return a clip, and the number of bytes of its samples. Raises BodyError if these exceed `left` bytes."""
     moved: dict[str, dict[str, _Keys]] = {}
     shares: dict[str, tuple[_Keys, int]] = {}
     samplers = file.get_objects(animation, "samplers")
@@ -128,8 +131,8 @@ def with_settings(clip: Clip, settings: AnimationSettings) -> Clip:
 
 
 def read_settings(settings: Any, holder: str, name: str) -> AnimationSettings:
-    """Return the settings of a clip called `name`. `holder`: what they are in, `extras` of glTF or `customData` of USD. Raises
-    BodyError for wrong values."""
+    """Return the settings of a clip called `name`. `holder`: the location of the settings, `extras` in glTF or `customData` in
+    USD. Raises BodyError for wrong values."""
     from pydantic import ValidationError  # late, as what follows: most files have no such settings
 
     from antdsl.bodies.files.document_model import AnimationSettings
@@ -144,8 +147,11 @@ def read_settings(settings: Any, holder: str, name: str) -> AnimationSettings:
 
 
 class _Keys:
-    """The keys of a sampler: `times` float64[n], ascending; `values` float64[n, 1, width]. For a spline `values` is [n, 3,
-    width]: the value between its two tangents."""
+    """The keys of a sampler.
+
+    `times`: float64[n], seconds, ascending.
+    `values`: float64[n, 1, width]; for a spline float64[n, 3, width], the value between its two tangents.
+    """
 
     def __init__(self, file: GltfDocument, sampler: dict[str, Any], width: int) -> None:
         self.kind = sampler.get("interpolation", "LINEAR")
@@ -161,7 +167,7 @@ class _Keys:
         self.values = values.reshape(count, each, width)
 
     def at(self, times: Floats, rotation: bool = False) -> Floats:
-        """Return the values at `times` float64[F]; before the first and after the last key, the value of that key."""
+        """Return the values at `times` float64[F]. Before the first key and after the last, return the value of that key."""
         keys, own = self.times, self.values[:, len(self.values[0]) // 2]
         if len(keys) == 1:
             return np.broadcast_to(own[0], (len(times), own.shape[1]))
@@ -180,7 +186,7 @@ class _Keys:
         return own[previous_key] + share[:, None] * (own[previous_key + 1] - own[previous_key])
 
     def _sample_spline(self, previous_key: NDArray[np.int64], share: Floats, step: Floats) -> Floats:
-        """Hermite splines: tangents are per second."""
+        """Return values of Hermite splines; tangents are per second."""
         t, d = share[:, None], step[:, None]
         t2, t3 = t * t, t * t * t
         start, leaving = self.values[previous_key, 1], self.values[previous_key, 2]

@@ -22,8 +22,8 @@ _EXPORT = "export it again, as glTF 2.0"
 
 @dataclass(slots=True)
 class GltfBody:
-    """The state of a glTF import: `joint` is the name of each node by its number, `left_out` the reported parts that are not
-    read."""
+    """The state of a glTF import. `joint`: the joint's name of each node, by the node's number. `left_out`: reports of parts that
+    are not read."""
 
     file: GltfDocument
     joint: dict[int, str] = field(default_factory=dict)
@@ -36,7 +36,7 @@ class GltfBody:
 
 
 def unused_name(name: str, taken: Iterable[str]) -> str:
-    """Return a name that is not taken: itself, or with the first free number appended."""
+    """Return a name that is not in `taken`: the name itself, or the name with the first free number appended."""
     taken = taken if isinstance(taken, set | dict) else set(taken)
     candidate, count = name, 2
     while candidate in taken:
@@ -46,8 +46,8 @@ def unused_name(name: str, taken: Iterable[str]) -> str:
 
 @dataclass(slots=True)
 class _MeshPieces:
-    """The primitives of a mesh in sequence. Primitives with identical points store them once; `of` gives the index of each one's
-    points."""
+    """The primitives of a mesh in sequence. Primitives with identical points store them once. `of`: for each primitive, the index
+    of its points."""
 
     known: dict[str, int] = field(default_factory=dict)
     of: list[int] = field(default_factory=list)
@@ -63,7 +63,7 @@ class _MeshPieces:
 
 
 def read_shape(body: GltfBody, name: str, mesh: dict[str, Any], skin: dict[str, Any] | None, node: dict[str, Any]) -> bool:
-    """Read a mesh into the shape `name`, and its morph targets into further shapes. Return False if it has no triangles."""
+    """Read a mesh into the shape `name`, and its morph targets into further shapes. Return False if the mesh has no triangles."""
     file, pieces = body.file, _MeshPieces()
     for primitive in file.get_objects(mesh, "primitives"):
         _read_piece(body, pieces, primitive, skin is not None)
@@ -152,7 +152,7 @@ def _read_piece(body: GltfBody, pieces: _MeshPieces, primitive: dict[str, Any], 
 
 
 def _read_faces(body: GltfBody, pieces: _MeshPieces, primitive: dict[str, Any], faces: NDArray[np.int64], of: int) -> bool:
-    """Append the triangles of a primitive, with points from the piece `of`. Return False if there are none."""
+    """Append the triangles of a primitive; its points are those of the piece `of`. Return False if there are no triangles."""
     if len(faces):
         pieces.faces.append(faces)
         pieces.of.append(of)
@@ -170,7 +170,7 @@ def _read_target(file: GltfDocument, target: dict[str, Any], key: str, count: in
 
 
 def _read_joint_weights(pieces: _MeshPieces, of_points: Callable[[str, int], Floats | None], count: int) -> None:
-    """The joints of each point with their weights, in as many columns as the file has."""
+    """Append the joints of each point with their weights, in as many columns as the file has."""
     joints: list[NDArray[np.int64]] = []
     weights: list[Floats] = []
     while 4 * len(joints) < limits.MAX_JOINTS_PER_POINT:
@@ -205,8 +205,8 @@ def _read_capture(body: GltfBody, pieces: _MeshPieces, skin: dict[str, Any], nam
 
 def clean_capture(joints: NDArray[np.int64], weights: Floats, count: int) -> tuple[NDArray[np.int32], NDArray[np.float32], int]:
     """Return joints int32[P, K], weights float32[P, K] that add up to 1, and the number of points that followed no joint. Unused
-    columns are removed. Points without a joint follow the first of the `count` joints. Raises BodyError for a joint number out of
-    range."""
+    columns are removed. Points without a joint then follow joint 0. `count`: number of joints. Raises BodyError for a joint
+    number out of range."""
     used = weights > 0
     if len(joints) and used.any() and (joints[used].min() < 0 or joints[used].max() >= count):
         raise BodyError(f"has a point that follows a joint which is not among the {count} of its skin", _EXPORT)
@@ -219,13 +219,14 @@ def clean_capture(joints: NDArray[np.int64], weights: Floats, count: int) -> tup
 
 
 def rigid_capture(joint: str, points: int) -> Capture:
-    """Return a capture in which all points follow one joint and are in its space. A shape that is blended first then moves with
-    that joint."""
+    """Return a capture in which all points follow one joint and are in the space of that joint. With it, a blended shape moves
+    with the joint."""
     return Capture((joint,), np.zeros((points, 1), np.int32), np.ones((points, 1), np.float32), np.eye(4)[None])
 
 
 def _read_targets(body: GltfBody, shape: Shape, pieces: _MeshPieces, mesh: dict[str, Any], node: dict[str, Any]) -> BlendTargets:
-    """Shapes of the library for the morph targets of a mesh, and channels that weigh them."""
+    """Add shapes to the library for the morph targets of a mesh, and channels that weight them. Return the inputs of the blend
+    shape."""
     file, number = body.file, len(pieces.targets[0])
     extras = mesh.get("extras")
     target_names = extras.get("targetNames") if isinstance(extras, dict) else None

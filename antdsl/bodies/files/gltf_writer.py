@@ -1,4 +1,4 @@
-"""A writer of glTF 2.0 files: accessors in sequence in one buffer, and the parts that refer to them. Khronos Group, glTF 2.0
+"""Writes glTF 2.0 files: accessors in sequence in one buffer, and the parts that refer to them. Khronos Group, glTF 2.0
 Specification, 2021, sections 3.6 (accessors, alignment, bounds) and 4 (.glb)."""
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ Entry = dict[str, Any]
 
 
 class GltfWriter:
-    """Lists of a file's parts, and its buffer."""
+    """The lists of a file's parts, and its buffer."""
 
     def __init__(self, generator: str) -> None:
         self.data = bytearray()
@@ -37,12 +37,12 @@ class GltfWriter:
         return len(self._lists[key]) - 1
 
     def entry(self, key: str, number: int) -> Entry:
-        """A part that was added, to be gone on with."""
+        """Return a part that was added, so that the caller can extend it."""
         return self._lists[key][number]
 
     def accessor(self, values: NDArray[Any], kind: str = "f4", target: int = 0, bounds: bool = False) -> int:
-        """Add an accessor with values (n,) or (n, k) as `f4`, `u2` or `u4`, and return its number. `bounds` writes the least and
-        greatest of each column, which positions and times must have."""
+        """Add an accessor with values (n,) or (n, k) as `f4`, `u2` or `u4`, and return its number. `bounds`: write the least and
+        greatest value of each column; positions and times must have these."""
         rows = np.ascontiguousarray(values, f"<{kind}").reshape(len(values), -1)
         self.data += bytes(-len(self.data) % 4)
         raw = rows.tobytes()
@@ -57,7 +57,8 @@ class GltfWriter:
         return self.add("accessors", entry)
 
     def bytes(self, text: bool, **top_entries: Any) -> bytes:
-        """Return the file: a .gltf with an embedded buffer if `text`, else a .glb. `top_entries`: `scene`, `extras`."""
+        """Return the bytes of the file: a .gltf with an embedded buffer if `text`, else a .glb. `top_entries`: `scene` and
+        `extras`."""
         data = bytes(self.data) + bytes(-len(self.data) % 4)
         lists = {key: entries for key, entries in self._lists.items() if entries}
         buffer: Entry = {"byteLength": len(data)}
@@ -75,7 +76,7 @@ class GltfWriter:
 
 
 class ShapeParts:
-    """The accessors of a shape, shared by all its meshes: their `primitives` differ only in materials."""
+    """The accessors of a shape. All meshes of the shape share them: their `primitives` differ only in materials."""
 
     def __init__(self, writer: GltfWriter, body: Definition, shape: Shape, normals: NDArray[np.float32] | None) -> None:
         self.writer, self.shape = writer, shape
@@ -95,7 +96,7 @@ class ShapeParts:
         self._kinds = self._by_material()
 
     def _add_capture(self) -> None:
-        """Write the joints that points follow in sets of four, sorted by descending weight."""
+        """Write the joints that points follow, in sets of four, sorted by descending weight."""
         capture = self.shape.capture
         if capture is None:
             return
@@ -126,7 +127,7 @@ class ShapeParts:
         ]
 
     def mesh(self, name: str, materials: dict[str, int]) -> int:
-        """Add a mesh with materials by name and return its number; a name that is not in `materials` gets no material."""
+        """Add a mesh and return its number. `materials`: numbers by name; a name that is not in it gets no material."""
         primitives = []
         for material, indices in self._kinds:
             primitive: Entry = {"attributes": self.attributes, "indices": indices}
@@ -141,7 +142,8 @@ class ShapeParts:
         return self.writer.add("meshes", entry)
 
     def add_skin(self, nodes: dict[str, int], top: int) -> int:
-        """Add the skin by which the shape follows its joints, with the nodes of these given by name, and return its number."""
+        """Add the skin with which the shape follows its joints, and return its number. `nodes`: node numbers of joints by
+        name."""
         capture = self.shape.capture
         assert capture is not None
         if not hasattr(self, "_inverse"):
@@ -151,9 +153,9 @@ class ShapeParts:
 
 
 class Targets:
-    """The morph targets of a blend shape: differences of each input and its in-betweens from the base, and their weights at given
-    channel values. glTF adds targets linearly. An in-between is a separate target, weighted by the share that `blend_shapes`
-    gives it."""
+    """The morph targets of a blend shape, and their weights at given channel values. A target is the difference of an input, or
+    of an in-between, from the base. glTF adds targets linearly. An in-between is a separate target, weighted by its share in
+    `blend_shapes`."""
 
     def __init__(self, body: Definition, shape: Shape) -> None:
         assert shape.blend is not None
@@ -182,6 +184,6 @@ class Targets:
         return offsets
 
     def weights(self, channels: NDArray[np.float32]) -> NDArray[np.float32]:
-        """The weights (n, targets) at values (n, C) of the rig's channels."""
+        """Return the weights (n, targets) at values `channels` (n, C) of the rig's channels."""
         shares = [shares_of(channels[:, number], knots) for number, knots in self._inputs]
         return np.concatenate(shares).T if shares else np.zeros((len(channels), 0), np.float32)

@@ -1,5 +1,6 @@
-"""Parses JSON text to a tree in which each value has its place. As RFC 8259, but comments (`//`, `/* */`) and a comma after the
-last value are ignored, since people write them. Depth and number of values are checked against limits during parsing."""
+"""Parses JSON text to a tree in which each value has its location. The format is RFC 8259, but comments (`//`, `/* */`) and a
+comma after the last value are ignored, because users write them. Depth and number of values are checked against limits during
+parsing."""
 
 from __future__ import annotations
 
@@ -26,8 +27,12 @@ _KINDS = {
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Node:
-    """A value at characters `start` to `end` of a text. `value` of an array of numbers only is a list of plain numbers
-    (`numbers`). Any other array is a list of nodes; an object is a mapping, with its keys located at `keys`."""
+    """A value at characters `start` (included) to `end` (excluded) of a text.
+
+    `value`: for an object, a mapping; for an array of numbers only, a list of plain numbers; for other arrays, a list of nodes.
+    `keys`: the locations of an object's keys.
+    `numbers`: whether the value is an array of numbers only.
+    """
 
     source: Source
     value: Plain
@@ -38,21 +43,21 @@ class Node:
 
     @property
     def span(self) -> Span:
-        """The span of the complete value."""
+        """Return the span of the complete value."""
         return Span(self.source, self.start, self.end)
 
     @property
     def mark(self) -> Span:
-        """The span that findings mark: the first character of an object or a list, the complete text of other values."""
+        """Return the span that findings mark: the first character of an object or a list, the complete text of other values."""
         return Span(self.source, self.start, self.start + 1) if isinstance(self.value, dict | list) else self.span
 
     @property
     def kind(self) -> str:
-        """What the value is, in words."""
+        """Return the kind of the value, in words."""
         return _KINDS[type(self.value)]
 
     def inner(self, key: PathKey) -> Node | None:
-        """Return the node of an entry or an item, or None if there is none."""
+        """Return the node of an object's entry or of an array's item, or None if there is none."""
         if isinstance(self.value, dict) and isinstance(key, str):
             return self.value.get(key)
         if isinstance(self.value, list) and isinstance(key, int) and not self.numbers and 0 <= key < len(self.value):
@@ -70,7 +75,8 @@ def find_node(root: Node, path: Sequence[PathKey]) -> Node:
 
 
 def find_span(root: Node, path: Sequence[PathKey], *, key: bool = False) -> Span:
-    """Return the mark of what a path leads to (of its last key if `key`), or of the innermost part of the path that exists."""
+    """Return the mark of the node at `path`, or of the innermost node on the path that exists. `key`: return the span of the
+    path's last key instead."""
     if not path:
         return root.mark
     node, last = find_node(root, path[:-1]), path[-1]
@@ -82,7 +88,7 @@ def find_span(root: Node, path: Sequence[PathKey], *, key: bool = False) -> Span
 
 
 def find_text(root: Node, text: str) -> Span:
-    """Return the span of the first value of a tree that is a given text; the mark of the tree if none is."""
+    """Return the span of the first value of a tree that equals `text`, or the mark of the tree if no value does."""
     waiting = [root]
     while waiting:
         node = waiting.pop(0)
@@ -94,7 +100,7 @@ def find_text(root: Node, text: str) -> Span:
 
 
 def _number_span(node: Node, number: int) -> Span:
-    """Return the span of a number of an array of numbers."""
+    """Return the span of one number of an array of numbers."""
     for count, match in enumerate(re.finditer(r"[^\s,\[\]]+", node.span.text)):
         if count == number:
             return Span(node.source, node.start + match.start(), node.start + match.end())
@@ -109,7 +115,7 @@ def report_unknown(report: Report, span: Span | None, what: str, name: str, know
 
 
 class _SyntaxRefused(Exception):
-    """Reading cannot continue; the finding is in the report already."""
+    """Reading cannot continue. The finding is already in the report."""
 
 
 _SPACE = re.compile(r"(?:[ \t\r\n]+|//[^\n]*|/\*(?:[^*]|\*(?!/))*+\*/)*+")
@@ -128,13 +134,14 @@ _INSTEAD = {"True": "true", "False": "false", "None": "null", "undefined": "null
 
 
 def read_tree(data: bytes, name: str, what: str) -> tuple[Node | None, Report]:
-    """Return the tree of a file's bytes, or None and the first mistake. `what` names the expected part, such as `a rig`."""
+    """Return the tree of a file's bytes, or None with the first error in the report. `what` names the expected part, such as `a
+    rig`."""
     source, report = decode(data, name, what)
     return read_json(source, what) if report.ok else (None, report)
 
 
 def read_json(source: Source, what: str) -> tuple[Node | None, Report]:
-    """Return the tree of a text, or None and the first mistake. `what` names the expected part, such as `a rig`."""
+    """Return the tree of a text, or None with the first error in the report. `what` names the expected part, such as `a rig`."""
     reader = _Reader(source, what)
     try:
         return reader.document(), reader.report
@@ -200,8 +207,8 @@ class _Reader:
         return value if match[1] or match[2] else int(match[0])
 
     def numbers(self, at: int) -> Node | None:
-        """Parse an array of only numbers, the usual form of a clip's values. Return None for any other array, and for
-        mistakes."""
+        """Parse an array that contains only numbers, the usual form of a clip's values. Return None for any other array, and for
+        errors."""
         match = _NUMBERS.match(self.text, at)
         if not match:
             return None
@@ -267,7 +274,7 @@ class _Reader:
         return at
 
     def next_item(self, end: int, opened: int, closing: str) -> int:
-        """Return the position after a value and its comma, where the next value or the closing bracket is."""
+        """Return the position after a value and its comma: that of the next value or the closing bracket."""
         at = self.require_text(self.skip_space(end), opened, closing)
         if self.text[at] == ",":
             return self.require_text(self.skip_space(at + 1), opened, closing)

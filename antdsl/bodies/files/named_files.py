@@ -1,5 +1,5 @@
-"""Files that a definition names: below the folder of the naming file, or of a granted root. Problems become findings at the place
-where the file is named."""
+"""Opens files that a definition names: below the folder of the naming file, or of a granted root. Problems become findings at the
+location where the file is named."""
 
 from __future__ import annotations
 
@@ -39,15 +39,19 @@ _CLOSED = {
 
 
 def file_ending(path: str) -> str:
-    """The ending of a file's name in lower case, without its dot."""
+    """Return the ending of a file's name in lower case, without its dot."""
     name = path.rsplit("/", 1)[-1]
     return name.rsplit(".", 1)[-1].lower() if "." in name else ""
 
 
 @dataclass(slots=True)
 class BodyFiles:
-    """Access to the files of a definition. `folder`: the prefix of a path that names no root, such as `bodies/`. `named`: the
-    file from the command line, by the text used for it here. `read`: definitions read before, by path and settings."""
+    """Access to the files of a definition.
+
+    `folder`: the prefix of a path that names no root, such as `bodies/`.
+    `named`: the file from the command line, by the text that stands for it in this definition.
+    `cached_definitions`: definitions read before, by path and settings.
+    """
 
     roots: Roots
     report: Report
@@ -56,18 +60,18 @@ class BodyFiles:
     cached_definitions: dict[tuple[str, str, float, bool], Definition | None] = field(default_factory=dict)
 
     def full(self, path: str) -> str:
-        """A path as the roots take it."""
+        """Return a path in the form that `roots` takes."""
         return path if _ROOTED.match(path) else self.folder + path
 
     def bytes_of(self, path: str, cap: int) -> bytes:
-        """All of a file; PathRefused says why not."""
+        """Return all bytes of a file. Raises PathRefused with the reason if it cannot be read."""
         return read_named(self.named[path], cap) if path in self.named else self.roots.read(path, cap)
 
     def report_refusal(self, why: PathRefused, place: Span | None) -> None:
         self.report.error(why.code, str(why), place, why.help)
 
     def is_closed_format(self, path: str, place: Span | None) -> bool:
-        """Report a kind of file that cannot be read here, with the alternative; return whether it is one."""
+        """Return whether a file has a format that antdsl cannot read. Report such a file, with an alternative."""
         kind = file_ending(path)
         if kind not in _CLOSED:
             return False
@@ -75,7 +79,7 @@ class BodyFiles:
         return True
 
     def read_part(self, path: str, what: str, place: Span | None) -> Node | None:
-        """Return the tree of a part in a separate JSON file. `what`: the expected part, such as `a rig`."""
+        """Return the tree of a part in a separate JSON file, or None. `what`: the expected part, such as `a rig`."""
         if self.is_closed_format(path, place):
             return None
         try:
@@ -88,7 +92,7 @@ class BodyFiles:
         return root
 
     def display_path(self, path: str) -> str:
-        """How a file is called in complaints."""
+        """Return the display name of a file for messages."""
         full = self.full(path)
         beside = next(iter(self.named.values()), None)
         if full in self.named or beside is None or _ROOTED.match(full):
@@ -98,8 +102,12 @@ class BodyFiles:
     def body(
         self, path: str, place: Span | None, prim: str = "", rate: float = 0.0, pose: Rig | None = None
     ) -> Definition | None:
-        """Return the definition in a glTF or USD file, read once. `prim`: the USD prim to read, with all below it. `rate`:
-        samples per second of its animations, 0 for the file's own. `pose`: rest pose of what glTF animations do not key."""
+        """Return the definition in a glTF or USD file. Each file is read once.
+
+        `prim`: the USD prim to read, with everything below it.
+        `rate`: samples per second of animations, 0 for the file's own.
+        `pose`: the rest pose that applies where glTF animations have no keys.
+        """
         full = self.full(path)
         pose = pose if file_ending(path) in GLTF else None
         plain = self.cached_definitions.get((full, prim, rate, False))
@@ -132,12 +140,12 @@ class BodyFiles:
         return definition
 
     def _sibling_reader(self, full: str) -> Callable[[str, int], bytes]:
-        """Return a reader of files that a file names relative to its own folder."""
+        """Return a reader of files that are named relative to the folder of the file `full`."""
         folder = full[: full.rfind("/") + 1] or (f"{full.partition(':')[0]}:" if _ROOTED.match(full) else "")
         return lambda path, cap: self.bytes_of(folder + path, cap)
 
     def _read_usd(self, full: str, prim: str, name: str, rate: float) -> tuple[Definition, list[str]]:
-        """Read as `read_usd`. If the user named a link, read the file that it points to."""
+        """Return the result of `read_usd`. If the user named a link, read the file that the link points to."""
         from antdsl.bodies.files.usd_definition import read_usd
 
         roots, text = self.roots, full
@@ -148,7 +156,7 @@ class BodyFiles:
 
     def resolve_library(self, condensed: str, absolute: str) -> str:
         """Return the path of a shape library that is named twice. The condensed path (`$HIP/shapes.glb`, `$JOB/…`, or relative)
-        is searched below the definition's folder or a granted root. The absolute path is used only if a root grants its folder.
+        is searched below the definition's folder or a granted root. The absolute path is used only if a granted root contains it.
         Raises PathRefused if neither can be used."""
         match = _VARIABLE.fullmatch(condensed)
         path = condensed
@@ -166,7 +174,7 @@ class BodyFiles:
             return granted
 
     def _name_by_root(self, absolute: str) -> str | None:
-        """Return an absolute path, written with the name of the root that grants it."""
+        """Return an absolute path, written with the name of the root that contains it, or None."""
         full_path = os.path.normpath(absolute)
         for name, folder in (("", self.roots.folder), *sorted(self.roots.granted.items())):
             root = os.path.abspath(folder)
@@ -180,6 +188,6 @@ class BodyFiles:
 
 
 def _has_other_rest(one: Rig, other: Rig) -> bool:
-    """Return whether any joint that two rigs share has different rest poses."""
+    """Return whether any joint that both rigs have has a different rest pose in each."""
     known = {name: number for number, name in enumerate(other.names)}
     return any((one.rest[k] != other.rest[known[name]]).any() for k, name in enumerate(one.names) if name in known)

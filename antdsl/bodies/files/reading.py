@@ -1,6 +1,7 @@
-"""Reads an agent definition: a definition file in JSON, a glTF file or a USD file. All agents of a kind share what is read.
+"""Reads an agent definition from a definition file in JSON, a glTF file or a USD file. All agents of a kind share the definition.
 
-What was read is cached for as long as its files stay the same: a preview opens its scene at every edit."""
+Definitions are cached as long as their files stay the same, because a preview opens its scene at every edit.
+"""
 
 from __future__ import annotations
 
@@ -23,11 +24,13 @@ Stamp = tuple[int, ...]
 def read_definition(
     path: Path | str, roots: Roots | None = None, place: Span | None = None, *, prim: str = "", rate: float = 0.0
 ) -> tuple[Definition | None, Report]:
-    """Read the definition in a .json, .glb, .gltf or USD file. Return it, or None, with the report.
+    """Return the definition in a .json, .glb, .gltf or USD file, or None, with the report.
 
-    A `Path` was named by a person: its folder is the root of the files that it names, unless `roots` says otherwise. A text was
-    named by a file at `place`, and lies below `roots`. `prim`: the prim of a USD file to read. Animations are sampled about
-    `rate` times a second (0: at the file's own frame rate, or 30 times)."""
+    `path`: a `Path` was named by the user; its folder is the root of files that it names, unless `roots` is given. A text was
+        named by a file at `place`, and lies below `roots`.
+    `prim`: the prim of a USD file to read.
+    `rate`: approximate samples per second of animations; 0 is the file's own frame rate, or 30.
+    """
     report = Report()
     if isinstance(path, Path):
         text = path.name
@@ -59,7 +62,7 @@ def read_definition(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CachedDefinition:
-    """A definition with all files it was read from: the root of each, and its size, time and file number."""
+    """A definition with all files that it was read from: the root of each, and its size, time and file number."""
 
     definition: Definition
     files: dict[Path, tuple[Path | None, Stamp]]
@@ -69,8 +72,8 @@ _cached: OrderedDict[tuple[object, ...], CachedDefinition] = OrderedDict()
 
 
 def load_definition(text: str, roots: Roots, place: Span) -> tuple[Definition | None, Report]:
-    """Read as `read_definition`, for a path in a scene, with names in the spelling of the language. A definition that was read
-    before without findings is cached."""
+    """Return the result of `read_definition` for a path in a scene, with names in the spelling of the language. A definition that
+    was read without findings is cached."""
     key = (text, str(roots.folder), *((name, str(folder)) for name, folder in sorted(roots.granted.items())))
     known = _cached.get(key)
     if known is not None and all(_stamp(path, root) == stamp for path, (root, stamp) in known.files.items()):
@@ -97,7 +100,7 @@ def _file_stamps(files: RequestedPaths) -> dict[Path, tuple[Path | None, Stamp |
 
 
 def _stamp(path: Path, root: Path | None) -> Stamp | None:
-    """Return a stamp that changes when a file changes; None if there is no file."""
+    """Return a stamp that changes when a file changes, or None if there is no file."""
     try:
         handle = reopen(path, root)
     except OSError:

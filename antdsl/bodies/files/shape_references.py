@@ -1,5 +1,4 @@
-"""Shapes of a definition's library: references to mesh files, the documented attributes of blend shapes with them, and included
-libraries."""
+"""Shapes of a definition's library: references to mesh files, their documented blend-shape attributes, and included libraries."""
 
 from __future__ import annotations
 
@@ -23,8 +22,8 @@ Colours = dict[str, tuple[float, float, float]]
 
 
 def read_shapes(form: BodyForm, root: Node, files: BodyFiles, unit: float, shapes: dict[str, Shape], materials: Colours) -> None:
-    """Add the shapes that a definition refers to to `shapes`, and the colours of their materials. A reference without a file
-    changes an existing shape. `unit`: millimetres in one of the definition's units."""
+    """Add the shapes that a definition refers to to `shapes`, and the colours of their materials to `materials`. A reference
+    without a file changes an existing shape. `unit`: millimetres per unit of the definition."""
     first: dict[str, Span] = {}
     for number, reference in enumerate(form.shapes):
         node = find_node(root, ("shapes", number))
@@ -56,7 +55,7 @@ def read_shapes(form: BodyForm, root: Node, files: BodyFiles, unit: float, shape
 def _referenced_shapes(
     reference: ShapeReference, node: Node, files: BodyFiles, shapes: Mapping[str, Shape], materials: Colours
 ) -> list[Shape]:
-    """Return the shapes that a reference means."""
+    """Return the shapes that a reference selects."""
     if reference.file is None:
         if reference.shape is None:
             files.report.error("missing-key", "a shape has no `file`", node.mark, 'add `"file": "sword.obj"`')
@@ -83,8 +82,8 @@ def _file_stem(path: str) -> str:
 def shapes_of(
     files: BodyFiles, path: str, place: Span, materials: Colours, name: str, prim: str | None = None
 ) -> Mapping[str, Shape]:
-    """Return the shapes of a file by name: all of a glTF or USD file (of USD, at and below `prim`); one called `name` of a mesh
-    file."""
+    """Return the shapes of a file by name. A glTF file gives all its shapes, a USD file those at and below `prim`. A mesh file
+    gives one shape, called `name`."""
     kind = file_ending(path)
     if files.is_closed_format(path, place):
         return {}
@@ -116,7 +115,7 @@ def shapes_of(
 
 
 def read_includes(form: BodyForm, root: Node, files: BodyFiles, shapes: dict[str, Shape], materials: Colours) -> None:
-    """Add the shapes of included libraries, each named by a condensed and an absolute path."""
+    """Add the shapes of included libraries. Each library is named twice, by a condensed and by an absolute path."""
     for number, (condensed, absolute) in enumerate(form.shapelib_includes):
         place = find_node(root, ("shapelib_includes", number)).span
         if files.is_closed_format(condensed or absolute, place):
@@ -134,7 +133,7 @@ def read_includes(form: BodyForm, root: Node, files: BodyFiles, shapes: dict[str
 
 
 def scale_shape(shape: Shape, factor: float) -> Shape:
-    """Return a shape in other units: its points, and the joint positions at capture."""
+    """Return a shape in other units: its points and the joint positions at capture are multiplied by `factor`."""
     capture = shape.capture
     if capture is not None:
         inverse = capture.inverse.copy()
@@ -144,7 +143,7 @@ def scale_shape(shape: Shape, factor: float) -> Shape:
 
 
 def _with_blend(reference: ShapeReference, node: Node, files: BodyFiles, shape: Shape) -> Shape:
-    """Return a shape with the documented blend attributes: of a base shape (names and channels), or of an input with in-between
+    """Return a shape with the documented blend attributes. A base shape has names and channels; an input has its in-between
     shapes (names and weights)."""
     keys = {key for key in reference.model_fields_set if key.startswith("blendshape_")}
     if "deformDualQuaternionBlendAttrib" in reference.model_fields_set:

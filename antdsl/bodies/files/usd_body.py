@@ -1,9 +1,10 @@
-"""A USD file as an agent definition by UsdSkel: skeletons are joints, skinned meshes shapes, blend shapes and in-betweens blend
-shapes, animations clips.
+"""Converts a USD file to an agent definition by UsdSkel: skeletons become joints, skinned meshes shapes, blend shapes and
+in-betweens blend shapes, animations clips.
 
-The transform of a skeleton in the stage is a joint with the skeleton's name, above its joints. A mesh that follows no joint gets
-a joint at its own transform. Units and axes are those of the stage. This runs in the reader's process; `usd_definition` requests
-it."""
+The transform of a skeleton in the stage becomes a joint with the skeleton's name, above the skeleton's joints. A mesh that
+follows no joint gets a joint with the mesh's own transform. Units and axes are those of the stage. This module runs in the
+reader's process, at the request of `usd_definition`.
+"""
 
 from __future__ import annotations
 
@@ -37,7 +38,7 @@ LAYER = "body"
 
 @dataclass(slots=True)
 class _Skeleton:
-    """A skeleton's joints: their numbers in the rig, by path."""
+    """A skeleton's joints. `paths`: their paths in the skeleton. `names`: their names in the rig, in the same order."""
 
     prim: Any
     query: Any
@@ -47,8 +48,8 @@ class _Skeleton:
 
 @with_refusals
 def read_body(request: ReaderMessage) -> ReaderAnswer:
-    """Return the arrays that `packed` makes of the definition, sentences `left_out` about the parts of the file that are not
-    read, and `settings`: JSON of the custom data of clips by their names."""
+    """Return the arrays that `pack_definition` makes of the definition. Also return `left_out`, sentences about the parts of the
+    file that are not read, and `settings`, JSON of the custom data of clips by their names."""
     said = request.document
     try:
         definition, body = _read_definition(open_stage(request), str(said["prim"]), str(said["name"]), float(said["rate"]))
@@ -58,8 +59,8 @@ def read_body(request: ReaderMessage) -> ReaderAnswer:
 
 
 def _read_definition(stage: OpenStage, prim: str, name: str, rate: float) -> tuple[Definition, UsdBody]:
-    """Return the definition at and below a prim, and the state of the import. `rate`: samples per second of its animations, 0 for
-    the stage's own. Raises BodyError if there is none."""
+    """Return the definition at and below a prim, and the state of the import. `rate`: samples per second of animations, 0 for the
+    stage's own. Raises BodyError if there is no definition."""
     body = UsdBody(stage)
     bindings = list(_skeleton_bindings(stage))
     skeletons = [_read_skeleton(body, skeleton, query) for skeleton, query, _ in bindings]
@@ -107,7 +108,7 @@ def _read_definition(stage: OpenStage, prim: str, name: str, rate: float) -> tup
 
 
 def _skeleton_bindings(stage: OpenStage) -> Iterator[tuple[Any, Any, list[Any]]]:
-    """Yield each skeleton with its UsdSkel queries and those of the meshes that follow it, in file order."""
+    """Yield each skeleton with its UsdSkel query and the queries of the meshes that follow it, in file order."""
     skel, usd = pxr("UsdSkel"), pxr("Usd")
     cache, visited = skel.Cache(), set()
     predicate = usd.TraverseInstanceProxies()
@@ -125,7 +126,7 @@ def _skeleton_bindings(stage: OpenStage) -> Iterator[tuple[Any, Any, list[Any]]]
 
 
 def _read_skeleton(body: UsdBody, prim: Any, query: Any) -> _Skeleton:
-    """Adds the joints of a skeleton."""
+    """Add the joints of a skeleton to the body."""
     if not query:
         raise BodyError(f"has a skeleton `{prim.GetPath()}` that does not hold together", "export it again")
     paths = [str(path) for path in query.GetJointOrder()]
@@ -149,18 +150,19 @@ def _read_skeleton(body: UsdBody, prim: Any, query: Any) -> _Skeleton:
 
 
 def column_matrix(matrix: Any) -> Floats:
-    """Return USD's matrix, which is for row vectors, as float64[4, 4] for column vectors."""
+    """Return a USD matrix, which is for row vectors, as float64[4, 4] for column vectors."""
     return np.ascontiguousarray(np.array(matrix, np.float64).reshape(4, 4).T)
 
 
 def _rest_matrix(stage: OpenStage, prim: Any) -> Floats:
-    """The matrix of a prim in the stage, at rest."""
+    """Return the matrix float64[4, 4] of a prim in the stage, at rest (`stage.first`)."""
     cache = pxr("UsdGeom").XformCache(stage.first)
     return column_matrix(cache.GetLocalToWorldTransform(prim))
 
 
 def _read_skin(skeleton: _Skeleton, mesh: Any, target: Any) -> Skin:
-    """Return the joints that a mesh follows: names, and matrices from the mesh's space to that of each joint in the bind pose."""
+    """Return the joints that a mesh follows: their names, and matrices from the mesh's space to that of each joint in the bind
+    pose."""
     own = pxr("UsdSkel").BindingAPI(mesh).GetJointsAttr().Get()
     paths = [str(path) for path in own] if own is not None and len(own) else skeleton.paths
     number = {path: count for count, path in enumerate(skeleton.paths)}
@@ -183,7 +185,7 @@ def _read_skin(skeleton: _Skeleton, mesh: Any, target: Any) -> Skin:
 
 
 def _read_clips(body: UsdBody, skeletons: list[_Skeleton], rate: float) -> list[Clip]:
-    """The animations that skeletons are bound to, then others of the file that fit one of them."""
+    """Return the animations that skeletons are bound to, then other animations of the file that match one of the skeletons."""
     skel = pxr("UsdSkel")
     clips: dict[str, Clip] = {}
     known_paths: set[str] = set()

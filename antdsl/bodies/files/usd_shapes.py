@@ -1,5 +1,5 @@
-"""Meshes of a USD file as shapes: faces cut into triangles, points split where normals or texture coordinates differ, colours of
-materials, joints that points follow, and blend shapes with their in-betweens."""
+"""Meshes of a USD file as shapes. Faces are cut into triangles, and points are split where normals or texture coordinates differ.
+Also reads colours of materials, the joints that points follow, and blend shapes with their in-betweens."""
 
 from __future__ import annotations
 
@@ -23,7 +23,12 @@ _EXPORT = "export it again"
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Skin:
-    """The joints that a mesh follows, matrices from its space to theirs, and UsdSkel's query of its weights."""
+    """The joints that a mesh follows.
+
+    `names`: of the joints.
+    `inverse`: matrices from the mesh's space to that of each joint.
+    `query`: UsdSkel's query of the weights.
+    """
 
     names: tuple[str, ...]
     inverse: Floats
@@ -32,7 +37,7 @@ class Skin:
 
 @dataclass(slots=True)
 class UsdBody:
-    """What is being read."""
+    """The state of a USD import."""
 
     stage: OpenStage
     names: list[str] = field(default_factory=list)
@@ -46,7 +51,7 @@ class UsdBody:
     points: int = 0
 
     def add_joint(self, name: str, parent: int, rest: Floats) -> int:
-        """Adds a joint under a name that no other has."""
+        """Add a joint under a name that no other joint has, and return its number."""
         if len(self.names) >= limits.MAX_RIG_JOINTS:
             raise BodyError(f"has more than {limits.MAX_RIG_JOINTS:,} joints", code="too-large")
         if not np.isfinite(rest).all():
@@ -58,7 +63,7 @@ class UsdBody:
 
 
 def read_usd_shape(body: UsdBody, prim: Any, skin: Skin | None) -> Shape | None:
-    """Return the shape of a mesh prim, and add it to the library with its blend shapes; None if it has no faces."""
+    """Return the shape of a mesh prim, and add it to the library with its blend shapes. Return None if the mesh has no faces."""
     mesh, time = pxr("UsdGeom").Mesh(prim), body.stage.first
     points = _as_rows(mesh.GetPointsAttr().Get(time), 3)
     _count_points(body, len(points))
@@ -103,7 +108,7 @@ def _as_rows(raw_values: Any, width: int) -> Floats:
 
 
 def _triangles(mesh: Any, prim: Any, time: Any, points: Floats) -> tuple[Integers, Integers, Integers]:
-    """The point of each corner of the faces; triangles (n, 3) of corners; and the face of each triangle."""
+    """Return the point of each corner of the faces, triangles (n, 3) of corners, and the face of each triangle."""
     counts = np.array(mesh.GetFaceVertexCountsAttr().Get(time) or [], np.int64)
     corners = np.array(mesh.GetFaceVertexIndicesAttr().Get(time) or [], np.int64)
     if len(corners) > 3 * limits.MAX_MESH_FACES or len(counts) > limits.MAX_MESH_FACES:
@@ -122,7 +127,7 @@ def _triangles(mesh: Any, prim: Any, time: Any, points: Floats) -> tuple[Integer
 
 
 def _normals(mesh: Any, prim: Any, time: Any, points: Floats, corners: Integers) -> Floats | None:
-    """A normal for each corner."""
+    """Return a normal for each corner, or None."""
     primvar = pxr("UsdGeom").PrimvarsAPI(prim).GetPrimvar("normals")
     if primvar and primvar.HasValue():
         return _corner_values(primvar.ComputeFlattened(time), str(primvar.GetInterpolation()), 3, len(points), corners)
@@ -153,8 +158,8 @@ def _corner_values(raw_values: Any, interpolation: str, width: int, points: int,
 def _split_points(
     corners: Integers, triangles: Integers, attributes: dict[str, Floats | None]
 ) -> tuple[Integers, Integers, dict[str, Floats | None]]:
-    """Return the file's point of each point of the shape, triangles of the shape's points, and attributes of the shape's
-    points."""
+    """Return three results: for each point of the shape, its point in the file; triangles of the shape's points; and attributes
+    of the shape's points."""
     columns = [corners[:, None].astype(np.float64), *(each for each in attributes.values() if each is not None)]
     rows = np.concatenate(columns, axis=1)
     _, first, number = np.unique(rows, axis=0, return_index=True, return_inverse=True)
@@ -178,7 +183,7 @@ def _capture(body: UsdBody, prim: Any, skin: Skin, points: int, source: Integers
 
 
 def _blend(body: UsdBody, shape: Shape, prim: Any, points: Floats, source: Integers) -> BlendTargets | None:
-    """The blend shapes of a mesh as shapes of the library; each is weighed by the channel of its name."""
+    """Add the blend shapes of a mesh to the library as shapes. The channel of the same name weights each blend shape."""
     skel = pxr("UsdSkel")
     binding = skel.BindingAPI(prim)
     tokens = [str(each) for each in binding.GetBlendShapesAttr().Get() or []]
@@ -248,7 +253,7 @@ def _add_blend_target(
 
 
 def _materials(body: UsdBody, prim: Any, face: Integers) -> tuple[tuple[str, ...], NDArray[np.int32] | None]:
-    """Names of a mesh's materials, and the number of each triangle's; their colours go to the definition."""
+    """Return the names of a mesh's materials, and the material number of each triangle. Add the colours to the definition."""
     names: list[str] = []
 
     def number(bound: Any) -> int:
@@ -273,7 +278,7 @@ def _materials(body: UsdBody, prim: Any, face: Integers) -> tuple[tuple[str, ...
 
 
 def _material(body: UsdBody, prim: Any) -> tuple[str, tuple[float, float, float]] | None:
-    """The material that is bound to a prim, with its base colour; white where that is a texture."""
+    """Return the material that is bound to a prim, with its base colour. The colour is white if it comes from a texture."""
     material = pxr("UsdShade").MaterialBindingAPI(prim).ComputeBoundMaterial()[0]
     if not material:
         return None
@@ -287,7 +292,7 @@ def _material(body: UsdBody, prim: Any) -> tuple[str, tuple[float, float, float]
 
 
 def _display_colour(prim: Any) -> tuple[str, tuple[float, float, float]] | None:
-    """A single colour that a mesh is shown in."""
+    """Return a name and the display colour of a mesh; None if it does not have exactly one colour."""
     primvar = pxr("UsdGeom").Gprim(prim).GetDisplayColorPrimvar()
     value = primvar.Get() if primvar and primvar.HasValue() else None
     if value is None or len(value) != 1:

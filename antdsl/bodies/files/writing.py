@@ -1,8 +1,9 @@
-"""Writes an agent definition: as our own files, or as a glTF 2.0 file.
+"""Writes an agent definition: as antdsl's own files, or as a glTF 2.0 file.
 
-Our own files are a definition file that names rig, layers, groups, clips and metadata in their documented forms, and one glTF
-file with the geometry of all shapes. In a glTF file joints are nodes, the drawn layer meshes and skins, blend shapes morph
-targets, clips animations. There, the definition is converted to metres, +y up and +z ahead."""
+The own files are a definition file and one glTF file with the geometry of all shapes. The definition file names rig, layers,
+groups, clips and metadata in their documented forms. In a glTF file, joints are nodes, drawn layers are meshes and skins, blend
+shapes are morph targets, and clips are animations. Its coordinates are converted to metres, +y up and +z ahead.
+"""
 
 from __future__ import annotations
 
@@ -34,7 +35,7 @@ _STILL: dict[str, tuple[float, ...]] = {"translation": (0, 0, 0), "rotation": (0
 
 
 def definition_files(body: Definition, name: str) -> dict[str, bytes]:
-    """The files of a definition by their paths: `NAME.json`, and the parts that it names in the folder `NAME`."""
+    """Return the files of a definition by their paths: `NAME.json`, and in the folder `NAME` the parts that it names."""
     unit = next((word for word, mm in UNIT_MM.items() if mm == body.unit), f"{body.unit:.15g} mm")
     if unit_mm(unit) != body.unit:
         unit, body = "mm", convert_axes(body, body.front, body.up, 1.0)
@@ -78,8 +79,8 @@ def definition_files(body: Definition, name: str) -> dict[str, bytes]:
 
 
 def _shapes_gltf(body: Definition) -> bytes:
-    """Return a glTF file of all shapes unchanged, one mesh each; those that follow joints have a skin. Numbers are the
-    definition's."""
+    """Return a glTF file with all shapes unchanged, one mesh each. Shapes that follow joints have a skin. Units and axes are
+    those of the definition."""
     writer = GltfWriter(f"antdsl {__version__}")
     materials = {}
     for name in {m: None for shape in body.shapes.values() for m in shape.materials if m and not _has_lone_material(body, shape)}:
@@ -107,7 +108,7 @@ def _shapes_gltf(body: Definition) -> bytes:
 
 
 def _shape_reference(body: Definition, shape: Shape, path: str) -> dict[str, Any]:
-    """Return a definition's reference to a shape, with the documented attributes of blend shapes."""
+    """Return the entry of a definition file that refers to a shape, with the documented attributes of blend shapes."""
     reference: dict[str, Any] = {"file": path, "shape": shape.name}
     if _has_lone_material(body, shape):
         reference["material"] = shape.materials[0]
@@ -128,20 +129,21 @@ def _shape_reference(body: Definition, shape: Shape, path: str) -> dict[str, Any
 
 
 def _has_lone_material(body: Definition, shape: Shape) -> bool:
-    """Return whether a shape has exactly one material and that has no colour, such as `state`. glTF would give it a colour, so
-    the reference names the material."""
+    """Return whether a shape has exactly one material, and this material has no colour, such as `state`. glTF would give it a
+    colour, so the reference names the material."""
     return len(shape.materials) == 1 and shape.materials[0] not in body.materials
 
 
 def _with_shear(body: Definition, clip: Clip) -> Clip:
-    """Return a clip with explicit shear where the rest pose has some: a clip text without shear takes it from the rest pose."""
+    """Return a clip with explicit shear if the rest pose has shear. Otherwise a reader would take the shear from the rest
+    pose."""
     if clip.shear is not None or np.abs(parts_of(body.rig.rest)[3]).max(initial=0.0) < 1e-9:
         return clip
     return replace(clip, shear=np.zeros_like(clip.translation))
 
 
 def _file_name(name: str) -> str:
-    """A name as a file has it."""
+    """Return a name in the spelling of file names."""
     return re.sub(r"[^A-Za-z0-9_-]", "_", name)[:60] or "part"
 
 
@@ -149,8 +151,8 @@ def _file_name(name: str) -> str:
 
 
 def write_gltf(body: Definition, layer: Layer, *, text: bool) -> tuple[bytes, list[str]]:
-    """Return the bytes of a .gltf (`text`) or .glb file of a definition with the shapes of one layer, and sentences about what
-    glTF cannot store."""
+    """Return the bytes of a .gltf (`text`) or .glb file of a definition, with the shapes of one layer. Also return sentences
+    about parts that glTF cannot store."""
     document = _GltfParts(convert_axes(body, FRONT, UP, METRE), layer)
     data = document.writer.bytes(text, scene=0, scenes=[{"nodes": document.roots}])
     return data, [*document.notes, *_list_omissions(body, layer)]
@@ -176,7 +178,7 @@ def _list_omissions(body: Definition, layer: Layer) -> list[str]:
 
 
 class _GltfParts:
-    """The parts of a file, made in order."""
+    """The parts of a glTF file, created in order."""
 
     def __init__(self, body: Definition, layer: Layer) -> None:
         self.body, self.writer, self.notes = body, GltfWriter(f"antdsl {__version__}"), list[str]()
@@ -216,8 +218,8 @@ class _GltfParts:
         return self.writer.add("materials", {"name": name, "pbrMetallicRoughness": pbr})
 
     def _add_binding(self, binding: Binding) -> None:
-        """Write a mesh. A skinned mesh becomes a node beside the joints; any other goes into its joint's node, or below it if
-        that node has a mesh."""
+        """Write a mesh. A skinned mesh becomes a node next to the joints. Any other mesh is attached to its joint's node, or to a
+        child of it if that node already has a mesh."""
         shape = self.body.shapes[binding.shape]
         if binding.shape not in self._parts:
             self._parts[binding.shape] = ShapeParts(self.writer, self.body, shape, shape.normals)

@@ -1,1 +1,1 @@
-"""One module for each command: its flags, a call into the pipeline, printing and an exit code."""
+"""One module per command. Each defines its flags, calls the pipeline, prints, and sets the exit code."""

@@ -1,4 +1,4 @@
-"""`antdsl bench`: the duration of steps, phase by phase, compared with other backends."""
+"""`antdsl bench`: measures the duration of steps, phase by phase, and compares backends."""
 
 from __future__ import annotations
 
@@ -61,7 +61,8 @@ def bench(
 
 
 def _choose_backends(names: list[str]) -> list[str]:
-    """Return the requested backends, each once; without any, all but the slowest. Raises BadParameter for an unknown one."""
+    """Return the requested backends, each once. By default, return all except the slowest. Raises BadParameter for an unknown
+    name."""
     from antdsl.runtime.backends import BACKENDS
 
     for name in names:
@@ -71,8 +72,8 @@ def _choose_backends(names: list[str]) -> list[str]:
 
 
 def _choose_jobs(cases: list[str], agents: list[int]) -> list[tuple[str, int | None]]:
-    """Return cases with numbers of agents: the requested ones, else those of the case. Without cases, return those of a quick
-    look."""
+    """Return cases with numbers of agents: the requested numbers, or else those of the case. Without cases, return a quick
+    selection."""
     from antdsl.bench import CASES
 
     if not cases:

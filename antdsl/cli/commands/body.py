@@ -1,5 +1,5 @@
-"""`antdsl body FILE`: prints an agent definition: joints, shapes, layers, clips, transform groups, metadata; and converts it to
-another kind of file."""
+"""`antdsl body FILE`: prints an agent definition (joints, shapes, layers, clips, transform groups, metadata), and converts it to
+other kinds of files."""
 
 from __future__ import annotations
 
@@ -73,7 +73,7 @@ def body(
 
 
 def _write_body(body: Definition, source: Path, to: Path, layer: str, quiet: bool) -> None:
-    """Write a definition as another kind of file, and report what is left out."""
+    """Write a definition as another kind of file, and report the parts that are left out."""
     from antdsl.bodies.files.writing import definition_files, write_gltf
     from antdsl.bodies.posed_body import own_layer
     from antdsl.cli.destinations import protect_inputs, require_writable_file, require_writable_folder

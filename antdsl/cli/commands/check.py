@@ -1,4 +1,4 @@
-"""`antdsl check PATH…`: all checks of programs and scenes that need no run."""
+"""`antdsl check PATH…`: all checks of programs and scenes that do not need a run."""
 
 from __future__ import annotations
 
@@ -125,7 +125,7 @@ def _strict(report: Report) -> Report:
 
 
 def _print_explanation(word: str) -> None:
-    """Print the page of a code, or what is known about a word of the language, of scenes or of the library."""
+    """Print the page of a diagnostic's code, or the meaning of a word of the language, of scenes or of the library."""
     import re
 
     from antdsl.cli.printing.pages import show, show_page

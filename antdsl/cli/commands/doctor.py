@@ -1,4 +1,4 @@
-"""`antdsl doctor`: what is installed, what is missing, and how to install it."""
+"""`antdsl doctor`: lists what is installed, what is missing, and how to install it."""
 
 from __future__ import annotations
 
@@ -135,7 +135,7 @@ def _check_kernels() -> None:
 
 
 def _check_tables() -> None:
-    """Print whether tables of meshes are stored for other runs, and if not, why."""
+    """Print whether tables of meshes are stored for later runs, and if not, why."""
     from antdsl.numerics import stored_tables
 
     stored = stored_tables.store()
@@ -145,7 +145,7 @@ def _check_tables() -> None:
 
 
 def _check_sandbox(problems: list[str]) -> None:
-    """Print the layers that confine the process that reads foreign formats."""
+    """Print the layers of the sandbox that confines the process that reads foreign formats."""
     from antdsl.reader.client import ReaderFailure, active_layers
 
     try:

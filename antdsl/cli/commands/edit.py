@@ -1,4 +1,4 @@
-"""`antdsl edit CACHE --smooth orient:9`: changes a cache after the run, into a separate cache."""
+"""`antdsl edit CACHE --smooth orient:9`: writes a changed copy of a cache."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def edit(
 
 
 def _parse_width(text: str) -> int:
-    """Over how many frames `orient:9` smooths."""
+    """Return the number of frames over which `orient:9` smooths."""
     from antdsl.outputs.editing import MAX_SMOOTHING_FRAMES, MIN_SMOOTHING_FRAMES
 
     name, _, number = text.partition(":")

@@ -1,4 +1,4 @@
-"""`antdsl explain CACHE --agent ID --frame N`: why an agent did what it did."""
+"""`antdsl explain CACHE --agent ID --frame N`: explains why an agent acted as it did."""
 
 from __future__ import annotations
 

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 
 def _explain_no_export(to: Path) -> str:
-    """Return why a file's suffix has no export, and which to use instead."""
+    """Return why there is no export to files of this suffix, and which suffix to use instead."""
     from antdsl.outputs.exports import ALTERNATIVE_ADVICE, EXPORT_FORMATS
 
     if str(to) == "-":
@@ -32,7 +32,7 @@ def _explain_no_export(to: Path) -> str:
 
 
 def _describe_unknown_ids(cache: Cache, frames: Sequence[int], chosen: frozenset[int]) -> str | None:
-    """A note about chosen agents that are in none of the frames; None where all are there."""
+    """Return a note about chosen agents that are in none of the frames, or None if all of them are in some frame."""
     missing = set(chosen)
     for frame in frames:
         arrays = cache.frame(frame, frozenset({"id"}))

@@ -1,4 +1,4 @@
-"""`antdsl fmt PATH…`: formats .ant files in one style; files with mistakes are reported and left alone."""
+"""`antdsl fmt PATH…`: formats .ant files in one style. Files with errors are reported and not changed."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ def _empty_report() -> Report:
 
 @dataclass
 class _Formatting:
-    """The results so far. `report` holds the errors of files that were left unchanged; their warnings are for `check`."""
+    """The results so far. `report`: the errors of files that were not changed. Their warnings are left to `antdsl check`."""
 
     check: bool
     diff: bool
@@ -115,7 +115,8 @@ class _Formatting:
             self.tell("<stdin>", data.decode("utf-8"), text)
 
     def format_source(self, source: object, report: Report) -> str | None:
-        """Return the text of a source in the standard layout; None with findings if it cannot be formatted."""
+        """Return the text of a source in the standard layout, or None if it cannot be formatted. Then `report` has the
+        findings."""
         from antdsl import syntax
         from antdsl.source import Source
 

@@ -1,4 +1,4 @@
-"""`antdsl graph FILE`: the state machines of a program as a picture."""
+"""`antdsl graph FILE`: draws the state machines of a program as a picture."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ def graph(
 
 
 def _choose_format(format: GraphFormat | None, out: Path | None) -> str:
-    """Return the requested format, or the one that the file's ending implies; without either, the default."""
+    """Return the requested format, or else the format of the file's suffix, or else the default."""
     from antdsl.graphs import FORMATS
 
     if format is not None:

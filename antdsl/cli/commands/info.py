@@ -1,4 +1,4 @@
-"""`antdsl info CACHE`: prints the contents of a cache, and its inputs."""
+"""`antdsl info CACHE`: prints the contents of a cache, and the inputs that it was made from."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def info(
 
 
 def describe_cache(cache: Cache) -> list[str]:
-    """The lines that tell about a cache."""
+    """Return the lines that describe a cache."""
     from antdsl.outputs.provenance import resume_command
     from antdsl.scene.geometry.import_notes import MeshImport, import_lines
 
@@ -79,7 +79,8 @@ def describe_cache(cache: Cache) -> list[str]:
 
 
 def _describe_patches(mesh: MeshEntry, units: str) -> str:
-    """Return, for a surface of heights, the distance of its triangles from the bilinear surface through its samples."""
+    """Return a note for a surface of height samples: the largest distance of its triangles from the bilinear surface through the
+    samples. Return "" for any other mesh."""
     if mesh.deviation is None:
         return ""
     return f", samples of heights: at most {mesh.deviation:.3g} {units} off the bilinear surface through them"
@@ -137,7 +138,7 @@ def _verify_cache(cache: Cache) -> None:
 
 
 def _find_read_errors(read: Callable[[], object]) -> list[str]:
-    """Why something cannot be read."""
+    """Return the reasons why `read` fails, or [] if it succeeds."""
     from antdsl.outputs.cache.cache_reader import CacheError
 
     try:

@@ -1,4 +1,4 @@
-"""`antdsl jobs SCENE --to FILE`: a shot as a job of a render farm."""
+"""`antdsl jobs SCENE --to FILE`: writes a shot as a job of a render farm."""
 
 from __future__ import annotations
 
@@ -99,7 +99,7 @@ def jobs(
 
 
 def _parse_render_words(text: str) -> tuple[str, ...]:
-    """Return the extra arguments of `antdsl render`, after that command has accepted them."""
+    """Return the words of `--render` as extra arguments of `antdsl render`. That command has checked them."""
     from antdsl.cli.commands.render import render
 
     # typer's versions have click beside them or within
@@ -124,7 +124,7 @@ def _parse_render_words(text: str) -> tuple[str, ...]:
 
 
 def _require_template(job: Job, every: int, frames: int) -> None:
-    """What a template cannot say."""
+    """Raise CommandError for a job that a template cannot express: too many tasks, or text that contains `{{`."""
     from antdsl.farm import MOST_TASKS
 
     tasks = max(len(step.chunks) for step in job.steps)

@@ -1,5 +1,5 @@
-"""`antdsl new DIR`: a project to start from: a program, a scene and a ground, ready to run, and ready for CI. `docs/ci.md`
-shows the files."""
+"""`antdsl new DIR`: writes a project to start from: a program, a scene and a ground, ready to run and ready for CI. `docs/ci.md`
+lists the files."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ TEMPLATE_FILES = {
 
 
 def file_text(name: str) -> str:
-    """The text of a file of the project."""
+    """Return the text of a file of the project."""
     return project_file(TEMPLATE_FILES[name]).read_text(encoding="utf-8").replace("antdsl-VERSION-", f"antdsl-{__version__}-")
 
 
@@ -46,7 +46,7 @@ def new(folder: Path = typer.Argument(..., metavar="DIR", help="A folder that is
 
 
 def ground(side: int = 49, width: float = 200.0) -> bytes:
-    """A gently rolling square as a binary .ply file: `side` × `side` vertices, `width` mm wide, y up."""
+    """Return a gently rolling square as a binary .ply file: `side` × `side` vertices, `width` mm wide, y up."""
     import numpy as np
 
     line = np.linspace(-width / 2, width / 2, side)

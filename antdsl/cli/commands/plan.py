@@ -47,8 +47,11 @@ def plan(
 
 
 def _list_code(final_plan: Plan, setting: WorldSetting | None, code: bool) -> str:
-    """Return the listing of a plan's machine code. `setting`: that of the scene, or None for a program alone. `code`: append the
-    text of the code. Raises Stop where no machine code can be made."""
+    """Return the listing of a plan's machine code. Raises CommandError if no machine code can be made.
+
+    `setting`: that of the scene, or None for a program alone.
+    `code`: append the text of the code.
+    """
     from antdsl.machine_code import machine
     from antdsl.runtime.backends.native import listing
     from antdsl.runtime.backends.native.programs import WorldFacts

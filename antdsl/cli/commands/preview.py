@@ -1,4 +1,4 @@
-"""`antdsl preview SCENE`: watch it while you write, in a browser."""
+"""`antdsl preview SCENE`: displays a scene in a browser while its files are edited."""
 
 from __future__ import annotations
 
@@ -78,7 +78,7 @@ def _listen(host: str | None, port: int | None, let_others_in: bool) -> Listenin
 
 
 def _make_live(scene: Path, choices: RunChoices, threads: int) -> Live:
-    """Return the live simulation. Mistakes in the files are reported; the simulation begins as soon as they are corrected."""
+    """Return the live simulation. Errors in the files are reported; the simulation begins as soon as they are corrected."""
     from antdsl.cli.commands.run import choose_threads
     from antdsl.cli.printing.reports import report_exit_code, show
     from antdsl.preview.live import Live
@@ -94,8 +94,8 @@ def _make_live(scene: Path, choices: RunChoices, threads: int) -> Live:
 
 
 def _depends_on_params(choices: RunChoices, live: Live) -> bool:
-    """Return whether the files have no errors without the values from the command line: then the command line must be corrected,
-    not the files."""
+    """Return whether the files have no errors without the values from the command line. If so, the command line must be
+    corrected, not the files."""
     from dataclasses import replace
 
     if not choices.params:
@@ -140,7 +140,7 @@ def _serve(live: Live, scene: Path, listening: ListeningSockets, *, open_it: boo
 
 
 def _open_browser(address: str) -> None:
-    """Open a browser if there is a screen; a text browser would take over this terminal."""
+    """Open a browser if there is a screen. Without a screen, a text browser would block this terminal."""
     import os
     import sys
     import webbrowser

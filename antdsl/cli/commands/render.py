@@ -1,4 +1,4 @@
-"""`antdsl render CACHE`: stills, a contact sheet and a film of a cache."""
+"""`antdsl render CACHE`: creates stills, a contact sheet and a film of a cache."""
 
 from __future__ import annotations
 
@@ -264,8 +264,8 @@ def _draw_frames(
     threads: int,
     stored_stills: StillStore | None,
 ) -> Iterator[tuple[int, Any, bool]]:
-    """Yield frames with their pictures, and whether these were drawn (True) or taken from `stored_stills`. `together`: the frames
-    for which the camera is chosen."""
+    """Yield frames with their pictures, and True if the picture was drawn, False if it comes from `stored_stills`. `together`:
+    the frames for which the camera is chosen."""
     from antdsl.outputs.cache.cache_reader import CacheError
     from antdsl.outputs.drawing import AgentMissing, FrameDrawer
     from antdsl.outputs.gallery import PictureUnavailable
@@ -300,7 +300,7 @@ def _draw_on_cluster(
     folder: Path,
     fps: float | None,
 ) -> None:
-    """Draw stills on a cluster's workers, or, with `fps`, a film of them."""
+    """Draw stills on a cluster's workers. With `fps`, join them to a film."""
     from antdsl.outputs.drawing import still_path
     from antdsl.shots.stills import still_tasks
 
@@ -319,7 +319,7 @@ def _draw_on_cluster(
 
 
 def _join_stills(paths: list[Path], path: Path, fps: float, pixels: int) -> None:
-    """Combine pictures of `pixels` pixels into a film, and remove them."""
+    """Combine pictures into a film, and remove the pictures. `pixels`: the number of pixels of each."""
     from antdsl.bounded import read_bounded
     from antdsl.cli.printing.reports import exit_on_errors
     from antdsl.outputs.drawing import MAX_STILL_BYTES
@@ -343,7 +343,7 @@ def _join_stills(paths: list[Path], path: Path, fps: float, pixels: int) -> None
 
 
 def _require_film_support() -> None:
-    """Report a missing extra before anything is drawn."""
+    """End the command before anything is drawn if the extra for films is missing."""
     from antdsl.cli.printing.reports import exit_on_errors
     from antdsl.outputs.pictures import check_film_support
 
@@ -351,7 +351,7 @@ def _require_film_support() -> None:
 
 
 def _write_film(images: Iterator[Any], gallery: Gallery, folder: Path) -> None:
-    """Write pictures to the film as they are drawn; none is stored."""
+    """Write pictures to the film as they are drawn. No picture is stored."""
     from antdsl.cli.printing.reports import exit_on_errors
     from antdsl.outputs.pictures import write_film
 

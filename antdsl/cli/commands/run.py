@@ -147,9 +147,9 @@ def run(
 
 
 def choose_threads(requested_threads: int, quiet: bool = False) -> int:
-    """Return the number of threads to use if `requested_threads` are requested, 0 being all. It is at most the number of usable
-    cores: more threads would only wait for each other, and libraries complain about it. Unless `quiet`, a message reports a
-    reduction."""
+    """Return the number of threads to use: `requested_threads`, or all usable cores for 0. It is at most the number of usable
+    cores, because more threads would only wait for each other, and libraries print warnings about it. Unless `quiet`, a message
+    reports a reduction."""
     core_count = cores()
     if requested_threads > core_count and not quiet:
         print_note(
@@ -170,7 +170,8 @@ def _resume_command(
     summary: Path | None,
     any_memory: bool,
 ) -> str:
-    """Return the command that continues a run: everything its results depend on, and their location."""
+    """Return the command that continues a run. It contains all arguments that the results depend on, and the location of the
+    results."""
     import shlex
 
     words = ["antdsl", "run", str(scene)]
@@ -223,7 +224,7 @@ def _begin_recording(
 
 
 def _record_to_end(recording: Recording, quiet: bool, again: str) -> None:
-    """Run to the end, or until Ctrl-C or SIGTERM asks for a stop after the frame under way."""
+    """Run to the last frame, or until Ctrl-C or SIGTERM requests a stop; then stop after the current frame."""
     import signal
 
     from antdsl.cli.printing.progress import show_progress

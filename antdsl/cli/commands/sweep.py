@@ -1,4 +1,4 @@
-"""`antdsl sweep SCENE…`: many runs, with other values and seeds, on processes or a cluster; a table at the end."""
+"""`antdsl sweep SCENE…`: runs scenes with varied values and seeds, on processes or a cluster, and writes a table at the end."""
 
 from __future__ import annotations
 
@@ -211,7 +211,7 @@ def _require_measures(chooser: JobChooser) -> None:
 def _write_tables(
     run_store: RunStore, study: Study, chooser: JobChooser, finished_measures: Mapping[str, Any], show: Sequence[str], plots: bool
 ) -> None:
-    """Write the table in all its forms, and print it."""
+    """Write the table in all formats, and print it."""
     from antdsl.sweep import rows
     from antdsl.sweep.figures import is_available
     from antdsl.sweep.plots import HOW, draw_factors, draw_measures
@@ -263,7 +263,7 @@ def _write_tables(
 
 
 def _first_lines(lines: str) -> str:
-    """What is printed of a table: its first lines."""
+    """Return the first lines of a table, which are printed."""
     each = lines.splitlines(keepends=True)
     omitted_count = len(each) - 1 - MAX_PRINTED_LINES
     return "".join(each[: MAX_PRINTED_LINES + 1]) + (
@@ -272,7 +272,7 @@ def _first_lines(lines: str) -> str:
 
 
 class _RunProgress:
-    """A listener for the progress of runs. It prints a line for each finished run, or nothing."""
+    """A listener for the progress of runs. It prints a line for each finished run, or nothing if quiet."""
 
     def __init__(self, total: int, quiet: bool, at_most: bool) -> None:
         self.total, self.quiet, self.count = total, quiet, 0
@@ -280,10 +280,10 @@ class _RunProgress:
         self.notes: set[str] = set()
 
     def frame(self, job: Job, frame: int) -> None:
-        """A run has come to a frame."""
+        """Display that a run has reached a frame."""
 
     def show_finished(self, outcome: Outcome) -> None:
-        """A run has ended, one way or the other."""
+        """Display that a run has ended, with or without success."""
         self.count += 1
         if outcome.measures is None:
             print_note(f"failed: {outcome.job.name}: {outcome.problem}", err=True)
@@ -291,7 +291,7 @@ class _RunProgress:
             self.print_line(f"{self.count} {self.of}: {outcome.job.name}, {outcome.measures['frames']} frames")
 
     def show_note(self, sentence: str) -> None:
-        """Print a message about a deviation from the request; once, however many runs send it."""
+        """Print a message about a deviation from the request. A message that several runs send is printed once."""
         if sentence not in self.notes:
             self.notes.add(sentence)
             print_note(sentence, err=True)
@@ -301,7 +301,7 @@ class _RunProgress:
 
 
 class _BarProgress(_RunProgress):
-    """One updating line: finished runs, and the frames of those in progress."""
+    """Progress of runs as one line that is updated in place: finished runs, and the frames of the current runs."""
 
     def __init__(self, total: int, at_most: bool, bar: Any) -> None:
         super().__init__(total, False, at_most)

@@ -138,8 +138,8 @@ def test(
 
 @contextmanager
 def _interrupt_between_frames() -> Iterator[Callable[[], None]]:
-    """Yield a function to call between frames: it raises KeyboardInterrupt after Ctrl-C. An immediate interrupt could be
-    swallowed by the library that is running. A second Ctrl-C raises immediately all the same."""
+    """Yield a function to call between frames, which raises KeyboardInterrupt after Ctrl-C. If Ctrl-C raised immediately, the
+    library that is running could swallow the exception. A second Ctrl-C does raise immediately."""
     import signal
 
     interrupts: list[int] = []
@@ -161,7 +161,7 @@ def _interrupt_between_frames() -> Iterator[Callable[[], None]]:
 
 
 class _TestProgress:
-    """The current run and its frame, shown on a terminal; nothing elsewhere."""
+    """Displays the current run and its frame on a terminal; displays nothing elsewhere."""
 
     def __init__(self, quiet: bool, runs: int) -> None:
         import sys

@@ -1,1 +1,1 @@
-"""What commands print: progress, reports, tables, pages."""
+"""Everything that commands print: progress, reports, tables, pages."""

@@ -1,4 +1,4 @@
-"""A measured case as tables for a terminal: set-up and the whole step, with one column per backend, then its phases."""
+"""Prints a measured case as tables on a terminal: set-up and the complete step, with one column per backend, then its phases."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from antdsl.cli.printing.messages import print_result
 
 
 def show(result: Result) -> None:
-    """Print it."""
+    """Print a measured case."""
     console = Console(highlight=False, soft_wrap=True)
     with console.capture() as printed:
         for line in (describe_result(result), *list_messages(result)):

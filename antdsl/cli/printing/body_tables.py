@@ -1,4 +1,4 @@
-"""An agent definition as lines for people and as JSON for other programs."""
+"""An agent definition as lines of text for users and as JSON for other programs."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from antdsl.scene.model import UNIT_MM
 
 
 def body_lines(body: Definition) -> Iterator[str]:
-    """The lines that tell about a definition."""
+    """Yield the lines that describe a definition."""
     unit = unit_of(body)
     yield f"body         {body.name}: {body.length:.4g} {unit} long, front {axis_word(body.front)}, up {axis_word(body.up)}"
     yield f"joints       {len(body.rig.names)}"
@@ -55,7 +55,7 @@ def body_lines(body: Definition) -> Iterator[str]:
 
 
 def _language_name_lines(body: Definition) -> Iterator[str]:
-    """Yield the spelling, in programs and scenes, of names that the language cannot write unchanged."""
+    """Yield the spelling in programs and scenes of names that the language cannot write unchanged."""
     named: list[tuple[str, Iterable[str]]] = [
         ("clip", body.clips), ("layer", body.layers), ("group", body.groups), ("channel", (c.name for c in body.rig.channels)),
         *((f"mark of {clip.name}", clip.marks) for clip in body.clips.values()),
@@ -67,7 +67,7 @@ def _language_name_lines(body: Definition) -> Iterator[str]:
 
 
 def tree_lines(body: Definition) -> Iterator[str]:
-    """The joints, each below its parent and set in."""
+    """Yield a line for each joint, below its parent and indented."""
     depth: list[int] = []
     for name, parent in zip(body.rig.names, body.rig.parents, strict=True):
         depth.append(0 if parent < 0 else depth[parent] + 1)
@@ -75,7 +75,7 @@ def tree_lines(body: Definition) -> Iterator[str]:
 
 
 def unit_of(body: Definition) -> str:
-    """The unit of a definition's lengths."""
+    """Return the unit of a definition's lengths."""
     return next((name for name, mm in UNIT_MM.items() if abs(mm / body.unit - 1) < 1e-6), f"× {body.unit:g} mm")
 
 
@@ -109,8 +109,8 @@ def _describe_clip(body: Definition, clip: Clip) -> list[str]:
 
 
 def _is_closed(body: Definition, clip: Clip) -> bool:
-    """Return whether a clip ends in its first pose, within a thousandth of the body length and of a turn. The displacement of its
-    stride is subtracted."""
+    """Return whether a clip ends in its first pose, apart from the displacement of its stride. The tolerance is a thousandth of
+    the body length and of a turn."""
     ends = ((part[0], part[-1]) for part in (clip.translation, clip.rotation, clip.scale) if len(part))
     near = [1e-3 * body.length + clip.stride, 1e-3, 1e-3]
     gaps = [np.abs(a - b).max(initial=0.0) for a, b in ends]
@@ -129,7 +129,8 @@ def _shorten_text(text: str) -> str:
 
 
 def body_document(body: Definition | None, report: Report) -> str:
-    """Return the same as JSON: `body` is null if there is none; `findings` has the form of `antdsl check --format json`."""
+    """Return the description of a body as JSON. `body` is null if there is none. `findings` has the form of `antdsl check
+    --format json`."""
     findings = json.loads(render(report, "json")) if visible_diagnostics(report) else None
     content: dict[str, Any] = {"format_version": "1.0", "valid": report.ok, "body": None, "findings": findings}
     if body is not None:

@@ -21,7 +21,7 @@ CheckedPrograms = Sequence[tuple[Path, Program]]
 
 
 def _align_rows(rows: Sequence[Sequence[str]]) -> Iterator[str]:
-    """Yield rows as lines with aligned columns; the last column is not limited in width."""
+    """Yield rows as lines with aligned columns. The last column may have any width."""
     widths = [max(len(row[k]) for row in rows) for k in range(len(rows[0]) - 1)]
     for row in rows:
         cells = [cell.ljust(width) for cell, width in zip(row, widths, strict=False)]
@@ -32,7 +32,7 @@ def _align_rows(rows: Sequence[Sequence[str]]) -> Iterator[str]:
 
 
 def params_table(programs: CheckedPrograms) -> Iterator[str]:
-    """Yield the params, each below the first file that has it."""
+    """Yield the params of all programs. A param appears below the first file that has it."""
     listed: set[Span] = set()
     for file, program in programs:
         new = [param for param in program.params.values() if param.span not in listed]
@@ -67,7 +67,7 @@ def _param_row(param: Param) -> tuple[str, ...]:
 
 
 def cost_table(programs: CheckedPrograms) -> Iterator[str]:
-    """Yield the queries of each state and the memory of an agent, below the first file that has the species."""
+    """Yield the queries of each state and the memory of an agent. A species appears below the first file that has it."""
     listed: set[Span] = set()
     for file, program in programs:
         new = [species for species in program.species.values() if species.span not in listed]
@@ -97,7 +97,7 @@ _ROLE_PHRASES = {"attribute": "attributes", "pair": "values per pair", "memory":
 
 
 def _describe_memory(program: Program) -> dict[str, str]:
-    """Return a few words for each species; empty if the program cannot be compiled to a plan yet."""
+    """Return a description of the memory of each species, empty if the program cannot be compiled to a plan yet."""
     from antdsl import passes, plan
     from antdsl.plan.registers import bytes_by_purpose
 
@@ -117,7 +117,7 @@ def _describe_memory(program: Program) -> dict[str, str]:
 
 
 def import_table(files: Sequence[Path], reports: Mapping[Path, Report], choices: RunChoices) -> Iterator[str]:
-    """Yield what was read of each mesh of the scenes among some files, and what was changed; also for scenes with errors."""
+    """Yield, for each mesh of the scenes in `files`, what was read and what was changed. Scenes with errors are included."""
     from antdsl.pipeline import mesh_imports
     from antdsl.scene.geometry.import_notes import import_lines
 
@@ -138,7 +138,7 @@ def import_table(files: Sequence[Path], reports: Mapping[Path, Report], choices:
 
 
 def explain_missing_table(what: str, file: Path, report: Report) -> str:
-    """Why a file has no such table."""
+    """Return the reason why a file has no table of the kind `what`."""
     errors = sum(each.severity == "error" for each in report.diagnostics)
     return f"no {what} for `{file}`: it has {errors} error{'' if errors == 1 else 's'} (above)"
 

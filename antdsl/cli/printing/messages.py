@@ -1,5 +1,5 @@
 """Owns the terminal streams. A command finishes its work in any state of standard output and standard error: closed, full,
-broken, slow, or in an encoding that lacks a character."""
+broken, slow, or with an encoding that lacks a character."""
 
 from __future__ import annotations
 
@@ -22,8 +22,9 @@ _PIPE_BLOCK_BYTES = 512  # bytes that a pipe takes without blocking once it is r
 class TerminalWriter(io.RawIOBase):
     """The raw end of standard output or standard error. Writing never raises OSError.
 
-    Results wait for a slow reader. Notes do not: they wait in a backlog while the work continues, until `settle`.
-    `loss`: why a part of a result could not be written; None where everything was written or nothing reads the stream."""
+    Results wait for a slow reader. Notes do not: they wait in a backlog while the work continues, until `close_streams`. `loss`:
+    the reason why a part of a result could not be written. It is None if everything was written or nothing reads the stream.
+    """
 
     def __init__(self, raw: Any) -> None:
         self.raw = raw
@@ -33,7 +34,7 @@ class TerminalWriter(io.RawIOBase):
         self.backlog = bytearray()
 
     def write(self, data: Any) -> int:
-        """Write all of the data, or record why that is impossible. Always returns the total number of bytes."""
+        """Write all of the data, or record why this is impossible. Return the length of the data in bytes in either case."""
         view = memoryview(data).cast("B")
         if self.is_unread:
             return len(view)
@@ -47,7 +48,7 @@ class TerminalWriter(io.RawIOBase):
         return len(view)
 
     def flush_backlog(self) -> None:
-        """Write the backlog, waiting for the reader."""
+        """Write the backlog. Wait for the reader."""
         if self.backlog:
             self._send_backlog(len(self.backlog))
 
@@ -97,8 +98,8 @@ class TerminalWriter(io.RawIOBase):
 
 
 def guard_streams() -> None:
-    """Make the streams of this process safe. Call this once, before anything opens a file: a closed stream is opened on
-    /dev/null, so that no other file gets its number and no child finds it closed."""
+    """Make the streams of this process safe. Call this once, before any file is opened. A closed stream is opened on /dev/null,
+    so that no other file gets its number and no child process receives it closed."""
     for number in range(3):
         _reopen(number)
     if hasattr(os, "set_blocking"):
@@ -131,7 +132,8 @@ def _reopen(number: int) -> None:
 
 
 def close_streams() -> OSError | None:
-    """Flush buffered output, and wait for readers. Return why a part of the result on standard output was lost, or None."""
+    """Flush buffered output, and wait for readers. Return the reason why a part of the result on standard output was lost, or
+    None."""
     for stream in (sys.stdout, sys.stderr):
         stream.flush()
         terminal = _terminal(stream)
@@ -148,7 +150,7 @@ def _terminal(stream: TextIO) -> TerminalWriter | None:
 
 @contextmanager
 def note_output(stream: TextIO | None = None) -> Iterator[None]:
-    """Treat everything printed in this context as notes: they do not delay the work, and a lost note does not change the exit
+    """Treat everything printed in this context as notes. Notes do not delay the work, and a lost note does not change the exit
     code. `stream`: standard output by default."""
     stream = sys.stdout if stream is None else stream
     terminal = _terminal(stream)
@@ -173,6 +175,7 @@ def print_note(words: str = "", *, err: bool = False, newline: bool = True) -> N
 
 
 def print_result(text: str, *, newline: bool = True) -> None:
-    """Print a part of the result of the command to standard output. Loss of it, as on a full disk, ends with exit code 3."""
+    """Print a part of the command's result to standard output. If it is lost, for example on a full disk, the command ends with
+    exit code 3."""
     sys.stdout.write(text + "\n" if newline else text)
     sys.stdout.flush()

@@ -1,4 +1,4 @@
-"""Shows documentation pages, such as that of a code: formatted on a terminal, as Markdown elsewhere."""
+"""Displays documentation pages, such as that of a diagnostic's code: formatted on a terminal, as Markdown elsewhere."""
 
 from __future__ import annotations
 
@@ -10,13 +10,13 @@ from antdsl.resources import code_page
 
 
 def show_page(code: str) -> None:
-    """Print the page of a known code; only its one-line meaning if the pages are not installed."""
+    """Print the page of a known code. If the pages are not installed, print its one-line meaning."""
     path = code_page(code)
     show(f"# {code}\n\n{CODE_DESCRIPTIONS[code]}\n" if path is None else path.read_text(encoding="utf-8"))
 
 
 def show(text: str) -> None:
-    """Print a text in Markdown."""
+    """Print a Markdown text."""
     if not sys.stdout.isatty():
         print_result(text.rstrip("\n"))
         return

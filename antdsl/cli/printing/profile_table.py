@@ -1,4 +1,4 @@
-"""The time of a run as tables for a terminal: phases, layers, and the most expensive lines. Numbers fit a terminal of 80 columns;
+"""Prints the time of a run as tables on a terminal: phases, layers, and the most expensive lines. Numbers fit into 80 columns;
 longer text is cut at its end."""
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ _MIN_TEXT_CHARACTERS = 12  # letters of a text that are shown, however narrow th
 
 
 def show(profile: StepProfile, *, lines: bool) -> None:
-    """Print a profile. `lines` is false where the backend measures phases only."""
+    """Print a profile. `lines` is false if the backend measures phases only."""
     console = Console(highlight=False, soft_wrap=True)
     with console.capture() as capture:
         _print_tables(console, profile, lines)
@@ -47,21 +47,21 @@ def _print_tables(console: Console, profile: StepProfile, lines: bool) -> None:
 
 
 def _describe_backend(profile: StepProfile) -> str:
-    """What ran the lines, and what is left out."""
+    """Return a description of the backend that ran the lines, and of the frames that are left out."""
     if len(profile.by) < 2:
         return "".join(f", by {name}" for name in profile.by)
     return f", by machine code; left out: {profile.by['NumPy']:,} by NumPy before"
 
 
 def _short_path(file: str) -> str:
-    """Return the last two components of a file's path: a long path would leave no space for numbers."""
+    """Return the last two components of a file's path, because a long path would leave no space for numbers."""
     return "/".join(Path(file).parts[-2:])
 
 
 def _print_table(
     console: Console, what: str, rows: Iterable[tuple[str, str, float]], total: float, worked: Mapping[str, float] | None = None
 ) -> None:
-    """Print the rows of one kind: milliseconds, CPU milliseconds where known, and the share of the whole frame."""
+    """Print the rows of one kind: milliseconds, CPU milliseconds where known, and the share of the frame's total time."""
     rows = list(rows)
     if not rows:
         return

@@ -1,4 +1,4 @@
-"""Progress of a run: a bar with frames per second and states on a terminal, an occasional plain line elsewhere."""
+"""Progress of a run. On a terminal it is a bar with frames per second and states, elsewhere an occasional plain line."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _BAR_CHARACTER = "█"
 
 
 class ProgressDisplay:
-    """A listener for frames, which displays nothing; displays derive from it."""
+    """A listener for frames that displays nothing. The displays derive from it."""
 
     def __init__(self, recording: Recording) -> None:
         self.recording = recording
@@ -26,23 +26,23 @@ class ProgressDisplay:
         self.done = 0
 
     def show_preroll(self, what: str, frame: int) -> None:
-        """A frame before the first was simulated."""
+        """Display that a preroll frame was simulated."""
 
     def frame(self) -> None:
-        """A frame was written."""
+        """Display that a frame was written."""
         self.done += 1
 
     def rate(self) -> float:
-        """Frames a second since the beginning."""
+        """Return the frames per second since the beginning."""
         return self.done / max(time.perf_counter() - self.began, 1e-6)
 
     def state_summary(self) -> str:
-        """Return the states with agents: `search 312 · carry 45`."""
+        """Return the states that have agents, with numbers: `search 312 · carry 45`."""
         return " · ".join(f"{name.split('.', 1)[1]} {count:,}" for name, count in states(self.recording).items() if count)
 
 
 class LineProgress(ProgressDisplay):
-    """Plain lines of progress; always includes the first and the last frame."""
+    """Progress as plain lines. The first and the last frame always have a line."""
 
     def __init__(self, recording: Recording) -> None:
         super().__init__(recording)
@@ -66,7 +66,7 @@ class LineProgress(ProgressDisplay):
 
 
 class BarProgress(ProgressDisplay):
-    """One line that moves."""
+    """Progress as one line that is updated in place."""
 
     def __init__(self, recording: Recording, bar: Any, task: Any) -> None:
         super().__init__(recording)
@@ -88,7 +88,7 @@ class BarProgress(ProgressDisplay):
 
 @contextmanager
 def show_set_up(quiet: bool) -> Iterator[None]:
-    """Show the stages of a set-up: on a temporary line on a terminal, as occasional plain lines elsewhere."""
+    """Display the stages of a set-up: on a temporary line on a terminal, as occasional plain lines elsewhere."""
     if quiet:
         yield
     elif can_draw_bar():
@@ -117,7 +117,7 @@ def _make_stage_printer() -> Callable[[str], None]:
 
 @contextmanager
 def show_progress(recording: Recording, quiet: bool) -> Iterator[ProgressDisplay]:
-    """Yield a watcher that shows each frame in the form that suits the output stream; print the cache's location at the end."""
+    """Yield a display of each frame that suits the output stream. At the end, print the location of the cache."""
     frames, preroll = recording.shot.frames, recording.shot.scene.model.preroll
     if recording.resumed_from is not None and not quiet:
         print_note(f"goes on after frame {recording.resumed_from}")
@@ -149,7 +149,7 @@ def can_draw_bar() -> bool:
 
 
 def _milliseconds_text(spent: Mapping[str, float], steps: int) -> str:
-    """Return milliseconds per step, the longest first; negligible ones are left out."""
+    """Return milliseconds per step of each part, the longest first. Negligible parts are left out."""
     shares = sorted(((value / max(steps, 1), name) for name, value in spent.items()), reverse=True)
     return ", ".join(f"{name} {1000 * share:.1f}" for share, name in shares if share > 5e-5)
 

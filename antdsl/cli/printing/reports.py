@@ -1,4 +1,4 @@
-"""Printing of the findings of all stages, in the requested format."""
+"""Prints the findings of all stages, in the requested format."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ _FILE_ERROR_CODES = frozenset(("cannot-read", "cannot-write", "no-such-file", "n
 
 
 def show(report: Report, format: str = "full", *, to_stderr: bool = False) -> None:
-    """Print the findings that no comment ignores. Machine-readable formats are printed even without findings, so that a reader
-    always gets its document."""
+    """Print the findings that no comment ignores. Machine-readable formats are printed even without findings, so that other
+    programs always receive a document."""
     from antdsl.diagnostics.ignoring import without_ignored
     from antdsl.diagnostics.render import render
 
@@ -25,14 +25,14 @@ def show(report: Report, format: str = "full", *, to_stderr: bool = False) -> No
 
 
 def exit_on_errors(report: Report) -> None:
-    """Print warnings and errors to standard error; exit with the code for errors if there are any."""
+    """Print warnings and errors to standard error. If there are errors, exit with their code."""
     show(report, to_stderr=True)
     if not report.ok:
         raise CommandError(report_exit_code(report))
 
 
 def report_exit_code(report: Report) -> ExitCode:
-    """Return the exit code for a report: input/output for a file that cannot be read or written, findings for everything else."""
+    """Return the exit code for a report: input/output if a file cannot be read or written, findings in all other cases."""
     errors = [d for d in report.diagnostics if d.severity == "error"]
     if errors and all(d.span is None and d.code in _FILE_ERROR_CODES for d in errors):
         return ExitCode.INPUT_OUTPUT

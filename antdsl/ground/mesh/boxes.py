@@ -1,4 +1,4 @@
-"""First hits of short straight paths, exact in float64: a tree of boxes over triangles lists the candidates."""
+"""First hits of short straight paths, exact in float64. A tree of boxes over triangles lists the candidates."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ _MAX_OPEN_BOXES = 128  # boxes that wait to be opened: more than trees of 2**40 
 
 
 class BoxTree(NamedTuple):
-    """The arrays of `Boxes`, as kernels read them."""
+    """The arrays of `FaceBoxes` for kernels."""
 
     order: Array1[I64]
     first: Array1[I64]
@@ -35,14 +35,14 @@ class BoxTree(NamedTuple):
 
 
 class FaceList(NamedTuple):
-    """Buffer for face numbers, from an index of an array on."""
+    """A buffer for face numbers: an array, and the index where the buffer begins."""
 
     numbers: Array1[I64]
     begin: I64
 
 
 class BoxHit(NamedTuple):
-    """The first face on a path (-1 for none), the part of the path before it, and the weights of the point."""
+    """The first face on a path (-1 for none), the part of the path before it, and the corner weights of the hit."""
 
     face: I64
     part: F64
@@ -51,9 +51,12 @@ class BoxHit(NamedTuple):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FaceBoxes:
-    """Triangles in the `order` of the smallest boxes, one triangle each, and the `bounds` (n, 6) of all boxes: least x, y, z,
-    then greatest. The boxes of level k are `first[k]` to `first[k + 1]` (exclusive); each holds `WIDE` boxes of the level
-    below."""
+    """A tree of boxes over triangles.
+
+    - `order`: the triangles in the order of the smallest boxes, one triangle each
+    - `first`: level k has the boxes `first[k]` to `first[k + 1]` (exclusive); each holds `BOXES_PER_NODE` boxes of the level
+      below
+    - `bounds` (n, 6): of all boxes, the least x, y, z, then the greatest"""
 
     order: Index
     first: Index
@@ -61,8 +64,10 @@ class FaceBoxes:
 
     @staticmethod
     def of(vertices: Floats, faces: NDArray[np.int32], live: Index, group: NDArray[np.int32]) -> FaceBoxes:
-        """Build the tree of the `live` triangles; those of one `group` int32[m] are consecutive. Within a group they are in
-        Morton order, so that neighbours share boxes (Lauterbach et al., Fast BVH Construction on GPUs, 2009, p. 376-378)."""
+        """Build the tree of the `live` triangles. The triangles of one `group` int32[m] are consecutive.
+
+        Within a group they are in Morton order, so that neighbours share boxes (Lauterbach et al., Fast BVH Construction on GPUs,
+        2009, p. 376-378)."""
         order = live[np.lexsort((_morton_numbers(vertices[faces[live]].mean(axis=1)), group[live]))]
         counts = [live.size]
         while counts[-1] > 1:
@@ -73,7 +78,7 @@ class FaceBoxes:
         return boxes
 
     def refit(self, vertices: Floats, faces: NDArray[np.int32], since: int = 0) -> None:
-        """Update `bounds` after the triangles moved; those before `since` in the order have not moved."""
+        """Update `bounds` after triangles moved. Triangles before `since` in the order have not moved."""
         a, b, c = (vertices.take(faces[self.order[since:], k], axis=0) for k in range(3))
         ends = np.concatenate([np.minimum(np.minimum(a, b), c), np.maximum(np.maximum(a, b), c)], axis=1)
         self.bounds[since : self.first[1]] = ends
@@ -87,7 +92,7 @@ class FaceBoxes:
             self.bounds[rows, :3], self.bounds[rows, 3:] = ends[:, :, :3].min(axis=1), ends[:, :, 3:].max(axis=1)
 
     def tree(self) -> BoxTree:
-        """Its arrays."""
+        """Return the arrays for kernels."""
         return BoxTree(self.order, self.first, self.bounds)
 
     def overlapping_pairs(self, low: Floats, high: Floats) -> tuple[Index, Index]:
@@ -112,9 +117,10 @@ class FaceBoxes:
 def gather_faces(
     pieces: Array1[I32], boxes: BoxTree, one: Vec3, two: Vec3, size: F64, face: I64, piece: I64, face_list: FaceList
 ) -> I64:
-    """Write the triangles with boxes that overlap a query box into `face_list`, an array and a start index. Return how many. The
-    query box is that around the points `one` and `two`, `size` mm larger. Triangles are positions in the order of all triangles,
-    without `face` and those of `piece`. `boxes` are the arrays of `Boxes`."""
+    """Write the triangles with boxes that overlap a query box into `face_list`, and return their number.
+
+    The query box contains the points `one` and `two`, and is `size` mm larger. Triangles are given by positions in the order of
+    all triangles. `face` and the triangles of `piece` are left out."""
     order, first, bounds = boxes
     numbers, behind = face_list
     count, waiting = 0, 0
@@ -143,11 +149,12 @@ def gather_faces(
 
 @called
 def first_hit(table: Array1[F64], boxes: BoxTree, face_list: FaceList, count: I64, origin: Vec3, step: Vec3, fine: F64) -> BoxHit:
-    """Return the first triangle hit of the first `count` in `face_list` (-1 for none), the part of the way before it, and its
-    weights there. The way is extended by `fine` mm. `table` is `packed`.
+    """Return the first hit of a path from `origin` by `step`, extended by `fine` mm, among the first `count` triangles of
+    `face_list`.
 
-    A triangle is hit if its box overlaps that of the way, from both sides, but not by a way in its plane. Of two hit at once, the
-    first by number counts (Möller, Trumbore, Fast, Minimum Storage Ray/Triangle Intersection, 1997, p. 22-24)."""
+    `table` is the packed table. A triangle is hit from both sides if its box overlaps the path's box, but not by a path in its
+    plane. Of two hits at equal distance, the lower number counts (Möller, Trumbore, Fast, Minimum Storage Ray/Triangle
+    Intersection, 1997, p. 22-24)."""
     order, _, bounds = boxes
     numbers, behind = face_list
     face, part, b1, b2 = -1, np.inf, 0.0, 0.0
@@ -179,14 +186,14 @@ def first_hit(table: Array1[F64], boxes: BoxTree, face_list: FaceList, count: I6
 
 @inlined
 def _is_disjoint(bounds: Array2[F64], b: I64, low_x: F64, low_y: F64, low_z: F64, high_x: F64, high_y: F64, high_z: F64) -> BOOL:
-    """Return whether a box does not overlap another one. All axes are tested at once, as both results are equally likely."""
+    """Return whether a box does not overlap another one. All axes are tested at once, because both results are equally likely."""
     x = (bounds[b, 0] > high_x) | (bounds[b, 3] < low_x)
     y = (bounds[b, 1] > high_y) | (bounds[b, 4] < low_y)
     return x | y | (bounds[b, 2] > high_z) | (bounds[b, 5] < low_z)
 
 
 def _morton_numbers(positions: Floats) -> NDArray[np.uint64]:
-    """Return positions [n,3] numbered along a curve that preserves locality."""
+    """Return the number of each position [n,3] along a curve that keeps near positions together."""
     if not len(positions):
         return np.empty(0, np.uint64)
     low = positions.min(axis=0)

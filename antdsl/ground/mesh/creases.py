@@ -1,4 +1,5 @@
-"""Where bodies may meet a surface that rises ahead of them: near inner creases, and where two pieces of a ground are close."""
+"""Where bodies may meet a surface that rises ahead of them: near inner creases, and where two pieces of a ground are close to
+each other."""
 
 from __future__ import annotations
 
@@ -32,7 +33,8 @@ _EXPONENT_BIAS = 1022  # more than the power of two below which a number of thes
 
 
 def inner_creases(table: MeshTopology, corners: Floats) -> Index:
-    """Return half-edges at which, seen from one side of a face, the face beyond rises more steeply than a smooth edge."""
+    """Return the half-edges at inner creases. Seen from one side of the face, the face beyond rises more steeply than at a smooth
+    edge."""
     is_crease = np.zeros(table.link.shape[1], np.bool_)
     for side, sign in ((0, 1.0), (1, -1.0)):
         half = np.flatnonzero(table.link[side] != NO_LINK)
@@ -48,9 +50,9 @@ def inner_creases(table: MeshTopology, corners: Floats) -> Index:
 
 
 class CreaseMap:
-    """A grid that tells whether an inner crease, another piece or a face that cuts its own piece is within reach of a position.
+    """A grid of the positions that have an inner crease, another piece or a face that cuts its own piece within reach.
 
-    `corners` float64[m,3,3] of the faces, the `table` of their topology, and which faces to consider."""
+    Input: `corners` float64[m,3,3] of the faces, the `table` of their topology, and which faces to consider."""
 
     def __init__(self, corners: Floats, table: MeshTopology, minded: NDArray[np.bool_]) -> None:
         live = np.flatnonzero(table.live & minded)
@@ -66,7 +68,8 @@ class CreaseMap:
 
     @cached_property
     def _grids(self) -> tuple[NDArray[np.bool_], Ints, Ints] | tuple[NDArray[np.bool_]]:
-        """The cells that contain a crease; and, if there are several pieces, the least and the greatest piece in each cell."""
+        """Return the cells that contain a crease. If there are several pieces, return also the least and the greatest piece in
+        each cell."""
         corners, table, minded = self._of
         live = np.flatnonzero(table.live & minded)
         half = inner_creases(table, corners)
@@ -91,9 +94,11 @@ class CreaseMap:
         return is_marked
 
     def rows_near(self, rows: Index, rungs: Index, rung_bits: int, place: Floats, threads: int) -> NDArray[np.bool_]:
-        """Return which rows of positions (n, 3) may have a crease, another piece or a cut nearby. Rows of rung -1 may; others are
-        tested by the grid of their rung over that of a cell. `rung_bits` has a bit for each such rung. Never false where there is
-        one. The result for a position and a reach does not depend on the other queries."""
+        """Return which rows of positions (n, 3) may have a crease, another piece or a cut nearby. No row that has one is missing.
+
+        A rung is the exponent of 2 of a reach, counted from that of a cell. Rows of rung -1 count as near; others are tested by
+        the grid of their rung. `rung_bits` has a bit for each such rung. The result for a position and a reach does not depend on
+        the other queries."""
         for rung in range(rung_bits.bit_length()):
             if rung_bits >> rung & 1:
                 work = partial(mark_near, rows, rungs, rung, place, self._low, self._width, self._within(self._first + rung))
@@ -102,7 +107,7 @@ class CreaseMap:
         return is_near
 
     def _within(self, rung: int) -> NDArray[np.bool_]:
-        """Return the cells within 2**rung mm of such a place."""
+        """Return the cells within 2**rung mm of a crease, another piece or a cut."""
         if rung not in self._around:
             rings = int(min(np.ceil(np.ldexp(1.0, rung) / self._width) + 1, self._shape.max()))
             corners, table, minded = self._of
@@ -121,7 +126,7 @@ class CreaseMap:
 
 
 def _stored_clearance(corners: Floats, table: MeshTopology) -> Floats:
-    """As `rise_clearance`, stored for other runs."""
+    """Return the result of `rise_clearance`, stored for other runs."""
     inputs = (corners, table.live, table.link, table.piece, table.cuts.cut)
     tables = stored_tables.get_or_compute(
         "clear of rises", len(corners), inputs, lambda: {"clear": rise_clearance(corners, table)}
@@ -131,8 +136,9 @@ def _stored_clearance(corners: Floats, table: MeshTopology) -> Floats:
 
 
 def rise_clearance(corners: Floats, table: MeshTopology) -> Floats:
-    """Return, for each face, float64[m], a distance (mm) within which there is no inner crease and no other piece. It is 0 for
-    faces that cut their own piece, inf if the ground has none of these."""
+    """Return, for each face, float64[m], a distance (mm) within which there is no inner crease and no other piece.
+
+    It is 0 for faces that cut their own piece, and infinite if the ground has no creases, other pieces or cuts."""
     from scipy.spatial import cKDTree
 
     middle = corners.mean(axis=1)
@@ -159,11 +165,11 @@ def rise_clearance(corners: Floats, table: MeshTopology) -> Floats:
 
 
 def _distance_to_pieces(corners: Floats, piece: Ints, pieces: Index, middle: Floats, error: Floats) -> Floats:
-    """Return for each face, float64[m], a distance (mm) from its `middle`, less an `error`, to faces of other `pieces`; inf for
-    faces of none.
+    """Return for each face, float64[m], the distance (mm) from its `middle` to faces of other `pieces`, less `error`; infinite
+    for faces without a piece.
 
-    Each piece is a separate scene of rays. A face is measured from the piece with the nearest box, and then only from pieces with
-    boxes nearer than that result. These are about two, however many there are."""
+    Each piece is a separate scene of rays. A face is measured to the piece with the nearest box, and then only to pieces with
+    boxes nearer than that result. This is about two pieces, however many there are."""
     distances = np.full(len(corners), np.inf)
     own = [np.flatnonzero(piece == each) for each in pieces]
     low, high = (np.stack([ends(corners[rows], axis=(0, 1)) for rows in own]) for ends in (np.min, np.max))
@@ -199,8 +205,10 @@ def _distance_from_box(positions: Floats, low: Floats, high: Floats) -> Floats:
 
 
 class SlopeMap:
-    """Where a surface may rise ahead of agents on a ground: `corners` float64[m,3,3] of its faces, the `table` of their topology.
-    For each moving mesh, bool[m] marks its faces."""
+    """Where a surface may rise ahead of agents on a ground.
+
+    Input: `corners` float64[m,3,3] of its faces, the `table` of their topology, and for each moving mesh a mask bool[m] of its
+    faces."""
 
     def __init__(self, corners: Floats, table: MeshTopology, moving: Sequence[NDArray[np.bool_]]) -> None:
         still = np.ones(len(corners), np.bool_)
@@ -221,8 +229,10 @@ class SlopeMap:
         moving: Sequence[tuple[Floats, Floats]],
         threads: int = 1,
     ) -> Index:
-        """As `MeshGround.rows_near_rises`, for agents on a face of a mesh (-1: nowhere), numbered from each mesh's `first` on.
-        `moving` has the lowest and highest corner of each moving mesh."""
+        """Return rows as `MeshGround.rows_near_rises`, for agents on face `local` of a `mesh` (-1: nowhere).
+
+        - `first`: the first face number of each mesh
+        - `moving`: the lowest and highest corner of each moving mesh"""
         if self._least > 0 and not moving and not np.fmax.reduce(reach, initial=0.0) >= self._least:
             return np.empty(0, np.int64)  # nothing rises so near to any face
         rows, rungs = np.empty((2, len(reach)), np.int64)
@@ -240,7 +250,7 @@ class SlopeMap:
 
 @inlined
 def _rung(reach: F64, width: F64, largest: F64) -> I64:
-    """As the exponent of np.frexp."""
+    """Return the binary exponent of a reach, limited to `width` .. `largest`, as np.frexp gives it."""
     return ((as_bits(min(max(reach, width), largest)) >> 52) & 0x7FF) - _EXPONENT_BIAS
 
 
@@ -259,9 +269,11 @@ def find_candidates(
     begin: I64,
     end: I64,
 ) -> tuple[I64, I64, I64]:
-    """Return `begin`, the number of agents to before `end` on a face within `reach` of a rise, and the rungs of `CreaseMap` to
-    query. The rungs are bits, from that of `width` on. Write the rows of these agents from `begin` on. Write also the rung of
-    those on a face larger than their reach (-1 for others)."""
+    """Write the rows of agents within `reach` of a rise, among `begin` to `end` (exclusive), and their rungs, from index `begin`
+    on.
+
+    The rung is -1, or the rung of the reach for agents on a face larger than their reach. Returns `begin`, the number of these
+    agents, and the rungs of `CreaseMap` to query, as bits from the rung of `width` on."""
     count, rung_bits = begin, 0
     lowest = _rung(width, width, largest)
     for i in range(begin, end):
@@ -291,7 +303,7 @@ def mark_near(
     begin: I64,
     end: I64,
 ) -> None:
-    """Classify the agents of one rung among `begin` to `end` (exclusive): those in a `near` cell get rung -1, the others -2."""
+    """Replace `rung` by a result, for agents `begin` to `end` (exclusive): -1 for agents in a `near` cell, -2 for others."""
     for k in range(begin, end):
         if rungs[k] != rung:
             continue

@@ -1,4 +1,4 @@
-"""Where a piece cuts the face that an agent walks on: the path continues on the cutting face, or ends there."""
+"""Where a piece cuts the face that an agent walks on. The path continues on the cutting face, or ends there."""
 
 from __future__ import annotations
 
@@ -31,12 +31,13 @@ MAX_SLOPE_RUN = 1e3  # way along a face for each mm up, above which it is as goo
 def find_crossing(
     surface: SurfaceTables, around: NearbySurfaces, cuts: CutTables, walker: FaceWalker, length: F64
 ) -> SurfaceLanding:
-    """Return the first face of the same piece that cuts the current face across the path; the path continues on it. The path ends
-    before the other side of an open sheet, and where there is no space.
+    """Return the first face of the same piece that cuts the current face across the path; the path continues on it.
 
-    The search from above the ground cannot find it: near a cut, every height above the feet may lie behind another sheet. Feet
-    keep more than `touch` (mm) away from the cutting face, on their side. That is a thousand times the rounding of float64, so
-    their side is always certain."""
+    The path ends before the other side of an open sheet, and where there is no space. The search from above the ground
+    (`surroundings`) cannot find such a face: near a cut, every height above the feet may lie behind another sheet.
+
+    Feet keep more than `touch` (mm) away from the cutting face, on their side. That is a thousand times the rounding error of
+    float64, so their side is always certain."""
     table, link, f, side = surface.table, surface.link, walker.face, walker.side
     (first, others), touch = cuts, around.lengths.touch
     place, up, direction = stance_of(table, walker)
@@ -121,8 +122,8 @@ def _is_within(table: Array1[F64], row: I64, place: Vec3, touch: F64) -> BOOL:
 
 @inlined
 def _lowest_corner(table: Array1[F64], face: I64, other: I64, sign: F64) -> F64:
-    """Return the height of a face's lowest corner over the plane of another. The upper side of that plane is its normal times
-    `sign`."""
+    """Return the height of a face's lowest corner over the plane of another face. The upper side of that plane is its normal
+    times `sign`."""
     row, other_row = ROW_FLOATS * face, ROW_FLOATS * other
     up = times(at(table, other_row + NORMAL_OFFSET), sign)
     first = dot(up, minus(at(table, row + CORNER_OFFSET), at(table, other_row + CORNER_OFFSET)))
@@ -133,9 +134,10 @@ def _lowest_corner(table: Array1[F64], face: I64, other: I64, sign: F64) -> F64:
 def _leads_through(
     table: Array1[F64], link: Array2[I32], f: I64, side: F64, other: I64, begins: F64, crossing_place: Vec3, touch: F64
 ) -> BOOL:
-    """Return whether a path that reaches the plane of another face from height `begins`, at `crossing_place`, continues behind it
-    or ends. False where the current face only touches the other one and its neighbour folds back there, into a wedge without
-    space."""
+    """Return whether a path continues behind another face's plane, or ends there. It reaches the plane from height `begins`, at
+    `crossing_place`.
+
+    False if the current face only touches the other one and its neighbour folds back at that line, into a wedge without space."""
     sign = -1.0 if begins < 0 else 1.0
     if not _lowest_corner(table, f, other, sign) >= -touch:
         return True
@@ -153,8 +155,9 @@ def _leads_through(
 
 @inlined
 def _is_tight(table: Array1[F64], cuts: CutTables, face: I64, own: I64, place: Vec3, off: Vec3, touch: F64) -> BOOL:
-    """Return whether three sheets meet. Feet placed on a face at a position, `off` from their own face, would pass or touch a
-    third sheet; then they stay."""
+    """Return whether three sheets meet, so that feet at a position on a face must stay.
+
+    Feet placed at distance `off` from their own face would pass or touch the third sheet."""
     first, others = cuts
     is_tight = False
     for k in range(first[face], first[face + 1]):

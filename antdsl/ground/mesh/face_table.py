@@ -33,7 +33,7 @@ OPEN_BORDER_LINK = -2  # the link of a border beyond which there is nothing, see
 
 
 def pack_table(table: MeshTopology, mesh_of: NDArray[np.int32]) -> Floats:
-    """Return the numbers of each face contiguously, float64[40 m], with the links of the normal's side and the mesh of the
+    """Return the numbers of each face contiguously, float64[40 m], with the links on the normal's side and the mesh of the
     face."""
     m = table.rate1.size
     space = np.empty(ROW_FLOATS * m + 8)

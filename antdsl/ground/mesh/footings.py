@@ -1,6 +1,6 @@
-"""Positions of footings and sides of their faces, many in one pass, and the search range of agents.
+"""Loops over many agents: positions of footings, the sides of their faces, and the greatest displacement and size.
 
-Positions are computed from vertices, which neighbours share, so that less memory is read than from a table of faces."""
+Positions are computed from vertices, which neighbouring faces share, so that less memory is read than from a table of faces."""
 
 import numpy as np
 
@@ -22,8 +22,9 @@ def write_positions(
     over: Array1[F64],
     place: Array2[F64],
 ) -> BOOL:
-    """Write the position of each footing, [n,3], 0 for nowhere; return whether all face numbers are valid. Meshes have their
-    `faces`, with a `normal` (3, m), from `first` on. `vertices`: three numbers each."""
+    """Write the position of each footing, [n,3], 0 for nowhere; return whether all face numbers are valid.
+
+    The faces of a mesh begin at `first` in `faces` and `normal` (3, m). `vertices` has three numbers per vertex."""
     for begin in range(0, mesh.size, _PREFETCH_GROUP_SIZE):
         end = min(begin + _PREFETCH_GROUP_SIZE, mesh.size)
         for n in range(end, min(end + _PREFETCH_GROUP_SIZE, mesh.size)):
@@ -58,8 +59,8 @@ def write_positions(
 def write_sides(
     mesh: Array1[I32], face: Array1[I32], first: Array1[I64], side: Array1[I8], sides: Array1[I8], begin: I64, end: I64
 ) -> None:
-    """Write the side of the face of footings `begin` to `end` (exclusive); the faces of a mesh begin at `first`; 0 for
-    nowhere."""
+    """Write the side (axis direction) of the faces of footings `begin` to `end` (exclusive); 0 for nowhere. The faces of a mesh
+    begin at `first`."""
     for n in range(begin, end):
         if mesh[n] >= 0 and face[n] >= 0:
             sides[n] = side[first[mesh[n]] + face[n]]
@@ -69,8 +70,8 @@ def write_sides(
 
 @kernel
 def find_farthest(displacements: Array2[F64], sizes: Array1[F64]) -> tuple[F64, F64]:
-    """Return the greatest squared length of the finite vectors (3, n), 0 if there is none; and the greatest of sizes, NaN if all
-    are NaN."""
+    """Return the greatest squared length of the finite vectors (3, n), 0 if there is none, and the greatest size, NaN if all are
+    NaN."""
     most, widest = 0.0, np.nan
     for k in range(sizes.size):
         square = (displacements[0, k] * displacements[0, k] + displacements[1, k] * displacements[1, k]) + displacements[

@@ -1,4 +1,4 @@
-"""Open borders with nothing beyond them: a walk goes on along them without looking."""
+"""Open borders with nothing beyond them. A walk continues along them without a search."""
 
 from __future__ import annotations
 
@@ -19,12 +19,15 @@ _PLANE_TOLERANCE = 1e-4
 
 
 def find_open_borders(table: MeshTopology, boxes: FaceBoxes, scale: GroundScale, widest: float) -> Index:
-    """Return half-edges without a link on either side, from which `beyond` finds no landing for bodies of up to `widest` mm. Not
-    all are found on a ground that is mostly borders, or has faces much finer than the bodies: that search would take long.
+    """Return half-edges without a link on either side, beyond which `look_beyond_border` finds no landing for bodies of up to
+    `widest` mm.
 
-    The search paths of `beyond` lie in the plane across the edge, above or below the face, except beyond the border. They meet
-    nothing under two conditions: all other nearby faces lie in the plane of the edge's face, and none extends over the edge's
-    line. Paths along that plane, and those beyond the line, stay at least the gap away from these faces."""
+    The result is incomplete on a ground that is mostly borders, or has faces much finer than the bodies: a complete search would
+    take long.
+
+    The search paths of `look_beyond_border` lie in the plane across the edge, above or below the face, except beyond the border.
+    They meet nothing under two conditions: all other nearby faces lie in the plane of the edge's face, and none extends over the
+    edge's line. Paths along that plane, and paths beyond the line, stay at least the gap away from these faces."""
     half = np.flatnonzero((table.link[0] == NO_LINK) & (table.link[1] == NO_LINK) & np.repeat(table.live, 3))[:_MAX_BORDERS]
     reach = 1.01 * (
         (BORDER_RAY_HEIGHT_PER_BODY + BORDER_GAP_PER_BODY) * float(np.fmax(widest, scale.least / EYE_HEIGHT_PER_BODY))
@@ -43,8 +46,9 @@ def find_open_borders(table: MeshTopology, boxes: FaceBoxes, scale: GroundScale,
 def _select_open(
     table: MeshTopology, boxes: FaceBoxes, scale: GroundScale, reach: float, half: Index
 ) -> tuple[NDArray[np.bool_], int]:
-    """Return which of some half-edges are open borders, and how many pairs of a half-edge and a face within `reach` mm of its box
-    were checked."""
+    """Return which of some half-edges are open borders, and the number of checked pairs.
+
+    A pair is a half-edge and a face within `reach` mm of the half-edge's box."""
     face, k = half // 3, half % 3
     one, other = _corners(table, face, (k + 1) % 3), _corners(table, face, (k + 2) % 3)
     edge_rows, near_faces = boxes.overlapping_pairs(np.minimum(one, other) - reach, np.maximum(one, other) + reach)
@@ -59,7 +63,7 @@ def _select_open(
 
 
 def _corners(table: MeshTopology, face: Index, k: Index) -> NDArray[np.float64]:
-    """The corner `k` of each face, (3, n)."""
+    """Return corner `k` of each face, (3, n)."""
     edge = np.where(k == 1, table.edge1.take(face, axis=1), table.edge2.take(face, axis=1))
     corners: NDArray[np.float64] = table.corner.take(face, axis=1) + np.where(k == 0, 0.0, edge)
     return corners

@@ -1,5 +1,5 @@
-"""Places where a mesh cuts through itself. The pairs of faces that do are determined once. An agent that walks on one of them
-crosses the other exactly where it cuts, and nowhere else."""
+"""Places where a mesh cuts itself. Pairs of faces that cut each other are determined once. An agent on a face of a pair crosses
+the other face exactly at the cut, and nowhere else."""
 
 from __future__ import annotations
 
@@ -25,18 +25,18 @@ _MAX_CELLS_PER_AXIS = 1 << 20  # along an axis
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SelfCuts:
-    """Face f is cut by the faces `other[first[f]:first[f + 1]]` of the same piece, and cuts these."""
+    """Pairs of faces of the same piece that cut each other: face f and the faces `other[first[f]:first[f + 1]]`."""
 
     first: Index
     other: Index
 
     @property
     def cut(self) -> NDArray[np.bool_]:
-        """Which faces are cut."""
+        """Return which faces are cut."""
         return np.diff(self.first) > 0
 
     def of(self, face: Index) -> tuple[Index, Index]:
-        """Return all faces that cut some faces: the index of the queried face that each cuts, and its number."""
+        """Return all faces that cut the queried faces: the index of the queried face, and the number of the cutting face."""
         count = np.diff(self.first).take(face)
         which = np.repeat(np.arange(face.size), count)
         step = np.arange(which.size) - np.repeat(np.cumsum(count) - count, count)
@@ -44,8 +44,11 @@ class SelfCuts:
 
 
 def find_cuts(corners: Floats, weld: Ints, piece: Ints, grain: float) -> SelfCuts:
-    """Return the cuts between faces with corners float64[m,3,3], numbered by position in `weld` (m, 3), of the pieces int32[m]
-    (-1 for none). A face nearer to another than `grain` (mm) touches it, and touching counts."""
+    """Return the cuts between faces of the same piece, with corners float64[m,3,3].
+
+    - `weld` (m, 3): numbers of corners by position
+    - `piece` int32[m]: the piece of each face, -1 for none
+    - `grain`: faces nearer to each other than this distance (mm) touch, and touching counts as a cut"""
     flat = weld.ravel()
     one_place = np.zeros((int(flat.max(initial=-1)) + 1, 3))
     one_place[flat[::-1]] = corners.reshape(-1, 3)[::-1]  # corners that are nearly at one place do not cut what they belong to
@@ -56,7 +59,7 @@ def find_cuts(corners: Floats, weld: Ints, piece: Ints, grain: float) -> SelfCut
 
 
 def _cutting_pairs(corners: Floats, weld: Ints, piece: Ints, grain: float) -> tuple[Index, Index]:
-    """Return pairs of faces of one piece, of which one has an edge that crosses, ends on or lies on the other."""
+    """Return pairs of faces of one piece where an edge of one face crosses, ends on or lies on the other face."""
     cut_pairs = [np.empty((2, 0), np.int64)]
     normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     normal /= np.maximum(length(normal), 1e-300)[:, None]
@@ -109,7 +112,7 @@ def _overlapping_pairs(corners: Floats, live: Index) -> Iterator[tuple[Index, In
 
 
 def _pairs_in_cells(corners: Floats, now: Index, smaller: Index, width: float) -> Iterator[tuple[Index, Index]]:
-    """Yield pairs of faces in one cell: of the current faces `now` with each other and with `smaller` ones."""
+    """Yield pairs of faces in one cell: of the faces `now` with each other, and with `smaller` faces."""
     listed = np.concatenate([now, smaller])
     if listed.size < 2:
         return
@@ -140,8 +143,10 @@ def _pairs_in_cells(corners: Floats, now: Index, smaller: Index, width: float) -
 
 def _pierces(start: Floats, end: Floats, triangle: Floats, grain: float) -> NDArray[np.bool_]:
     """Return whether edges go through triangles or touch them, up to `grain` mm (Möller, Trumbore, Fast, Minimum Storage
-    Ray/Triangle Intersection, 1997, p. 22-24). For an edge in the plane of a triangle only the start is tested. Its end is the
-    start of another, and an edge of the triangle that it crosses touches it."""
+    Ray/Triangle Intersection, 1997, p. 22-24).
+
+    For an edge in the plane of a triangle, only its start is tested. Its end is the start of another edge. If it crosses an edge
+    of the triangle, that edge touches it."""
     a, e1, e2 = triangle[:, 0], triangle[:, 1] - triangle[:, 0], triangle[:, 2] - triangle[:, 0]
     normal = np.cross(e1, e2)
     size = length(normal)

@@ -1,4 +1,4 @@
-"""Stretches of a walk, each across one face, until something may be in the path or beyond a border."""
+"""Stretches of a walk, each across one face. A walk pauses where something may be in the path or beyond a border."""
 
 from __future__ import annotations
 
@@ -31,15 +31,17 @@ LOOK_AHEAD_EVENT, BORDER_EVENT, OVERHANG_EVENT = 1, 2, 3  # something may be in 
 
 @inlined
 def frame(table: Array1[F64], row: I64) -> tuple[Vec3, Vec3, Vec3]:
-    """Both axes of a face, and its normal."""
+    """Return both axes of a face, and its normal."""
     ax, ay, az, bx, by, bz, nx, ny, nz, _, _, _ = load_consecutive(table, row + AXIS1_OFFSET, 12)
     return (ax, ay, az), (bx, by, bz), (nx, ny, nz)
 
 
 @inlined
 def lay_on_face(axis1: Vec3, axis2: Vec3, x: F64, y: F64, z: F64, c0: F64, s0: F64) -> tuple[F64, F64, F64]:
-    """Project a vector into a face: return unit (c, s) in its frame, or (c0, s0) if the projection is zero or not finite, and its
-    length (mm)."""
+    """Project a vector into a face. Return the unit direction (c, s) in the face's frame, and a length (mm).
+
+    Up to 60 degrees off the face, the length is that of the vector; beyond, it falls to 0. If the projection is zero or not
+    finite, the direction is (c0, s0) and the length 0."""
     c = axis1[0] * x + axis1[1] * y + axis1[2] * z
     s = axis2[0] * x + axis2[1] * y + axis2[2] * z
     flat = np.sqrt(c * c + s * s)
@@ -51,7 +53,7 @@ def lay_on_face(axis1: Vec3, axis2: Vec3, x: F64, y: F64, z: F64, c0: F64, s0: F
 
 @inlined
 def free_distance(near: ClearanceTables, f: I64, weights: TriangleWeights) -> F64:
-    """Return a distance (mm) within which a position has no other piece, see `Parts`; at most `reach`."""
+    """Return a distance (mm) from a position within which there is no other piece, see `FaceParts`; at most `reach`."""
     n = near.counts[f]
     if n == 0:
         return near.reach
@@ -69,9 +71,10 @@ def walk_stretches(
     walker: FaceWalker,
     progress: WalkProgress,
 ) -> tuple[FaceWalker, WalkProgress, WalkStop]:
-    """Walk across faces until the way is used up, or until an event. Stop at stretches that may have another piece within their
-    length and `high`, but not at the first if `looked`. Where no stretch may meet another piece and `along_open` is set, follow
-    borders with nothing beyond them."""
+    """Walk across faces until no displacement is left, or until an event.
+
+    A stretch that may have another piece within its length and `high` is an event, but not the first stretch if `looked`. With
+    `along_open`, open borders with nothing beyond them are followed, where no stretch may meet another piece."""
     table, link, forked, _ = surface
     f, (b1, b2), side, (c, s), (heading_c, heading_s) = walker
     left, distance, turn = progress
@@ -131,7 +134,7 @@ def walk_stretches(
 
 @inlined
 def along_border(edge: FaceDirection, direction: FaceDirection, left: F64) -> tuple[FaceDirection, F64]:
-    """Return the direction along an open border, and the distance left there."""
+    """Return the direction along an open border, and the distance left in that direction."""
     (edge_c, edge_s), (c, s) = edge, direction
     along = c * edge_c + s * edge_s
     turn = -1.0 if along < 0 else 1.0
@@ -149,7 +152,7 @@ def _cross_edge(
     direction: FaceDirection,
     heading: FaceDirection,
 ) -> FaceWalker:
-    """Return the agent in the face beyond an edge with direction `along`."""
+    """Return the agent in the face beyond an edge; `along` is the direction of the edge."""
     (c1, s1), (b1, b2), (c, s), (heading_c, heading_s) = along, weights, direction, heading
     f, k2, flip = np.int64(beyond >> 3), (beyond >> 1) & 3, (beyond & 1) == 1
     b0 = 1.0 - b1 - b2
@@ -212,7 +215,7 @@ def final_pose(table: Array1[F64], walker: FaceWalker, over: F64) -> AgentPose:
 
 @inlined
 def _turn_with_normal(vx: F64, vy: F64, vz: F64, bx: F64, by: F64, bz: F64, ax: F64, ay: F64, az: F64) -> Vec3:
-    """Return a vector rotated as unit normal b rotates into a; a half turn goes through the vector itself."""
+    """Return a vector rotated as unit normal b rotates into a. If they are opposite, the rotation goes over the vector itself."""
     cosine = bx * ax + by * ay + bz * az
     if cosine < -1 + 1e-9:
         hx, hy, hz = by * vz - bz * vy, bz * vx - bx * vz, bx * vy - by * vx

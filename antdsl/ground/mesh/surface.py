@@ -1,5 +1,4 @@
-"""Surfaces that agents stand and walk on, any side up: a footing is a point of a triangle. One interface, `MeshGround.move`,
-moves it."""
+"""Surfaces that agents stand and walk on, with any side up. A footing is a point of a triangle; `MeshGround.move` moves it."""
 
 from __future__ import annotations
 
@@ -25,10 +24,10 @@ from antdsl.numerics.vectors import dot
 
 
 class MeshGround:
-    """One or more surfaces, by name, in the given order: (vertices float64[n,3], faces int32[m,3]) in millimetres.
+    """One or more surfaces, by name, in the given order: (vertices float64[n,3], faces int32[m,3]) in mm.
 
-    An obstacle that agents may climb is a normal surface. Meshes may overlap and need not be closed. With `by_rays` agents do not
-    walk over triangles but are placed at ray hits: see `sticking`."""
+    An obstacle that agents may climb is a normal surface. Meshes may overlap and need not be closed. With `by_rays`, agents do
+    not walk over triangles, but are placed at ray hits: see `sticking`."""
 
     def __init__(self, surfaces: Mapping[str, MeshArrays], by_rays: bool = False) -> None:
         self.names, self._by_rays = tuple(surfaces), by_rays
@@ -59,20 +58,20 @@ class MeshGround:
         self._rises: SlopeMap | None = None  # where bodies may meet walls, computed on first use
 
     def _surface_groups(self) -> NDArray[np.int32]:
-        """Numbers of faces: those of one move together."""
+        """Return a group number for each face; the faces of one group move together."""
         return np.zeros(len(self._faces), np.int32)
 
     # ---- asking
 
     def nowhere(self, n: int) -> Footing:
-        """Footings of n agents that stand on nothing yet."""
+        """Return footings for n agents that stand on nothing yet."""
         return Footing.nowhere(n)
 
     def place(self, points: Floats, up: Floats, on: Iterable[str] | None = None) -> tuple[Footing, NDArray[np.bool_]]:
         """Return footings below points [n,3]: the first surface hit by a ray from far above along -`up` ([3] or [n,3]).
 
         If the ray hits nothing, the footing is the nearest point of the surfaces, with False in the second array. `on` names the
-        allowed surfaces, all if None; raises KeyError for an unknown name. Without any surface all footings are nowhere."""
+        allowed surfaces; None means all. Without any surface, no agent gets a footing. Raises KeyError for an unknown name."""
         points = np.asarray(points, np.float64).reshape(-1, 3)
         up = np.broadcast_to(np.asarray(up, np.float64), points.shape)
         scene, live = self._ray_scene(on)
@@ -90,7 +89,8 @@ class MeshGround:
         return self._footing(face, *self._table.weights(np.maximum(face, 0), place.T)), is_hit
 
     def nearest(self, points: Floats, on: Iterable[str] | None = None) -> tuple[Footing, Floats]:
-        """Footings at the nearest point of the surfaces in `on`, all when None, to points [n,3], and the distance float64[n]."""
+        """Return footings at the points of the surfaces in `on` (None: all) that are nearest to points [n,3], and the distance
+        float64[n]."""
         points = np.asarray(points, np.float64).reshape(-1, 3)
         scene, live = self._ray_scene(on)
         mesh, local, place, distance = scene.closest(points)
@@ -98,35 +98,39 @@ class MeshGround:
         return self._footing(face, *self._table.weights(np.maximum(face, 0), place.T)), distance
 
     def trace_hits(self, origin: Floats, displacement: Floats, threads: int = 1) -> tuple[NDArray[np.bool_], Floats, Footing]:
-        """Return which straight ways from `origin` [n,3] by `displacement` [n,3] hit a surface, the part of the way before it,
-        and the footing there."""
+        """Return which straight paths from `origin` [n,3] by `displacement` [n,3] hit a surface.
+
+        Return also the part of the path before the hit, and the footing at the hit."""
         part, face = self._cast(np.asarray(origin, np.float64).T, np.asarray(displacement, np.float64).T, threads)
         is_hit = face >= 0
         place = origin.T + displacement.T * np.where(is_hit, part, 0.0)
         return is_hit, np.where(is_hit, part, 1.0), self._footing(face, *self._table.weights(np.maximum(face, 0), place))
 
     def trace_normals(self, origin: Floats, displacement: Floats, threads: int = 1) -> tuple[Index, Floats, Floats]:
-        """Return the numbers, ascending, of straight ways from `origin` [n,3] by `displacement` [n,3] that hit a surface. Return
-        also the part of the way before it, and the face's unit normal (3, k), by its winding."""
+        """Return the numbers, ascending, of straight paths from `origin` [n,3] by `displacement` [n,3] that hit a surface.
+
+        Return also the part of the path before the hit, and the face's unit normal (3, k), by its winding."""
         scene, live = self._ray_scene(None)
         return scene.trace_normals(origin, displacement, self._table.normal, live, threads)
 
     def position(self, footing: Footing) -> Floats:
-        """Return positions in the world, float64[n,3]; zero for footings nowhere. Raises IndexError for an invalid face."""
+        """Return positions in the world, float64[n,3]; zero for agents without a footing. Raises IndexError for an invalid
+        face."""
         positions, at = np.empty((len(footing), 3)), (footing.mesh, footing.face, footing.b1, footing.b2, footing.over)
         if not footings.write_positions(self._vertices.reshape(-1), self._faces, self._table.normal, self._first, *at, positions):
             raise IndexError("a footing is on a face that the ground does not have")
         return positions
 
     def normal(self, footing: Footing) -> Floats:
-        """Return unit normals of the faces, float64[n,3], by their winding; zero for footings nowhere."""
+        """Return unit normals of the faces, float64[n,3], by their winding; zero for agents without a footing."""
         face, known = self._face_numbers(footing)
         if not self._faces.size:
             return np.zeros((len(footing), 3))
         return np.ascontiguousarray(np.where(known, self._table.normal.take(face, axis=1), 0.0).T)
 
     def sides(self, footing: Footing, threads: int = 1) -> NDArray[np.int8]:
-        """Return the axis direction nearest to each face's normal, int8[n]: 0 +x, 1 -x, 2 +y, 3 -y, 4 +z, 5 -z; 0 for nowhere."""
+        """Return the axis direction nearest to each face's normal, int8[n]: 0 +x, 1 -x, 2 +y, 3 -y, 4 +z, 5 -z; 0 for agents
+        without a footing."""
         face_sides = np.empty(len(footing), np.int8)
         on = (footing.mesh, footing.face, self._first, self._side)
         parallel.in_parts(
@@ -135,8 +139,8 @@ class MeshGround:
         return face_sides
 
     def upright_normals(self, footing: Footing, up: Floats) -> Floats:
-        """Return smooth unit normals float64[n,3] on the side that `up` ([3] or [n,3]) points to; `up` itself for footings
-        nowhere.
+        """Return smooth unit normals float64[n,3] on the side that `up` ([3] or [n,3]) points to; `up` itself for agents without
+        a footing.
 
         Creases are not smoothed. Elsewhere the normal is continuous along the surface, so that bodies do not jerk."""
         up = np.array(np.broadcast_to(np.asarray(up, np.float64), (len(footing), 3)).T, order="C")
@@ -153,18 +157,19 @@ class MeshGround:
 
     @property
     def meshes(self) -> MeshGround:
-        """The part of the ground that is made of meshes."""
+        """Return the part of the ground that consists of meshes: the ground itself."""
         return self
 
     def on_faces(self, footing: Footing) -> tuple[Index, NDArray[np.bool_]]:
-        """Return the face of each footing, numbered over all surfaces (0 for none), and whether it is on one."""
+        """Return the face of each footing, numbered over all surfaces (0 for none), and whether the footing is on a face."""
         known = (footing.face >= 0) & (footing.mesh >= 0) & (footing.mesh < len(self.names))
         return np.where(known, self._first.take(np.where(known, footing.mesh, 0)) + footing.face, 0), known
 
     def rows_near_rises(self, footing: Footing, place: Floats, reach: Floats, threads: int = 1) -> Index:
-        """Return the rows, ascending, of agents at positions [n,3] for which a surface may rise within `reach` [n] mm, if that is
-        over 0. It rises at an inner crease, another piece, or a mesh that moves. No such agent is missing, and the result for an
-        agent does not depend on the others."""
+        """Return the rows, ascending, of agents at positions [n,3] for which a surface may rise within `reach` [n] mm.
+
+        A surface rises at an inner crease, at another piece, or at a moving mesh. Agents with a `reach` of 0 or less are left
+        out. No other agent near a rise is missing. The result for an agent does not depend on the others."""
         if self._rises is None:
             self._rises = SlopeMap(self._vertices[self._faces], self._table, [own for own, _, _ in self.boxes()])
         moving = [(low, high) for _, low, high in self.boxes()]
@@ -190,16 +195,20 @@ class MeshGround:
         threads: int = 1,
         straight: bool = False,
     ) -> GroundMove:
-        """Walk every agent along its surface by a displacement [n,3], on the side its `up` [n,3] points to.
+        """Walk every agent along its surface by a displacement [n,3], on the side that its `up` [n,3] points to.
 
-        The displacement is projected into the face and keeps its length, unless it is more than 60 degrees off the surface. The
-        path unfolds across edges, so a slope does not change the speed. A surface in the path (seen from slightly above the
-        ground, within the displacement) is climbed. At an open border the agent steps over to a surface that continues beyond, in
-        as many steps as the height takes. If there is none, it follows the border or stops. `heading` [n,3] rotates with the
-        surface. `body` (mm) scales how high and far agents search. A displacement that is not finite counts as zero.
+        - `heading` [n,3]: rotates with the surface
+        - `body`: the size (mm) that determines how high and far agents search
+        - `straight`: a path ends at an open border
 
-        With `straight` a path ends at an open border. Of the two readings of the thesis's surface pass (longer ray, nearest hit),
-        this uses the nearest surface along the path."""
+        The displacement is projected into the face. It keeps its length, unless it is more than 60 degrees off the surface. The
+        path unfolds across edges, so a slope does not change the speed. A surface in the path is climbed: the nearest along the
+        path, seen from slightly above the ground, within the displacement. At an open border, the agent steps over to a surface
+        that continues beyond, in as many steps as the height requires. If there is none, it follows the border or stops. A
+        displacement that is not finite counts as zero.
+
+        The thesis has two versions of the surface pass: longer ray, and nearest hit. This method uses the nearest surface along
+        the path."""
         n = len(footing)
         if not self._faces.size or not n:
             return _stay_in_place(footing, up, heading)
@@ -218,8 +227,9 @@ class MeshGround:
         return GroundMove(moved, place.T, above.T, ahead.T, along.T, distances, blocked, moved.face < 0)
 
     def crowd_walk(self, longest: float, widest: float) -> CrowdWalk | None:
-        """Return the walk over triangles for kernels, for displacements up to `longest` and bodies up to `widest` (mm). None if
-        agents are placed by rays, or if there is nothing to walk on."""
+        """Return the walk over triangles for kernels, for displacements up to `longest` and bodies up to `widest` (mm).
+
+        None if agents are placed by rays, or if there is nothing to walk on."""
         if self._by_rays or not self._faces.size:
             return None
         return self._walk().crowd_walk_for(self._clearances, self._boxes, self._scale, longest, widest)
@@ -230,14 +240,14 @@ class MeshGround:
         return self._fast
 
     def _search_reach(self, wish: Floats, body: Floats) -> float:
-        """Return how far (mm) agents at most look for other surfaces on a way."""
+        """Return the greatest distance (mm) at which agents search for other surfaces on their path."""
         most, widest = footings.find_farthest(wish, body)
         return float(sqrt(most) + EYE_HEIGHT_PER_BODY * widest + 3 * self._scale.noise)
 
     # ---- parts
 
     def _cast(self, origin: Floats, step: Floats, threads: int) -> tuple[Floats, Index]:
-        """Return where rays (3, k) hit within their step, as a part of it (inf = nowhere), and the face over all meshes (-1)."""
+        """Return the part of the step at which each ray (3, k) hits (infinite for no hit), and the face over all meshes (-1)."""
         scene, live = self._ray_scene(None)
         which, t, mesh, local = scene.cast_within(origin.T, step.T, threads)
         part, face = np.full(origin.shape[1], np.inf), np.full(origin.shape[1], -1, np.int64)
@@ -246,7 +256,7 @@ class MeshGround:
         return part, face
 
     def _ray_scene(self, on: Iterable[str] | None) -> tuple[RayScene, Index]:
-        """Return rays against some surfaces, and the ground's face number of each face of that scene."""
+        """Return a ray scene of some surfaces, and the ground's face number of each face of that scene."""
         chosen = self._surface_numbers(on)
         if chosen not in self._scenes:
             live = np.flatnonzero(self._table.live & np.isin(self._mesh, chosen))
@@ -254,7 +264,7 @@ class MeshGround:
         return self._scenes[chosen]
 
     def _surface_numbers(self, on: Iterable[str] | None) -> tuple[int, ...]:
-        """Return the numbers of surfaces, all if `on` is None. Raises KeyError for an unknown name."""
+        """Return the numbers of the surfaces in `on`; None means all. Raises KeyError for an unknown name."""
         names = self.names if on is None else tuple(on)
         for name in names:
             if name not in self.names:
@@ -269,7 +279,7 @@ class MeshGround:
         return result
 
     def _face_numbers(self, footing: Footing) -> tuple[Index, NDArray[np.bool_]]:
-        """Return the face number over all meshes, 0 where nowhere, and whether the footing is on a face."""
+        """Return the face number over all meshes, 0 for agents without a footing, and whether the footing is on a face."""
         known = (footing.face >= 0) & (footing.mesh >= 0)
         if known.all():
             face: Index = self._first.take(footing.mesh) + footing.face

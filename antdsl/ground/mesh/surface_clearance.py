@@ -1,4 +1,5 @@
-"""Lower bounds of the distance from agents on a surface to any other piece of surface: most agents need not search for one."""
+"""Lower bounds of the distance from agents on a surface to any other piece of surface. With them, most agents need no search for
+pieces."""
 
 from __future__ import annotations
 
@@ -25,8 +26,12 @@ _MAX_PIECES = 500  # above it a face is a part, and is taken to be in touch
 
 @dataclass(frozen=True, slots=True)
 class FaceParts:
-    """Faces cut into `count[f]` by `count[f]` parts along their first and second edge, numbered from `first[f]`. `count` is 0 for
-    faces that have no other piece within `reach` mm. `least` is the distance (mm) within which a part has no other piece."""
+    """Faces cut into parts, and the distance of each part from other pieces.
+
+    - `reach`: the largest distance (mm) that is distinguished
+    - `count`: face f has `count[f]` by `count[f]` parts along its first and second edge; 0 if no other piece is within `reach`
+    - `first`: the number of the first part of each face
+    - `least`: a distance (mm) from each part within which there is no other piece"""
 
     reach: float
     first: Index
@@ -35,10 +40,13 @@ class FaceParts:
 
 
 class PieceClearances:
-    """Lower bounds of the distance to the nearest other piece: a coarse grid of pieces selects the faces to measure.
+    """Lower bounds of the distance to the nearest other piece. A coarse grid of pieces selects the faces to measure.
 
-    `corners` float64[m,3,3] of faces; `piece` int32[m] of each (-1 for none). Faces `cut` by others of their piece count as a
-    separate piece that touches all others. `low` is the lowest corner, `noise` (mm) the measuring error."""
+    - `corners` float64[m,3,3]: the corners of faces
+    - `piece` int32[m]: the piece of each face, -1 for none
+    - `cut`: faces that others of their piece cut; they count as a separate piece that touches all others
+    - `low`: the lowest corner
+    - `noise`: the measuring error (mm)"""
 
     def __init__(self, corners: Floats, piece: NDArray[np.int32], cut: NDArray[np.bool_], low: Floats, noise: float) -> None:
         self.noise = noise
@@ -50,8 +58,8 @@ class PieceClearances:
         self._several = len(np.unique(piece[piece >= 0])) > 1
 
     def parts_within(self, reach: float) -> FaceParts:
-        """Return clearances that distinguish distances up to `reach` mm. They are cached, and measured again when the reach has
-        grown."""
+        """Return clearances that distinguish distances up to `reach` mm. They are cached, and measured again if the reach has
+        increased."""
         if self._parts is None or self._parts.reach < reach:
             # Wider than requested: otherwise a crowd that speeds up slowly would have it measured again and again.
             self._parts = self._build_parts(1.5 * reach if self._several else np.inf)
@@ -83,7 +91,7 @@ class PieceClearances:
         return {"first": first, "count": count, "least": least.ravel()}
 
     def _part_clearances(self, own: Index, others: Index, n: int, reach: float) -> Floats:
-        """Return the clearances of faces, each cut into n*n parts, from other faces, (k, n*n)."""
+        """Return the clearances (k, n*n) of faces `own`, each cut into n*n parts, from faces `others`."""
         a, b, c = (self._corners[own, k] for k in range(3))
         edge1, edge2 = (b - a) / n, (c - a) / n
         middle = np.arange(n) + 0.5
@@ -102,7 +110,7 @@ class PieceClearances:
         return clear
 
     def _faces_near_pieces(self, reach: float) -> NDArray[np.bool_]:
-        """Return the faces that may have another piece within `reach` mm: those in a cell with two pieces nearby."""
+        """Return the faces that may have another piece within `reach` mm: faces in a cell with two pieces nearby."""
         grid = self._piece_grid
         mixed = grid.mixed_cells(int(min(np.ceil(reach / grid.width), grid.size.max())))
         is_near = np.zeros(len(grid.scaled), bool)
@@ -130,8 +138,12 @@ class PieceClearances:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _PieceGrid:
-    """The `least` and the greatest piece in each cell of a grid, and the corners of faces, `scaled` to cells. The grid has `size`
-    cells of a given width (mm)."""
+    """A grid of the pieces near each cell.
+
+    - `width`: the width of a cell (mm)
+    - `scaled`: the corners of faces, in cells
+    - `size`: the number of cells along each axis
+    - `least`, `most`: the least and the greatest piece in each cell"""
 
     width: float
     scaled: Floats
@@ -140,7 +152,7 @@ class _PieceGrid:
     most: NDArray[np.int32]
 
     def flat(self, cell: Index) -> Index:
-        """The numbers of cells in one row."""
+        """Return the numbers of cells in the flattened grid."""
         flat: Index = (cell[..., 0] * self.size[1] + cell[..., 1]) * self.size[2] + cell[..., 2]
         return flat
 

@@ -1,4 +1,4 @@
-"""The surroundings of walkers beyond the next face of their surface: obstacles in their way, and continuations beyond a
+"""The surroundings of walkers beyond the next face of their surface: obstacles in their path, and continuations beyond a
 border."""
 
 from __future__ import annotations
@@ -57,8 +57,13 @@ MIN_NORMALS_COSINE = (
 
 @dataclass(frozen=True, slots=True)
 class GroundScale:
-    """Lengths in mm that depend on the size of a ground: NOISE, LEAST, FINE and TOUCH times its extent. The last one is how far
-    above the feet a surface with its back towards them still counts as below."""
+    """Lengths (mm) that depend on the size of a ground.
+
+    - `noise`: more than the error of distances to other pieces
+    - `least`: the minimal eye height
+    - `fine`: the distance within which surfaces coincide
+    - `touch`: the distance within which faces touch
+    - `under`: a surface with its back towards an agent counts as below the agent up to this height above its feet"""
 
     noise: float
     least: float
@@ -77,12 +82,12 @@ class GroundScale:
         )
 
     def lengths(self) -> LengthTolerances:
-        """Those that kernels read."""
+        """Return the lengths that kernels read."""
         return LengthTolerances(self.least, self.fine, self.under, self.touch)
 
 
 class SurfaceStance(NamedTuple):
-    """An agent's position, local up direction and direction of travel."""
+    """An agent's position, its local up direction and its direction of travel."""
 
     place: Vec3
     up: Vec3
@@ -90,7 +95,8 @@ class SurfaceStance(NamedTuple):
 
 
 class SurfaceSight(NamedTuple):
-    """A visible face (-1 for none), weights, distance at eye level, direction of view, and eye height."""
+    """A visible face (-1 for none), the weights of its visible point, the distance at eye level, the direction of view, and the
+    eye height."""
 
     face: I64
     weights: TriangleWeights
@@ -100,7 +106,7 @@ class SurfaceSight(NamedTuple):
 
 
 class BorderFrame(NamedTuple):
-    """The face and side that an agent leaves over a border, and the local up direction."""
+    """The face and the side that an agent leaves over a border, and the local up direction."""
 
     face: I64
     side: F64
@@ -111,8 +117,10 @@ class BorderFrame(NamedTuple):
 def find_piece_ahead(
     table: Array1[F64], around: NearbySurfaces, body: F64, walker: FaceWalker, left: F64, length: F64
 ) -> SurfaceLanding:
-    """Return another piece of surface within the path, seen from slightly above the ground. If the agent's own piece hides it, it
-    is searched from a minimal height, because feet would pass under the own piece."""
+    """Return another piece of surface within the path, seen from slightly above the ground.
+
+    If the agent's own piece hides it, it is searched from a minimal height. Feet would otherwise pass under the agent's own
+    piece."""
     pieces, boxes, face_list, f = around.sides.piece, around.boxes, around.face_list, walker.face
     least, fine = around.lengths.least, around.lengths.fine
     ground = stance_of(table, walker)
@@ -139,8 +147,9 @@ def find_piece_ahead(
 def _look_ahead(
     table: Array1[F64], around: NearbySurfaces, n: I64, ground: SurfaceStance, length: F64, high: F64
 ) -> SurfaceSight:
-    """Return another piece within the path, seen from height `high`, or from half the height of a low ceiling. If there is none,
-    search at the path's end between that eye and the ground."""
+    """Return another piece within the path, seen from height `high`, or from half the height of a low ceiling.
+
+    If there is none, search at the path's end between the eye height and the ground."""
     boxes, face_list, fine, under = around.boxes, around.face_list, around.lengths.fine, around.lengths.under
     place, up, direction = ground
     roof, part, _ = first_hit(table, boxes, face_list, n, place, times(up, high), fine)
@@ -161,7 +170,7 @@ def _look_ahead(
 def _is_hidden(
     table: Array1[F64], around: NearbySurfaces, f: I64, ground: SurfaceStance, length: F64, high: F64, towards: Vec3
 ) -> BOOL:
-    """Return whether the agent's own piece hides what is seen from eye height `high`."""
+    """Return whether the agent's own piece hides face `f`, seen from eye height `high`."""
     pieces, boxes, face_list, fine = around.sides.piece, around.boxes, around.face_list, around.lengths.fine
     place, up, direction = ground
     step, piece = times(direction, length), pieces[f]
@@ -181,12 +190,14 @@ def _is_hidden(
 
 @called
 def look_beyond_border(table: Array1[F64], around: NearbySurfaces, body: F64, edge: I64, walker: FaceWalker) -> SurfaceLanding:
-    """Find the landing beyond an open border where an agent stands: the first hit of a search path. The path goes up from the
-    face, out over the border and down beyond it. It then returns from below, first at a small and then at a larger depth. Returns
-    the face to step onto, the distance at its level, and the height of that level.
+    """Return the landing beyond an open border at which an agent stands: the first hit of a search path.
 
-    Each part of the path begins at the end of the one before, and stops at the first surface. So the agent never steps onto
-    anything behind a sheet. The path extends the width of the gap on both sides of the border."""
+    The path goes up from the face, out over the border and down beyond it. It then returns from below, first at a small and then
+    at a larger depth. The landing has the face to step onto, the distance at the level of that face, and the height of that
+    level.
+
+    Each part of the path begins at the end of the previous part, and stops at the first surface. So the agent never steps onto
+    anything behind a sheet. The path is as wide as the gap on both sides of the border."""
     sides, boxes, face_list, f = around.sides, around.boxes, around.face_list, walker.face
     pieces, least, fine = sides.piece, around.lengths.least, around.lengths.fine
     row = ROW_FLOATS * f
@@ -280,7 +291,7 @@ def turn_to_face(table: Array1[F64], walker: FaceWalker, to: I64, to_side: F64) 
 
 @inlined
 def stance_of(table: Array1[F64], walker: FaceWalker) -> SurfaceStance:
-    """Where a walker is."""
+    """Return the stance of a walker."""
     row, side = ROW_FLOATS * walker.face, walker.side
     place = position_on_face(table, row, walker.weights, side)
     return SurfaceStance(place, times(at(table, row + NORMAL_OFFSET), side), _in_space(table, row, walker.direction))
@@ -288,7 +299,7 @@ def stance_of(table: Array1[F64], walker: FaceWalker) -> SurfaceStance:
 
 @inlined
 def position_on_face(table: Array1[F64], row: I64, weights: TriangleWeights, side: F64) -> Vec3:
-    """Place on a face."""
+    """Return the position of a point on a face."""
     return plus(
         plus(at(table, row + CORNER_OFFSET), times(at(table, row + EDGE1_OFFSET), weights[0])),
         times(at(table, row + EDGE2_OFFSET), weights[1]),
@@ -302,14 +313,15 @@ def _in_space(table: Array1[F64], row: I64, direction: FaceDirection) -> Vec3:
 
 @inlined
 def _approached_side(table: Array1[F64], face: I64, towards: Vec3) -> F64:
-    """Return the side of a face to walk on: the side that a path came from."""
+    """Return the side of a face from which a path in direction `towards` comes. The agent walks on that side."""
     return -1.0 if dot(at(table, ROW_FLOATS * face + NORMAL_OFFSET), towards) > 0 else 1.0
 
 
 @called
 def _may_step(table: Array1[F64], sides: SideGroups, border: BorderFrame, face: I64, towards: Vec3) -> BOOL:
-    """Return whether an agent may step over a border to a face. It may not step to the other side of the surface it walks on, nor
-    to a face that turns back below it."""
+    """Return whether an agent may step over a border to a face.
+
+    It may not step to the other side of the surface it walks on, nor to a face that turns back below that surface."""
     pieces, side_groups = sides
     to_side = _approached_side(table, face, towards)
     own_side, other = 1 if border.side < 0 else 0, 1 if to_side < 0 else 0
@@ -328,7 +340,7 @@ def _step_landing(
     distance: F64,
     rise: F64,
 ) -> SurfaceLanding:
-    """What `beyond` gives, if one may step there."""
+    """Return the landing of `look_beyond_border` on a face; no landing if the agent may not step there."""
     if not _may_step(table, sides, border, face, towards):
         return SurfaceLanding(-1, (0.0, 0.0), 1.0, 0.0, 0.0, False)
     return SurfaceLanding(

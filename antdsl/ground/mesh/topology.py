@@ -1,5 +1,6 @@
-"""Topology of triangles: frames of faces, links across edges, connected pieces, and smooth normals. Input is vertices
-float64[n,3] and faces int32[m,3] of one or more meshes, already joined."""
+"""Topology of triangles: frames of faces, links across edges, connected pieces, and smooth normals.
+
+Input is vertices float64[n,3] and faces int32[m,3] of one or more meshes, already joined."""
 
 from __future__ import annotations
 
@@ -32,11 +33,14 @@ _FLOAT_COLUMNS = tuple(
 class MeshTopology:
     """Tables over all faces. Vectors are (3, m), so that each component is contiguous.
 
-    A point of face f is `corner + b1 * edge1 + b2 * edge2`. `axis1 axis2 normal` is the face's frame; a direction (c, s) in it
-    changes b1 by `c * rate1 - s * shear` and b2 by `s * rate2`. Half-edge 3f+k is opposite corner k; `edge_c edge_s` is its
-    direction in the frame, from corner k+1 to k+2. `link[side, 3f+k]` is the neighbour for an agent on the side of the normal (0)
-    or the other (1), or NO_LINK. Its value is 8 times the face, plus twice the corner opposite its half-edge, plus one if that
-    face has opposite winding."""
+    - A point of face f is `corner + b1 * edge1 + b2 * edge2`.
+    - `axis1`, `axis2`, `normal`: the frame of a face. A direction (c, s) in it changes b1 by `c * rate1 - s * shear` and b2 by `s
+      * rate2`.
+    - `edge_c`, `edge_s`: the direction of each half-edge in the frame. Half-edge 3f+k is opposite corner k, and goes from corner
+      k+1 to k+2.
+    - `link[side, 3f+k]`: the neighbour across half-edge 3f+k, or NO_LINK, for an agent on the side of the normal (0) or the other
+      side (1). A link is 8 times the neighbouring face, plus twice the corner opposite its half-edge, plus one if that face has
+      opposite winding."""
 
     live: NDArray[np.bool_]
     corner: Floats
@@ -60,7 +64,7 @@ class MeshTopology:
     weld: Ints  # (m, 3): numbers of corners, those of one place being one
 
     def to_space(self, face: Index, c: Floats, s: Floats) -> Floats:
-        """Vectors of the frames of faces as (3, k)."""
+        """Return vectors (3, k) in space, from their components in the frames of faces."""
         return self.axis1.take(face, axis=1) * c + self.axis2.take(face, axis=1) * s
 
     def weights(self, face: Index, place: Floats) -> tuple[Floats, Floats]:
@@ -75,13 +79,13 @@ class MeshTopology:
         return b1 / total, b2 / total
 
     def copy(self) -> MeshTopology:
-        """Return a copy; a change of its shape does not change this one."""
+        """Return a copy. Changing the shape of the copy does not change the original."""
         return replace(self, **{name: getattr(self, name).copy() for name in _FLOAT_COLUMNS})
 
 
 def build_topology(vertices: Floats, faces: Ints, mesh: Ints, extent: float) -> MeshTopology:
-    """Return tables for faces; `mesh` int32[m] is the mesh of each. Corners are joined within a mesh only. The tables are stored
-    for other runs."""
+    """Return the tables of faces. `mesh` int32[m] is the mesh of each face. Corners are joined within a mesh only. The tables are
+    stored for other runs."""
     inputs = (vertices, faces, mesh, extent)
     tables = stored_tables.get_or_compute("topology", len(faces), inputs, partial(_build_tables, *inputs))
     cut = SelfCuts(tables.pop("first_cut"), tables.pop("cut_by"))
@@ -90,7 +94,8 @@ def build_topology(vertices: Floats, faces: Ints, mesh: Ints, extent: float) -> 
 
 
 def _build_tables(vertices: Floats, faces: Ints, mesh: Ints, extent: float) -> stored_tables.Tables:
-    """Return the arrays of `build`, by the field names of `MeshTopology`; of its cuts `first_cut` and `cut_by`."""
+    """Return the arrays of `build_topology`, by the field names of `MeshTopology`. The arrays of its cuts are `first_cut` and
+    `cut_by`."""
     a, b, c = (vertices[faces[:, k]] for k in range(3))
     weld = corner_numbers(vertices, faces, mesh, extent)
     live = live_faces(weld, a, b, c)
@@ -111,7 +116,8 @@ def _build_tables(vertices: Floats, faces: Ints, mesh: Ints, extent: float) -> s
 
 
 def update_shape(table: MeshTopology, vertices: Floats, faces: Ints, rows: slice) -> None:
-    """Update the shape of the faces in `rows`, all those of one mesh, for moved vertices; changes the table's arrays.
+    """Update the shape of the faces in `rows`, all faces of one mesh, after vertices moved. This changes the table's arrays.
+
     Connectivity stays. A face that lost its area keeps its normal and has zero width."""
     live, weld = table.live[rows], table.weld[rows]
     old_frames = {name: getattr(table, name)[:, rows].copy() for name in ("normal", "axis1", "axis2")}
@@ -135,7 +141,7 @@ def update_shape(table: MeshTopology, vertices: Floats, faces: Ints, rows: slice
 
 
 def _shape_arrays(vertices: Floats, faces: Ints, weld: Ints, live: NDArray[np.bool_]) -> dict[str, Floats]:
-    """Return all parts of a table that depend on corner positions, by the names in _FLOATS."""
+    """Return all arrays of a table that depend on corner positions, by the names in _FLOATS."""
     a, b, c = (vertices[faces[:, k]] for k in range(3))
     edge1, edge2 = b - a, c - a
     across = np.cross(edge1, edge2)
@@ -159,7 +165,7 @@ def _length(v: Floats) -> Floats:
 
 
 def _edge_directions(length1: Floats, x2: Floats, y2: Floats) -> tuple[Floats, Floats]:
-    """Unit directions of the half-edges in their face's frame, as two arrays of 3m."""
+    """Return the unit directions of the half-edges in their face's frame, as two arrays of 3m."""
     c = np.stack([x2 - length1, -x2, length1], axis=1)
     s = np.stack([y2, -y2, np.zeros_like(y2)], axis=1)
     size = np.sqrt(c * c + s * s)
@@ -170,7 +176,7 @@ def _edge_directions(length1: Floats, x2: Floats, y2: Floats) -> tuple[Floats, F
 def _link_edges(vertices: Floats, faces: Ints, weld: Ints, live: NDArray[np.bool_]) -> Ints:
     """Return the neighbour of each half-edge for either side: the next face around the edge on that side.
 
-    Where more than two faces meet (a wall on a floor), this keeps an agent in the wedge it walks in."""
+    If more than two faces meet at an edge (a wall on a floor), an agent thus stays in the wedge that it walks in."""
     m = len(faces)
     link = np.full((2, 3 * m), NO_LINK, np.int32)
     half = np.flatnonzero(np.repeat(live, 3))
@@ -210,7 +216,8 @@ def _link_edges(vertices: Floats, faces: Ints, weld: Ints, live: NDArray[np.bool
 
 
 def _number_pieces(link: Ints, live: NDArray[np.bool_]) -> Ints:
-    """Return the connected pieces as a number per face, ascending from 0 by their first faces; -1 for faces that are not live."""
+    """Return the number of the connected piece of each face, ascending from 0 by the first faces of pieces; -1 for faces that are
+    not live."""
     half = np.flatnonzero(link[0] != NO_LINK)
     piece = component_numbers(np.stack([half // 3, link[0, half] >> 3], axis=1), len(live))
     result = np.full(len(live), -1, np.int32)
@@ -219,9 +226,11 @@ def _number_pieces(link: Ints, live: NDArray[np.bool_]) -> Ints:
 
 
 def _side_groups(link: Ints, live: NDArray[np.bool_], piece: Ints) -> Ints:
-    """Return which sides of faces can be reached from each other, as a number per side and face (2, m): sides connected across
-    edges. The two sides of a sheet are separate, those of a Möbius strip are not. A piece without an open border has an
-    unambiguous inside and outside, even where it cuts itself: its sides share one number."""
+    """Return a group number per side and face (2, m). Sides that are connected across edges, and so can be reached from each
+    other, share one number.
+
+    The two sides of a sheet are separate, those of a Möbius strip are not. A piece without an open border has an unambiguous
+    inside and outside, even where it cuts itself: its sides share one number."""
     m = len(live)
     if not (link[0].reshape(-1, 3)[live] == NO_LINK).any():
         return np.zeros((2, m), np.int32)
@@ -239,9 +248,10 @@ def _side_groups(link: Ints, live: NDArray[np.bool_], piece: Ints) -> Ints:
 
 
 def _smooth_normals(vertices: Floats, faces: Ints, weld: Ints, live: NDArray[np.bool_], normal: Floats) -> Floats:
-    """Return normals at the corners of faces, (9, m): the mean of the surrounding faces, weighted by their angle there. Faces
-    that meet this one in a crease are excluded (Thürmer, Wüthrich, Computing Vertex Normals from Polygonal Facets, 1998, p.
-    43-46)."""
+    """Return normals at the corners of faces, (9, m): the mean of the surrounding faces, weighted by their angle at the corner.
+
+    Faces that meet this face in a crease are excluded (Thürmer, Wüthrich, Computing Vertex Normals from Polygonal Facets, 1998,
+    p. 43-46)."""
     m = len(faces)
     corners = vertices[faces]
     weight = np.zeros((m, 3))
@@ -265,8 +275,8 @@ def _smooth_normals(vertices: Floats, faces: Ints, weld: Ints, live: NDArray[np.
 
 
 def _crease_normals(corner: NDArray[np.int64], point: Ints, weight: Floats, normal: Floats) -> Floats:
-    """Return normals of corners, which are sorted by their point, from the other corners there that meet theirs without a
-    crease."""
+    """Return the normals of corners, which are sorted by their point. Each is a mean over the corners at the same point with
+    faces that meet its own face without a crease."""
     count = np.bincount(point[corner])[point[corner]]
     begin = np.searchsorted(point[corner], point[corner], side="left")
     one = np.repeat(np.arange(corner.size), count)
@@ -280,7 +290,8 @@ def _crease_normals(corner: NDArray[np.int64], point: Ints, weight: Floats, norm
 
 
 def facing_sides(normals: Floats) -> NDArray[np.int8]:
-    """Return the axis direction nearest to each of normals [n,3]: 0 +x, 1 -x, 2 +y, 3 -y, 4 +z, 5 -z; the first of equals."""
+    """Return the axis direction nearest to each of the normals [n,3]: 0 +x, 1 -x, 2 +y, 3 -y, 4 +z, 5 -z; of equally near ones,
+    the first."""
     n = np.asarray(normals)
     axis = np.abs(n).argmax(axis=1)
     side: NDArray[np.int64] = 2 * axis + (n[np.arange(len(n)), axis] < 0)

@@ -1,7 +1,7 @@
 """Walking over triangles: straight lines that unfold across edges, climb obstacles and stop at open borders. Exact in float64:
-the point never leaves its triangle, and the way walked is as long as requested.
+the point never leaves its triangle, and the path is as long as requested.
 
-One loop goes over all agents. Those that may meet anything but the next face of their own surface wait for a second loop."""
+A first loop goes over all agents. Agents that may meet anything but the next face of their own surface wait for a second loop."""
 
 from __future__ import annotations
 
@@ -69,7 +69,7 @@ PREFETCH_GROUP_SIZE = 64  # agents with rows prefetched together: as many as a p
 
 @inlined
 def prefetch_faces(surface: SurfaceTables, mesh: Array1[I32], face: Array1[I32], begin: I64, end: I64) -> None:
-    """Prefetch the rows of the faces that agents from `begin` to before `end` stand on."""
+    """Prefetch the rows of the faces that agents `begin` to `end` (exclusive) stand on."""
     table, first = surface.table, surface.first
     for i in independent(begin, end):
         if mesh[i] >= 0:
@@ -94,8 +94,9 @@ def walk_agent(
     heading: Vec3,
     up: Vec3,
 ) -> AgentWalk:
-    """Walk an agent over face `f` and those beyond its edges, from weights and height `over` it, with its `size`, wish, heading
-    and up. Returns the result of `walk_stretches`, with or without following open borders (`along_open`)."""
+    """Walk an agent over face `f` and the faces beyond its edges. It starts at `weights`, at height `over` the face.
+
+    The result is that of `walk_stretches`. With `along_open`, the agent follows open borders."""
     axis1, axis2, normal = frame(surface.table, ROW_FLOATS * f)
     along_up = up[0] * normal[0] + up[1] * normal[1] + up[2] * normal[2]
     side = -1.0 if along_up < 0 else 1.0
@@ -118,8 +119,9 @@ def walk_agent(
 
 @inlined
 def compact_waiting(how: Array1[U8], reals: Array2[F64], wholes: Array2[I64], begin: I64, end: I64) -> tuple[I64, I64]:
-    """Return how many of the agents from `begin` to before `end` wait, and how many are left out. The columns of `reals` and
-    `wholes` of waiting agents are moved together, from `begin` on."""
+    """Return how many of the agents `begin` to `end` (exclusive) wait, and how many are left out.
+
+    The columns of `reals` and `wholes` of waiting agents are moved together, from column `begin` on."""
     waiting, left = 0, 0
     for k in range(begin, end):
         if how[k] == WAITING_STATUS:
@@ -148,11 +150,15 @@ def walk_all(
     begin: I64,
     end: I64,
 ) -> tuple[I64, I64, I64]:
-    """Make one step of agents `begin` to `end` (exclusive). `how` says whether each was moved (DONE) or WAITS. Waiting agents are
-    in `reals` and `wholes` (.., n) from `begin` on. Returns `begin`, how many wait, and how many are left out (0 here).
+    """Make one step of agents `begin` to `end` (exclusive).
 
-    `at`: where agents stand; then their body, wish, heading and up (3, n), and the result arrays. A wish that is not finite
-    counts as zero. An agent that is nowhere, or has weights that are not finite, is nowhere afterwards."""
+    - `at`: where agents stand; an agent that is nowhere, or has weights that are not finite, is nowhere afterwards
+    - `vectors`: wish, heading and up (3, n); a wish that is not finite counts as zero
+    - `how`: written for each agent: whether it has been moved (FINISHED_STATUS) or waits (WAITING_STATUS)
+    - `reals`, `wholes` (.., n): the waiting agents, from column `begin` on
+    - `placed`, `moved`: the results
+
+    Returns `begin`, how many agents wait, and how many are left out (0 in this function)."""
     mesh, face, b1s, b2s, overs = at
     first = surface.first
     wish, heading, up = vectors
@@ -196,7 +202,7 @@ def continue_walks(
     begin: I64,
     end: I64,
 ) -> None:
-    """Do the same for waiting agents, `begin` to `end` (exclusive). With `straight`, paths end at open borders."""
+    """Complete the step of waiting agents `begin` to `end` (exclusive). With `straight`, paths end at open borders."""
     table, first, boxes = surface.table, surface.first, known.boxes
     face_list = FaceList(known.buffer, buffer_index(begin, known.count, known.buffer_count) * boxes.order.size)
     around = NearbySurfaces(known.sides, boxes, known.lengths, face_list)
@@ -287,7 +293,7 @@ def continue_walks(
 
 @inlined
 def store_footing(placed: FootingArrays, i: I64, mesh: I64, face: I64, over: F64, walker: FaceWalker) -> None:
-    """Write the footing of agent `i` after a walk: on a face of a mesh, at height `over` it on its side."""
+    """Write the footing of agent `i` after a walk: on a face of a mesh, at height `over` the face on the agent's side."""
     placed.mesh[i], placed.face[i], placed.over[i] = mesh, face, over * walker.side + 0.0
     placed.b1[i], placed.b2[i] = walker.weights
 
@@ -311,7 +317,7 @@ def _search_margin(noise: F64, body: F64) -> F64:
 
 @called
 def store_waiting(reals: Array2[F64], wholes: Array2[I64], i: I64, body: F64, walk: AgentWalk) -> None:
-    """Record an agent that waits. If it followed borders, these are SPENT of its HOPS, and it is BLOCKED."""
+    """Record an agent that waits. If it has followed borders, their number and the fact that it is blocked are recorded too."""
     high, over, walker, progress, stop = walk
     wholes[AGENT_ROW, i], wholes[HOPS_ROW, i], wholes[BLOCKED_ROW, i], wholes[IS_NEAR_ROW, i] = (
         i,
@@ -334,8 +340,9 @@ def store_waiting(reals: Array2[F64], wholes: Array2[I64], i: I64, body: F64, wa
 
 @inlined
 def _climb_border(over: F64, level: F64, left: F64, distance: F64) -> tuple[F64, F64, F64]:
-    """Rise or sink over a border to a level (mm above the current face), limited by the distance left. Returns the new height,
-    and the distance left and travelled."""
+    """Move up or down over a border to a level (mm above the current face), limited by the distance left.
+
+    Returns the new height, and the distance left and travelled."""
     most = level - over
     climb = min(abs(most), left)
     to = level if climb >= abs(most) else over + (-climb if most < 0 else climb)

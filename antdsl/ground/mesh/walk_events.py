@@ -1,4 +1,5 @@
-"""A step of a crowd over triangles: a loop over all agents, and one over those that may meet another surface or a border."""
+"""A step of a crowd over triangles: a loop over all agents, then one over the agents that may meet another surface or a
+border."""
 
 from __future__ import annotations
 
@@ -25,7 +26,7 @@ _WAITING_PER_THREAD = 16  # agents that look for other surfaces, from which a th
 
 @dataclass(frozen=True, slots=True)
 class WaitingAgents:
-    """Agents after the first loop: floats and integers of those that wait, one column each, and how many were left out."""
+    """Agents that wait after the first loop: their floats and integers, one column each, and the number of agents left out."""
 
     reals: Floats
     wholes: NDArray[np.int64]
@@ -39,7 +40,7 @@ class WaitingAgents:
 
 
 class WalkTables:
-    """Input of the loops: the `table` of faces, the mesh int32[m] of each face, the first face of each mesh, and the `packed`
+    """Input of the loops: the `table` of faces, the mesh int32[m] of each face, the first face of each mesh, and the packed
     table."""
 
     def __init__(self, table: MeshTopology, mesh: NDArray[np.int32], first: NDArray[np.int64]) -> None:
@@ -50,14 +51,14 @@ class WalkTables:
         self._open, self._widest = np.empty(0, np.int64), -np.inf  # half-edges that are marked as open, for bodies so wide (mm)
 
     def changed(self, faces: slice) -> None:
-        """Update faces with a new shape. Open borders change with each new shape, so they are no longer searched."""
+        """Update faces with a new shape. Open borders change with each new shape, so the walk no longer uses them."""
         if self._still:
             self._still = False
             mark_open(self.packed, self._open, NO_LINK)
         pack_rows(self.packed, self.table, self._mesh, faces)
 
     def over(self, parts: FaceParts, boxes: FaceBoxes, scale: GroundScale) -> CrowdWalk:
-        """Return the walk with `parts`, which have the distances to other surfaces."""
+        """Return the walk with `parts`, the distances to other surfaces."""
         return CrowdWalk(self, parts, boxes, scale)
 
     def crowd_walk_for(
@@ -87,7 +88,7 @@ class CrowdWalk:
     scale: GroundScale
 
     def tables(self) -> tuple[walkers.SurfaceTables, walkers.ClearanceTables]:
-        """Return what kernels read: the faces, and the distances to other surfaces."""
+        """Return the tables that kernels read: the faces, and the distances to other surfaces."""
         walk, parts = self.walk, self.parts
         surface = walkers.SurfaceTables(walk.packed, walk.table.link, walk.table.forked, walk.first)
         return surface, walkers.ClearanceTables(parts.first, parts.count, parts.least, parts.reach, self.scale.noise)

@@ -12,7 +12,7 @@ FaceDirection = tuple[F64, F64]  # cosine and sine in the frame of a face
 
 
 class SurfaceTables(NamedTuple):
-    """Faces: their `packed` table, `link` and `forked` of the topology, and the first face of each mesh."""
+    """Tables of faces for a walk: the packed table, `link` and `forked` of the topology, and the first face of each mesh."""
 
     table: Array1[F64]
     link: Array2[I32]
@@ -21,8 +21,9 @@ class SurfaceTables(NamedTuple):
 
 
 class ClearanceTables(NamedTuple):
-    """Distances to other pieces, as in `Parts`. An agent stays away from pieces nearer than its path plus LIFT of its body plus
-    `noise`."""
+    """Distances to other pieces, as in `FaceParts`.
+
+    An agent searches for pieces within its path, plus EYE_HEIGHT_PER_BODY times its body, plus `noise`."""
 
     first: Array1[I64]
     counts: Array1[I32]
@@ -32,8 +33,7 @@ class ClearanceTables(NamedTuple):
 
 
 class SideGroups(NamedTuple):
-    """`piece` and `side_groups` of the topology: the piece of each face, and a connectivity number for both sides of each
-    face."""
+    """`piece` and `side_groups` of the topology: the piece of each face, and a group number for both sides of each face."""
 
     piece: Array1[I32]
     side_groups: Array2[I32]
@@ -56,7 +56,7 @@ class LengthTolerances(NamedTuple):
 
 
 class NearbySurfaces(NamedTuple):
-    """The data searched for other pieces, with a buffer for all faces."""
+    """The tables for a search of other pieces, with a buffer for all faces."""
 
     sides: SideGroups
     boxes: BoxTree
@@ -65,7 +65,8 @@ class NearbySurfaces(NamedTuple):
 
 
 class FaceWalker(NamedTuple):
-    """An agent on a side (1 or -1) of a face: the weights of its point, direction of travel and heading in the face's frame."""
+    """An agent on a side (1 or -1) of a face: the weights of its point, and its direction of travel and heading in the face's
+    frame."""
 
     face: I64
     weights: TriangleWeights
@@ -75,7 +76,7 @@ class FaceWalker(NamedTuple):
 
 
 class WalkProgress(NamedTuple):
-    """The distance an agent has left and has travelled (mm), and how many edges it has crossed."""
+    """The distances that an agent has left and has travelled (mm), and the number of edges it has crossed."""
 
     left: F64
     travelled: F64
@@ -83,7 +84,8 @@ class WalkProgress(NamedTuple):
 
 
 class WalkStop(NamedTuple):
-    """Why a walk pauses (0: it does not), the edge and length of the stretch, and how many borders the agent has followed."""
+    """The reason why a walk pauses (0: it does not), the edge and length of the stretch, and how many borders the agent has
+    followed."""
 
     event: I64
     edge: I64
@@ -92,8 +94,8 @@ class WalkStop(NamedTuple):
 
 
 class SurfaceLanding(NamedTuple):
-    """The face that an agent continues on (-1 for none): weights, side, the distance to it, its height, and whether the agent
-    stops there."""
+    """The face that an agent continues on (-1 for none): weights, side, the distance to the face, its height, and whether the
+    agent stops there."""
 
     face: I64
     weights: TriangleWeights
@@ -104,8 +106,10 @@ class SurfaceLanding(NamedTuple):
 
 
 class PieceTables(NamedTuple):
-    """The data searched for other pieces. `buffer` is a buffer of `buffer_count` parts, each for all faces; `count` is the number
-    of agents."""
+    """The tables for a search of other pieces.
+
+    - `buffer`: `buffer_count` parts, each with space for all faces
+    - `count`: the number of agents"""
 
     sides: SideGroups
     cuts: CutTables
@@ -117,7 +121,7 @@ class PieceTables(NamedTuple):
 
 
 class FootingArrays(NamedTuple):
-    """Where agents stand: mesh, face, two weights and the height over it (mm)."""
+    """Where agents stand: mesh, face, two weights, and the height over the face (mm)."""
 
     mesh: Array1[I32]
     face: Array1[I32]
@@ -127,7 +131,7 @@ class FootingArrays(NamedTuple):
 
 
 class PoseArrays(NamedTuple):
-    """Place, up, heading and direction (3, n), and how far agents have gone."""
+    """Position, up, heading and direction of agents (3, n), and the distance that they have travelled (mm)."""
 
     place: Array2[F64]
     up: Array2[F64]
@@ -137,8 +141,10 @@ class PoseArrays(NamedTuple):
 
 
 class AgentWalk(NamedTuple):
-    """An agent during a walk. `high` is the distance within which it looks for other surfaces, `over` that over its face, both on
-    its side (mm)."""
+    """An agent during a walk.
+
+    - `high`: the distance (mm), on the agent's side, within which it searches for other surfaces
+    - `over`: its height (mm) over its face, on its side"""
 
     high: F64
     over: F64

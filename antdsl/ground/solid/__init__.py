@@ -1,8 +1,11 @@
-"""Solids: volumes that agents can dig. A sparse signed distance field to sample, carve, mesh and walk on.
+"""Solids: volumes that agents can dig. A solid is a sparse signed distance field that can be sampled, carved, meshed and walked
+on.
 
-`voxelising` turns a closed mesh into `bricks` of nodes (inside by winding numbers, near distances by `triangles`). `volume` is
-the interface for other packages and gives the zero level as triangles. `trilinear` samples between nodes, `carving` digs balls
-out, and `walking` moves feet along the zero level."""
+- `voxelising`: turns a closed mesh into `bricks` of nodes (inside by winding numbers, near distances by `triangles`)
+- `volume`: the interface for other packages; it also returns the zero level as triangles
+- `trilinear`: samples between nodes
+- `carving`: digs balls out of the solid
+- `walking`: moves feet along the zero level"""
 
 from __future__ import annotations
 

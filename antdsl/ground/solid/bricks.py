@@ -1,5 +1,5 @@
-"""Storage of a solid: a table of bricks and a pool of their nodes. Slot 0 is air, slot 1 is undug solid; each other slot belongs
-to one brick."""
+"""Storage of a solid: a table of bricks and a pool of slots with their nodes. Slot 0 is air, slot 1 is undug solid; each other
+slot belongs to one brick."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ MASK64 = (1 << 64) - 1
 
 @dataclass(frozen=True, slots=True)
 class UnusableMesh:
-    """Why a mesh cannot be a solid: one line in an artist's words, and what to do instead."""
+    """The reason why a mesh cannot be a solid, in one line for artists, and what to do instead."""
 
     message: str
     help: str
@@ -31,11 +31,12 @@ class UnusableMesh:
 
 @dataclass(slots=True)
 class BrickGrid:
-    """Distances of a solid's nodes. Node (i, j, k) lies at `origin + (i, j, k) * voxel` and belongs to brick (i // 16, ...);
-    `table` gives the slot of a brick.
+    """Distances of a solid's nodes. Node (i, j, k) lies at `origin + (i, j, k) * voxel` and belongs to brick (i // 16, ...).
 
-    `values` float32[slots * 4096] holds the distances of each slot's nodes, the last axis fastest, limited to `least` .. `most`.
-    All nodes of the outermost layer are air. So a point outside the grid has the distance of the nearest point in it."""
+    - `table`: the slot of each brick
+    - `values` float32[slots * 4096]: the distances of each slot's nodes, the last axis fastest, limited to `least` .. `most`
+
+    All nodes of the outermost layer are air. So a point outside the grid has the distance of the nearest point in the grid."""
 
     origin: NDArray[np.float64]
     voxel: float
@@ -59,7 +60,7 @@ class BrickGrid:
 
     @property
     def step_volume(self) -> float:
-        """Volume of one step, mm³, rounded to 16 binary digits: any number of steps times this volume is exact."""
+        """Return the volume of one step, mm³, rounded to 16 binary digits: any number of steps times this volume is exact."""
         fraction, exponent = np.frexp(self.voxel**3 / FILL_STEPS_PER_VOXEL)
         return float(np.ldexp(np.round(np.ldexp(fraction, 16)), int(exponent) - 16))
 
@@ -69,7 +70,7 @@ class BrickGrid:
         return self.table.nbytes + self.values.nbytes + self.fresh.nbytes + touched_bytes
 
     def dense(self) -> NDArray[np.float32]:
-        """The distances of all nodes, float32[x, y, z]."""
+        """Return the distances of all nodes, float32[x, y, z]."""
         pool = self.values[: self.used * BRICK_NODES].reshape(-1, BRICK_SIDE_NODES, BRICK_SIDE_NODES, BRICK_SIDE_NODES)
         blocks = pool[self.table.reshape(self.shape)]
         return np.ascontiguousarray(blocks.transpose(0, 3, 1, 4, 2, 5).reshape(self.nodes))
@@ -86,7 +87,7 @@ class BrickGrid:
         self.started = hasher.digest()
 
     def open(self, bricks: Index) -> None:
-        """Prepare bricks for writing: each gets its own nodes. `bricks` are ascending, each once."""
+        """Prepare bricks for writing: each gets its own slot of nodes. `bricks` are ascending, without duplicates."""
         shared = bricks[self.table[bricks] < 2]
         for brick in bricks:
             if int(brick) not in self.touched:
@@ -111,7 +112,7 @@ class BrickGrid:
     # ---- keeping
 
     def digest(self) -> bytes:
-        """Return a digest that is equal for equal distances, whatever slots the bricks have. It costs almost nothing."""
+        """Return a digest that is equal for equal distances, in whichever slots the bricks are. It costs almost nothing."""
         counts = np.array([self.mark, self.steps], np.uint64)
         return sha256(self.started + counts.tobytes()).digest()
 
@@ -125,7 +126,7 @@ class BrickGrid:
         }
 
     def restore(self, arrays: Mapping[str, NDArray[Any]]) -> None:
-        """As `Volume.restore`."""
+        """Restore a stored state, as `Volume.restore`."""
         bricks, values, start = (np.asarray(arrays[name]) for name in ("bricks", "values", "start"))
         if start.tobytes() != self.started:
             raise ValueError("the solid is not made from the same mesh")
@@ -147,7 +148,8 @@ class BrickGrid:
         self.steps = int(arrays["steps"])
 
     def mark_fresh(self, bricks: Index) -> None:
-        """Mark changed bricks for meshing, with those before them, because their last cells reach into the changed ones."""
+        """Mark changed bricks for meshing. The bricks before them are marked too, because their last cells reach into the changed
+        bricks."""
         grid = self.fresh.reshape(self.shape)
         i, j, k = np.unravel_index(bricks, self.shape)
         for a in (0, 1):
@@ -160,7 +162,8 @@ def hash_nodes(node: Index, distance: Distances) -> NDArray[np.uint64]:
     """Return a pseudorandom number for each node and its distance (Steele, Lea, Flood, Fast Splittable Pseudorandom Number
     Generators, 2014, p. 459).
 
-    The sum of these numbers distinguishes states. When nodes change, the sum changes by the difference of their numbers."""
+    The sum of these numbers distinguishes states of a solid. When nodes change, the sum changes by the difference of their
+    numbers."""
     bits = np.ascontiguousarray(distance, np.float32).view(np.uint32).astype(np.uint64)
     x = (node.astype(np.uint64) << np.uint64(32)) ^ bits
     x *= np.uint64(0x9E3779B97F4A7C15)
@@ -171,7 +174,8 @@ def hash_nodes(node: Index, distance: Distances) -> NDArray[np.uint64]:
 
 
 def fill_steps(distance: NDArray[np.float32], voxel: float) -> NDArray[np.int32]:
-    """Return how full the voxels around nodes are, 0 .. 256: half at the surface, empty or full from half a voxel away."""
+    """Return how full the voxel around each node is, 0 .. 256. It is half full at the surface, and empty or full from half a
+    voxel away."""
     part = np.float32(0.5) - distance * np.float32(1.0 / voxel)
     steps: NDArray[np.int32] = np.round(np.clip(part, np.float32(0), np.float32(1)) * np.float32(FILL_STEPS_PER_VOXEL)).astype(
         np.int32

@@ -1,4 +1,4 @@
-"""Digging balls out of a solid: each node takes the maximum of its old distance and the distances that the balls give it. The
+"""Digging balls out of a solid. Each node takes the maximum of its old distance and the distances that the balls require. The
 order of the balls does not matter."""
 
 from __future__ import annotations
@@ -36,7 +36,11 @@ _FULL_VOXEL_STEPS = np.float32(FILL_STEPS_PER_VOXEL)
 
 @dataclass(frozen=True, slots=True)
 class ChangedNodes:
-    """Nodes that balls change, one row per ball and node: brick * 4096 + index in the brick, new distance, ball."""
+    """Nodes that balls change, one row per ball and node.
+
+    - `nodes`: brick * 4096 + index in the brick
+    - `values`: the new distances
+    - `balls`: the balls"""
 
     nodes: Index
     values: Distances
@@ -44,7 +48,7 @@ class ChangedNodes:
 
 
 def carve(bricks: BrickGrid, centres: Floats, radii: Floats, owners: Index) -> Floats:
-    """As `Volume.carve`."""
+    """Dig balls out of a solid, as `Volume.carve`."""
     centres, radii = np.asarray(centres, np.float64).reshape(-1, 3), np.asarray(radii, np.float64).reshape(-1)
     # The same whatever order the balls come in: at a tie the least owner, then the least place.
     order = np.lexsort((radii, centres[:, 2], centres[:, 1], centres[:, 0], np.asarray(owners, np.int64).reshape(-1)))
@@ -86,7 +90,7 @@ def _find_changed_nodes(bricks: BrickGrid, centres: Floats, radii: Floats) -> Ch
 
 
 def _carve_large(bricks: BrickGrid, centres: Floats, radii: Floats, ball: int) -> NodeChanges:
-    """Return the changes of one large ball, brick by brick, so that memory is needed for changed nodes only."""
+    """Return the changes of one large ball, brick by brick, so that only changed nodes need memory."""
     centre, radius = centres[ball], radii[ball]
     ends = []
     for axis in range(3):
@@ -116,7 +120,7 @@ def _carve_large(bricks: BrickGrid, centres: Floats, radii: Floats, ball: int) -
 
 
 def _carve_small(bricks: BrickGrid, centres: Floats, radii: Floats, rows: Index, steps: Index) -> NodeChanges:
-    """What small balls change."""
+    """Return the changes of small balls."""
     capacity = int(((2 * steps + 2) ** 3).sum())
     nodes, values, balls = np.empty(capacity, np.int64), np.empty(capacity, np.float32), np.empty(capacity, np.int64)
     tables = (bricks.table, bricks.values, bricks.origin, bricks.voxel, bricks.shape, bricks.least, bricks.most)
@@ -125,7 +129,7 @@ def _carve_small(bricks: BrickGrid, centres: Floats, radii: Floats, rows: Index,
 
 
 def _write_changes(bricks: BrickGrid, at: Index, reached: ChangedNodes, count: int) -> Index:
-    """Store the maximum of the new distances in each node. Return the volume steps that each ball removed."""
+    """Store the maximum of the new distances in each node. Return the number of volume steps that each ball removed."""
     old_values = bricks.values.take(at)
     lost = np.zeros(count, np.int64)
     best = np.full(1 << (2 * at.size - 1).bit_length(), -1, np.int32)
@@ -138,7 +142,8 @@ def _write_changes(bricks: BrickGrid, at: Index, reached: ChangedNodes, count: i
 
 @kernel
 def find_changes(bricks: BrickTables, all_balls: BallArrays, rows: Array1[I64], steps: Array1[I64], changes: ChangeArrays) -> I64:
-    """Fill `changes` with the changes of the balls `rows`, each within `steps` voxels. Return their number."""
+    """Write the changes of the balls in `rows` to `changes`, and return their number. The reach of each ball, in voxels, is in
+    `steps`."""
     table, values, origin, voxel, shape, least, most = bricks
     centres, radii = all_balls
     nodes, news, balls = changes
@@ -190,11 +195,11 @@ def write_changes(
     best: Array1[I32],
     lost: Array1[I64],
 ) -> U64:
-    """Store the greatest new value at each index `at`, count in `lost` what each ball removed, and return the change of the
-    bricks' mark.
+    """Store the greatest new value at each index `at`. Add to `lost` the volume steps that each ball removed. Return the change
+    of the bricks' mark.
 
-    `bits` are the bits of the new distances and of those `old_values`. `best` is a hash table of row numbers; its size is a power
-    of two, and all entries start at -1."""
+    - `bits`: the bits of the new distances and of the `old_values`
+    - `best`: a hash table of row numbers; its size is a power of two, and all entries are -1 at the start"""
     nodes, news, balls = changes
     news_bits, old_bits = bits
     capacity = best.size
@@ -217,7 +222,7 @@ def write_changes(
 
 @inlined
 def _fill_step(distance: F32, scale: F32) -> I64:
-    """As `bricks.fill_steps`, of one node."""
+    """Return the result of `bricks.fill_steps` for one node."""
     part = np.float32(0.5) - distance * scale
     part = min(max(part, np.float32(0)), np.float32(1))
     return np.int64(np.rint(part * _FULL_VOXEL_STEPS))
@@ -225,7 +230,7 @@ def _fill_step(distance: F32, scale: F32) -> I64:
 
 @inlined
 def _hash_node(node: I64, bits: I64) -> U64:
-    """As `bricks.mixed`, of one node."""
+    """Return the result of `bricks.hash_nodes` for one node."""
     x = (np.uint64(node) << np.uint64(32)) ^ np.uint64(bits)
     x *= _HASH_MULTIPLIER1
     x = (x ^ (x >> np.uint64(30))) * _HASH_MULTIPLIER2

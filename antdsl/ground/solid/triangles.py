@@ -1,5 +1,5 @@
-"""Distances of nodes from the nearest triangle, in a narrow band: exact next to triangles, propagated from node to node
-beyond."""
+"""Distances of nodes from the nearest triangle, in a narrow band. They are exact next to triangles, and propagated from node to
+node beyond."""
 
 from __future__ import annotations
 
@@ -26,9 +26,9 @@ _NEIGHBOUR_STEPS = ((1, 0, 0), (-1, 0, 0), (0, 1, 0), (0, -1, 0), (0, 0, 1), (0,
 def distances(shape: tuple[int, int, int], near: Index, corners: Floats, band: float) -> Distances:
     """Return the distances (voxels) of the nodes of bricks `near`, float32[len(near) * 4096]; `FAR` for nodes beyond `band`.
 
-    `corners` float64[n,3,3] are the triangles in voxels. Nodes next to a triangle are measured to it. From there outwards, layer
-    by layer, nodes are measured to their neighbours' nearest triangles (Bridson, Fluid Simulation for Computer Graphics, 2015,
-    section 4.2)."""
+    `corners` float64[n,3,3] are the triangles in voxels. The distance of a node next to a triangle is measured to that triangle.
+    From these nodes outwards, layer by layer, nodes are measured to their neighbours' nearest triangles (Bridson, Fluid
+    Simulation for Computer Graphics, 2015, section 4.2)."""
     field = _DistanceField(shape, near, corners)
     for nodes, triangle in nodes_beside(corners):
         field.measure(nodes, triangle, False)
@@ -49,9 +49,10 @@ def _shift_columns(columns: list[Index], step: tuple[int, ...]) -> list[Index]:
 
 
 def nodes_beside(corners: Floats) -> Iterator[tuple[list[Index], Index]]:
-    """Yield the nodes near the plane of each triangle, and about equally near to its outline: their columns and the triangle.
+    """Yield the nodes near each triangle, as the columns of their coordinates, and the triangle of each node.
 
-    Along the axis nearest to its normal, a triangle covers few lines of nodes, and few nodes of each line are near."""
+    The nodes are near the plane of the triangle, and within about the same distance of its outline. Along the axis nearest to its
+    normal, a triangle covers few lines of nodes, and few nodes of each line are near."""
     edges = corners[:, [1, 2]] - corners[:, :1]
     normal = np.cross(edges[:, 0], edges[:, 1])
     axes = np.where(normal.any(axis=1), np.abs(normal).argmax(axis=1), -1)  # no area: the sides are those of others
@@ -83,7 +84,7 @@ def nodes_beside(corners: Floats) -> Iterator[tuple[list[Index], Index]]:
 
 
 def _select_over(flat: Floats, t: Index, u: Index, v: Index) -> Index:
-    """Return the points that are over their triangle (k, 3, 2) or near the lines through its sides."""
+    """Return the indices of the points that are over their triangle (k, 3, 2), or near its outline."""
     inside = np.ones(t.size, bool)
     turn = np.sign(
         (flat[:, 1, 0] - flat[:, 0, 0]) * (flat[:, 2, 1] - flat[:, 0, 1])
@@ -97,7 +98,7 @@ def _select_over(flat: Floats, t: Index, u: Index, v: Index) -> Index:
 
 
 class _DistanceField:
-    """The nodes of some bricks: their distances, and the triangle nearest to each."""
+    """The nodes of some bricks: their distances, and the nearest triangle of each node."""
 
     def __init__(self, shape: tuple[int, int, int], near: Index, corners: Floats) -> None:
         self._shape = shape
@@ -110,20 +111,20 @@ class _DistanceField:
         self.nearest = np.full(near.size * BRICK_NODES, -1, np.int32)
 
     def take_nearer(self) -> Index:
-        """Return the places that became nearer since the last call."""
+        """Return the array positions of nodes that have become nearer since the last call."""
         changed_nodes = np.flatnonzero(self._nearer)
         self._nearer[changed_nodes] = False
         return changed_nodes
 
     def columns(self, at: Index) -> list[Index]:
-        """Which nodes places in the arrays stand for."""
+        """Return the node coordinates for array positions, as columns."""
         local = at & (BRICK_NODES - 1)
         brick = np.unravel_index(self._near[at >> 12], self._shape)
         within = (local >> 8, (local >> 4) & 15, local & 15)
         return [(b << 4) + w for b, w in zip(brick, within, strict=True)]
 
     def measure(self, nodes: list[Index], triangle: NDArray[np.integer], new: bool) -> None:
-        """Measure each node to its triangle; with `new`, only the nodes without a distance."""
+        """Measure each node's distance to its triangle. With `new`, measure only the nodes without a distance."""
         parts = [
             self._nearer_distances([n[a : a + _PAIRS_PER_CHUNK] for n in nodes], triangle[a : a + _PAIRS_PER_CHUNK], new)
             for a in range(0, len(triangle), _PAIRS_PER_CHUNK)
@@ -159,7 +160,7 @@ class _DistanceField:
 
 
 def _triangle_measures(corners: Floats) -> Floats:
-    """Return the triangle data for distance measurements, (27, n): corners, edges, edge normals in the plane, and inverse
+    """Return the data of triangles for distance measurements, (27, n): corners, edges, edge normals in the plane, and inverse
     squares."""
     a, b, c = (np.ascontiguousarray(corners[:, k].T) for k in range(3))
     edges = (b - a, c - b, a - c)
@@ -175,7 +176,7 @@ def _triangle_measures(corners: Floats) -> Floats:
 
 
 def _distance_to_triangle(measures: Floats, triangle: NDArray[np.integer], nodes: list[Index]) -> Distances:
-    """Return the distance of each node to its triangle: to the plane where the node projects inside the triangle, else to the
+    """Return the distance of each node to its triangle: to the plane if the node projects inside the triangle, else to the
     nearest edge."""
     m = measures.take(triangle, axis=1)
     nx, ny, nz = m[0], m[1], m[2]
@@ -201,7 +202,9 @@ def _distance_to_triangle(measures: Floats, triangle: NDArray[np.integer], nodes
 
 
 def boxes(low: Index, count: Index, piece: int) -> Iterator[tuple[Index, Index, Index]]:
-    """Yield all lattice points of rectangles, about `piece` at once: the rectangle's number and the two coordinates of the point.
+    """Yield all lattice points of rectangles, about `piece` at once: the rectangle's number and the two coordinates of each
+    point.
+
     Rectangles start at `low` (n, 2) and have `count` (n, 2) points along each axis."""
     count = np.maximum(count, 0)
     rows = np.repeat(np.arange(len(low)), count[:, 0])
@@ -217,5 +220,5 @@ def boxes(low: Index, count: Index, piece: int) -> Iterator[tuple[Index, Index, 
 
 
 def count_from_zero(counts: Index) -> Index:
-    """0, 1 .. for each count, one after another."""
+    """Return the numbers 0, 1 .. below each count, one sequence after another."""
     return np.arange(int(counts.sum())) - np.repeat(np.cumsum(counts) - counts, counts)

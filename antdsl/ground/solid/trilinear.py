@@ -1,6 +1,6 @@
-"""The field between the nodes, in float64: trilinear in each cell, continuous everywhere, with its exact gradient.
+"""The distance field between the nodes, in float64: trilinear in each cell, continuous everywhere, with its exact gradient.
 
-Newton steps of limited length along the gradient move points onto the zero level; where the field is flat they follow the
+Newton steps of limited length along the gradient move points onto the zero level. Where the field is flat, they follow a given
 hint."""
 
 from __future__ import annotations
@@ -28,27 +28,27 @@ SMOOTH_NORMAL_REACH = 0.5  # voxels: how far around a place the smooth normal lo
 
 
 def grid_of(bricks: BrickGrid) -> tuple[Any, ...]:
-    """Bricks as kernels read them, a `Grid`."""
+    """Return bricks in the form that kernels read."""
     return bricks.table, bricks.values, *bricks.origin, bricks.voxel, *bricks.shape
 
 
 def distance(bricks: BrickGrid, x: Floats, y: Floats, z: Floats) -> Floats:
-    """Signed distance at places (mm)."""
+    """Return the signed distance at positions (mm)."""
     signed_distances = np.empty(len(x))
     write_distances(grid_of(bricks), _contiguous_columns(x, y, z), signed_distances)
     return signed_distances
 
 
 def distance_and_gradient(bricks: BrickGrid, x: Floats, y: Floats, z: Floats) -> tuple[Floats, Floats, Floats, Floats]:
-    """Signed distance at places (mm), and its gradient."""
+    """Return the signed distance at positions (mm), and its gradient."""
     d, gx, gy, gz = np.empty((4, len(x)))
     write_distance_and_gradient(grid_of(bricks), _contiguous_columns(x, y, z), d, (gx, gy, gz))
     return d, gx, gy, gz
 
 
 def smooth_gradient(bricks: BrickGrid, x: Floats, y: Floats, z: Floats, lean: float = SMOOTH_NORMAL_REACH) -> list[Floats]:
-    """Return a gradient that varies smoothly, unlike the field's own: differences along each axis over `lean` voxels in both
-    directions."""
+    """Return a gradient that varies smoothly, unlike the exact one. It is the difference along each axis over `lean` voxels in
+    both directions."""
     a = lean * bricks.voxel
     scale = 0.5 / a
     return [
@@ -59,13 +59,13 @@ def smooth_gradient(bricks: BrickGrid, x: Floats, y: Floats, z: Floats, lean: fl
 
 
 def _contiguous_columns(*columns: Floats) -> list[Floats]:
-    """Return columns as kernels need them: contiguous in memory, all of one type."""
+    """Return columns in the form that kernels need: contiguous in memory, all of one type."""
     return [np.ascontiguousarray(c, np.float64) for c in columns]
 
 
 @kernel
 def write_distances(bricks: BrickTables, positions: PointColumns64, signed_distances: Array1[F64]) -> None:
-    """Fill `signed_distances` with the signed distances at points."""
+    """Write the signed distances at points to `signed_distances`."""
     x, y, z = positions
     for n in range(signed_distances.size):
         signed_distances[n] = distance_at(bricks[0], bricks[1], bricks[2:], (x[n], y[n], z[n]))
@@ -73,7 +73,7 @@ def write_distances(bricks: BrickTables, positions: PointColumns64, signed_dista
 
 @kernel
 def write_distance_and_gradient(bricks: BrickTables, positions: PointColumns64, d: Array1[F64], gradient: PointColumns64) -> None:
-    """Fill `d` with the signed distances at points, and `gradient` with the gradient there."""
+    """Write the signed distances at points to `d`, and the gradients to `gradient`."""
     x, y, z = positions
     gx, gy, gz = gradient
     for n in range(d.size):
@@ -84,7 +84,7 @@ def write_distance_and_gradient(bricks: BrickTables, positions: PointColumns64, 
 def smooth_gradient_at(
     table: Array1[I32], values: Array1[F32], grid: tuple[F64, F64, F64, F64, I64, I64, I64], lean: F64, p: Vec3
 ) -> Vec3:
-    """As `smooth`, at one place."""
+    """Return the gradient of `smooth_gradient` at one position."""
     a = lean * grid[3]
     scale = 0.5 / a
     x, y, z = p
@@ -112,7 +112,7 @@ def corners_at(
     """Return the values at the corners of the cell that contains a point, four and four, and the point's position in the cell, 0
     .. 1.
 
-    A point outside the grid, or with NaN, counts as on the rim."""
+    A point outside the grid, or with NaN, counts as on the border of the grid."""
     over = 1.0 / grid[3]
     i, fx = _clamp_to_node(p[0], grid[0], over, grid[4] * 16)
     j, fy = _clamp_to_node(p[1], grid[1], over, grid[5] * 16)
@@ -142,7 +142,7 @@ def _node_value(table: Array1[I32], values: Array1[F32], brick: I64, place: I64)
 
 @inlined
 def distance_at(table: Array1[I32], values: Array1[F32], grid: tuple[F64, F64, F64, F64, I64, I64, I64], p: Vec3) -> F64:
-    """The signed distance at a place (mm)."""
+    """Return the signed distance at a position (mm)."""
     a, b, f = corners_at(table, values, grid, p)
     v00, v01 = a[0] + (a[1] - a[0]) * f[2], a[2] + (a[3] - a[2]) * f[2]
     v10, v11 = b[0] + (b[1] - b[0]) * f[2], b[2] + (b[3] - b[2]) * f[2]
@@ -154,7 +154,7 @@ def distance_at(table: Array1[I32], values: Array1[F32], grid: tuple[F64, F64, F
 def distance_and_gradient_at(
     table: Array1[I32], values: Array1[F32], grid: tuple[F64, F64, F64, F64, I64, I64, I64], p: Vec3
 ) -> tuple[F64, Vec3]:
-    """The signed distance at a place (mm), and its gradient."""
+    """Return the signed distance at a position (mm), and its gradient."""
     a, b, f = corners_at(table, values, grid, p)
     d00, d01, d10, d11 = a[1] - a[0], a[3] - a[2], b[1] - b[0], b[3] - b[2]
     v00, v01, v10, v11 = a[0] + d00 * f[2], a[2] + d01 * f[2], b[0] + d10 * f[2], b[2] + d11 * f[2]
@@ -168,7 +168,7 @@ def distance_and_gradient_at(
 
 @dataclass(frozen=True, slots=True)
 class SurfacePoints:
-    """Places on the surface float64[n,3], unit normals out of the solid float64[n,3], and whether one was found in reach."""
+    """Points on the surface float64[n,3], unit normals out of the solid float64[n,3], and whether a point is within reach."""
 
     points: Floats
     normals: Floats
@@ -176,7 +176,7 @@ class SurfacePoints:
 
 
 def project(bricks: BrickGrid, points: Floats, hints: Floats, reach: float | None = None) -> SurfacePoints:
-    """Project points as `Volume.project` does; without a result, the point and its hint stay."""
+    """Project points onto the surface, as `Volume.project`. If there is no result, the point and its hint are returned."""
     start = np.array(points, np.float64, order="C").reshape(-1, 3)
     hint = np.array(np.broadcast_to(np.asarray(hints, np.float64), start.shape), order="C")
     landed, turned, is_in_reach = np.empty_like(start), np.empty_like(start), np.empty(len(start), np.bool_)
@@ -208,11 +208,11 @@ def project_points(
 def project_point(
     table: Array1[I32], values: Array1[F32], grid: tuple[F64, F64, F64, F64, I64, I64, I64], p: Vec3, hint: Vec3, close: F64
 ) -> tuple[BOOL, Vec3, Vec3]:
-    """Return whether the surface was found, a point within `close` (mm) of it, and the normal there. Without a result, return `p`
-    and `hint`.
+    """Return whether the surface was found, a point within `close` (mm) of it, and the normal at that point.
 
-    Each step is as long as the distance, but at most one voxel where the gradient gives the direction. Where the field is flat
-    (in the middle of a cave, deep in the solid), steps follow the hint: down in air, up in the solid."""
+    Without a result, the point and normal are `p` and `hint`. Each step is as long as the distance, but at most one voxel, along
+    the gradient. Where the field is flat (in the middle of a cave, deep in the solid), steps follow the hint: down in air, up in
+    the solid."""
     voxel = grid[3]
     q = p
     if not np.isfinite(p[0] + p[1] + p[2]):

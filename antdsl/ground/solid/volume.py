@@ -1,5 +1,7 @@
-"""A solid as a sparse signed distance: bricks of 16³ nodes near the surface, one flag elsewhere. Negative inside; the zero of
-the trilinear field is the surface. Places are float64 in mm, distances float32 in mm."""
+"""A solid as a sparse signed distance field: bricks of 16³ nodes near the surface, one flag per brick elsewhere.
+
+Distances are negative inside; the zero level of the trilinear field is the surface. Positions are float64 in mm, distances
+float32 in mm."""
 
 from __future__ import annotations
 
@@ -26,7 +28,7 @@ __all__ = ["UnusableMesh", "Volume"]
 
 @dataclass(slots=True)
 class Volume:
-    """Soft ground that can be dug. Made by `from_mesh`; only `carve` and `restore` change it."""
+    """Soft ground that can be dug. It is created by `from_mesh`; only `carve` and `restore` change it."""
 
     bricks: BrickGrid
 
@@ -36,29 +38,29 @@ class Volume:
     ) -> Volume | UnusableMesh:
         """Return the solid inside a closed mesh, vertices float64[n,3] mm and faces int[m,3], sampled every `voxel` mm.
 
-        Inside means that the winding number is not 0 (odd parity, when the faces have inconsistent winding). `cap` is the maximum
-        number of voxels in the mesh's bounding box. A mesh that cannot be a solid (open, too many voxels) is returned as
+        A point is inside if its winding number is not 0, or is odd if the faces have inconsistent winding. `cap` is the maximum
+        number of voxels in the mesh's bounding box. For a mesh that cannot be a solid (open, too many voxels), the result is
         `UnusableMesh`."""
         bricks = voxelising.voxelise(np.asarray(vertices, np.float64), np.asarray(faces, np.int64), float(voxel), cap)
         return bricks if isinstance(bricks, UnusableMesh) else Volume(bricks)
 
     @property
     def voxel(self) -> float:
-        """Distance between neighbouring nodes, mm."""
+        """Return the distance between neighbouring nodes, mm."""
         return self.bricks.voxel
 
     @property
     def band(self) -> tuple[float, float]:
-        """Least and greatest distance of the field, mm: deeper inside and farther outside it is flat."""
+        """Return the least and the greatest distance of the field, mm. Farther inside and outside, the field is flat."""
         return self.bricks.least, self.bricks.most
 
     def dense_distances(self) -> NDArray[np.float32]:
-        """The distances at all nodes of the grid, float32[x, y, z] mm; the node (0, 0, 0) is at `low`."""
+        """Return the distances at all nodes of the grid, float32[x, y, z] mm. Node (0, 0, 0) is at `low`."""
         return self.bricks.dense()
 
     @property
     def low(self) -> Floats:
-        """Lowest corner of the grid, float64[3] mm. The complete solid lies between `low` and `high`."""
+        """Return the lowest corner of the grid, float64[3] mm. The complete solid lies between `low` and `high`."""
         return self.bricks.origin.copy()
 
     @property
@@ -68,21 +70,23 @@ class Volume:
     # ---- asking
 
     def sample(self, points: Floats) -> Distances:
-        """Return the trilinear signed distance float32[n] at points [n,3]. Far from the surface it is limited to the ends of the
+        """Return the trilinear signed distance float32[n] (mm) at points [n,3]. Far from the surface, it is the end of the
         band."""
         return trilinear.distance(self.bricks, *_columns(points)).astype(np.float32)
 
     def gradient(self, points: Floats) -> Distances:
-        """Gradient float32[n,3] of the trilinear field at points [n,3]: about 1 long near the surface, 0 where it is flat."""
+        """Return the gradient float32[n,3] of the trilinear field at points [n,3]. Its length is about 1 near the surface, 0
+        where the field is flat."""
         return self.sample_and_gradient(points)[1]
 
     def sample_and_gradient(self, points: Floats) -> tuple[Distances, Distances]:
-        """Return distance and gradient together, for little more than the cost of one."""
+        """Return the results of `sample` and `gradient`, for little more than the cost of one."""
         distance, *gradient = trilinear.distance_and_gradient(self.bricks, *_columns(points))
         return distance.astype(np.float32), np.stack(gradient).astype(np.float32).T
 
     def upright_normals(self, points: Floats, otherwise: Floats) -> Floats:
-        """Return unit normals float64[n,3] out of the solid that vary smoothly along the surface. Bodies stand by these normals.
+        """Return unit normals float64[n,3] out of the solid that vary smoothly along the surface. Bodies are oriented by these
+        normals.
 
         Where the field is flat, the result is `otherwise` ([3] or [n,3])."""
         slope = trilinear.smooth_gradient(self.bricks, *_columns(points))
@@ -94,19 +98,20 @@ class Volume:
     def project(self, points: Floats, hints: Floats, reach: float | None = None) -> trilinear.SurfacePoints:
         """Return points on the surface near points [n,3], with normals out of the solid.
 
-        `hints` [n,3] are unit vectors out of the intended surface (an agent's up): a wall that faces the other way is rejected. A
-        surface point beyond `reach` (mm, two voxels when None) is also rejected: see `found`."""
+        `hints` [n,3] are unit vectors out of the intended surface, such as an agent's up: a wall that faces the opposite
+        direction is rejected. A surface point beyond `reach` (mm, two voxels if None) is also rejected. `is_in_reach` of the
+        result is false for rejected points."""
         return trilinear.project(self.bricks, points, hints, reach)
 
     # ---- digging
 
     def carve(self, centres: Floats, radii: Floats, owners: NDArray[np.int64]) -> Floats:
-        """Dig balls, with centres [k,3] and radii [k] in mm, by owners int64[k]. Return the volume that each removed, float64[k]
-        mm³.
+        """Dig balls, with centres [k,3] and radii [k] in mm, by owners int64[k]. Return the volume that each ball removed,
+        float64[k] mm³.
 
         Each node becomes max(distance, radius - distance to the centre), so the order does not matter. The loss of a voxel counts
-        for the ball that reaches deepest there; at a tie, for the lowest owner. The sum of the result is `volume()` before minus
-        `volume()` after, to the last bit."""
+        for the ball that reaches deepest at that voxel; at a tie, for the lowest owner. The sum of the result is `volume()`
+        before minus `volume()` after, to the last bit."""
         return carving.carve(self.bricks, centres, radii, owners)
 
     def volume(self) -> float:
@@ -115,7 +120,7 @@ class Volume:
 
     @property
     def removed(self) -> float:
-        """Volume dug so far, mm³."""
+        """Return the volume dug so far, mm³."""
         return (self.bricks.steps_at_start - self.bricks.steps) * self.bricks.step_volume
 
     # ---- showing
@@ -124,15 +129,15 @@ class Volume:
         """Yield the triangles of the zero level by brick: (key, vertices float64[n,3] mm, faces int32[m,3] seen from the air).
 
         With `changed_only`, only bricks that changed since the last call are yielded (all bricks at the first call). A brick
-        without faces has lost its earlier ones. Vertices on a side that two bricks share have the same coordinates, so the pieces
-        fit."""
+        without faces has lost its earlier faces. Vertices on a side that two bricks share have the same coordinates, so the
+        meshes of bricks fit."""
         return surface(self.bricks, changed_only)
 
     # ---- keeping
 
     def state(self) -> Arrays:
         """Return the changes by digging, as arrays by name: the bricks that differ from those of `from_mesh`, and the number of
-        steps."""
+        volume steps."""
         return self.bricks.state()
 
     def restore(self, arrays: Mapping[str, NDArray[Any]]) -> None:
@@ -140,12 +145,12 @@ class Volume:
         self.bricks.restore(arrays)
 
     def digest(self) -> bytes:
-        """32 bytes that are equal for equal solids; only bricks changed since the last call are read."""
+        """Return 32 bytes that are equal for equal solids. Only bricks changed since the last call are read."""
         return self.bricks.digest()
 
     @property
     def nbytes(self) -> int:
-        """Memory of the arrays, bytes."""
+        """Return the memory of the arrays in bytes."""
         return self.bricks.nbytes
 
 
@@ -155,7 +160,7 @@ def _columns(points: Floats) -> tuple[Floats, Floats, Floats]:
 
 
 def surface(bricks: BrickGrid, changed_only: bool) -> Iterator[BrickMesh]:
-    """As `Volume.surface`."""
+    """Yield the triangles of the zero level, as `Volume.surface`."""
     chosen_bricks = np.flatnonzero(bricks.fresh) if changed_only else np.arange(bricks.table.size)
     if not changed_only:
         chosen_bricks = np.flatnonzero(_bricks_to_mesh(bricks))
@@ -179,7 +184,7 @@ def _bricks_to_mesh(bricks: BrickGrid) -> NDArray[np.bool_]:
 
 
 def corner_values(bricks: BrickGrid, brick: int) -> NDArray[np.float32]:
-    """Values (17, 17, 17) at the corners of a brick's cells; fewer at the grid's end."""
+    """Return the values (17, 17, 17) at the corners of a brick's cells; fewer at the end of the grid."""
     at = np.unravel_index(brick, bricks.shape)
     pool = bricks.values.reshape(-1, BRICK_NODES)
     sizes = [BRICK_SIDE_NODES + (1 if at[axis] + 1 < bricks.shape[axis] else 0) for axis in range(3)]

@@ -1,5 +1,7 @@
-"""From a closed mesh to bricks: which nodes are inside by the winding number along lines through the nodes (each triangle
-crossed adds or takes one), how far by the nearest triangle."""
+"""Conversion of a closed mesh to bricks.
+
+The winding number along lines through the nodes decides which nodes are inside: each crossed triangle adds or subtracts one. The
+nearest triangle gives the distance."""
 
 from __future__ import annotations
 
@@ -28,7 +30,7 @@ _BYTES_PER_NEAR_NODE = 24  # bytes of memory for each node near the surface whil
 
 
 def voxelise(vertices: Floats, faces: Index, voxel: float, cap: int) -> BrickGrid | UnusableMesh:
-    """As `Volume.from_mesh`."""
+    """Return the solid inside a closed mesh, as `Volume.from_mesh`."""
     if not (math.isfinite(voxel) and voxel > 0):
         return UnusableMesh("the voxel size must be greater than 0", "write a length, such as `voxel: 1 mm`")
     if not len(faces):
@@ -93,7 +95,7 @@ def _near_bricks(bricks: BrickGrid, corners: Floats) -> Index:
 
 
 def _fill_distances(bricks: BrickGrid, shell: TriangleShell, near: Index, corners: Floats) -> None:
-    """Fill in the distances of the bricks near the surface, and the signs of all bricks."""
+    """Write the distances of the bricks near the surface, and the signs of all bricks."""
     flags, inside = brick_signs(shell, bricks.shape, near)
     away = distances(bricks.shape, near, corners, _OUTER_BAND_VOXELS).reshape(-1, BRICK_NODES)
     np.minimum(away, np.float32(_OUTER_BAND_VOXELS), out=away)
@@ -111,7 +113,7 @@ def _fill_distances(bricks: BrickGrid, shell: TriangleShell, near: Index, corner
 
 
 class TriangleShell:
-    """A mesh with integer coordinates, so that the side of a line that a point is on is exact. It is built from corners
+    """A mesh with integer coordinates, so that the side of a line on which a point lies is exact. It is built from corners
     float64[n,3,3] in voxels."""
 
     def __init__(self, corners: Floats) -> None:
@@ -120,10 +122,10 @@ class TriangleShell:
 
 
 def brick_signs(shell: TriangleShell, shape: tuple[int, int, int], near: Index) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-    """Return whether the first node of each brick is inside (all bricks), and the same for each node of the bricks `near`
-    (ascending), bool[len(near), 4096].
+    """Return whether the first node of each brick is inside, and whether each node of the bricks `near` (ascending) is inside,
+    bool[len(near), 4096].
 
-    Inside means that the winding number is not 0, or is odd where faces have inconsistent winding."""
+    A node is inside if its winding number is not 0, or is odd if faces have inconsistent winding."""
     x, y, z, windings = _crossings(shell)
     nodes = [n * BRICK_SIDE_NODES for n in shape]
     slab = x >> 4
@@ -150,7 +152,8 @@ def brick_signs(shell: TriangleShell, shape: tuple[int, int, int], near: Index) 
 
 
 def _crossings(shell: TriangleShell) -> tuple[Index, Index, Index, NDArray[np.int16]]:
-    """Where lines along the last axis cross triangles: the line (x, y), the first node beyond, and the winding from there on."""
+    """Return where lines along the last axis cross triangles: the line (x, y), the first node beyond, and the winding number from
+    that node on."""
     tri = shell.corners
     grain = shell.grain
     low = -((-tri.min(axis=1)) // grain)

@@ -1,4 +1,4 @@
-"""Walking on a solid: short steps along the tangent, each projected onto the zero level. Headings turn with the normal."""
+"""Walking on a solid: short steps along the tangent, each projected onto the zero level. Headings rotate with the normal."""
 
 from __future__ import annotations
 
@@ -46,16 +46,18 @@ _PREFETCH_GROUP_SIZE = 16  # agents with cells prefetched together
 def move(
     volume: Volume, points: Floats, steps: Floats, heading: Floats, up: Floats, size: Floats | float, number: int = 0
 ) -> GroundMove:
-    """Walk agents on the zero level at `points` [n,3] by `steps` [n,3], which are laid into the surface at the same length.
+    """Walk agents on the zero level from `points` [n,3] by `steps` [n,3], which are rotated into the surface at the same length.
 
-    `up` [n,3] is the unit normal that each stands by before, `heading` [n,3] where it looks. Steps turn from there into the
-    surface itself; a heading turns as the body tilts, and not with each crumb that is walked over. `size` (mm, one or [n]) is the
-    size of its body: positions stay within a ten-thousandth of it off the zero level. An agent in air, because the ground was dug
-    away, first goes to the surface. A step that is not finite counts as none. So does the part of a step that points off the
-    surface by over 60 degrees.
+    - `up` [n,3]: the unit normal of the body before the step
+    - `heading` [n,3]: the direction that the body faces; it rotates as the body tilts, not with each crumb under the feet
+    - `size`: the size of the body (mm, one or [n]); positions stay within a ten-thousandth of it off the zero level
+    - `number`: the number of the solid in the footings
 
-    `up` of the result is the outward normal that the body stands by, evened over its length. So the body tilts before an edge and
-    does not jerk. A lost agent stays where it was. Footings are on the solid of this `number`."""
+    An agent in air, because the ground was dug away, first goes to the surface. A step that is not finite counts as zero. So does
+    the part of a step that points off the surface by over 60 degrees.
+
+    `up` of the result is the outward normal of the body, smoothed over its length. So the body tilts before an edge and does not
+    jerk. A lost agent stays at its position."""
     bricks = volume.bricks
     columns = [np.ascontiguousarray(np.asarray(v, np.float64).reshape(-1, 3).T) for v in (points, steps, heading, up)]
     count = columns[0].shape[1]
@@ -71,7 +73,7 @@ def move(
 
 
 def normal_reach(bricks: BrickGrid, body: Floats) -> Floats:
-    """Return the radius in voxels around a point over which a body's normal is measured."""
+    """Return the radius, in voxels around a point, over which a body's normal is measured."""
     return np.maximum(body * (STANCE_REACH_PER_BODY / bricks.voxel), SMOOTH_NORMAL_REACH)
 
 
@@ -91,8 +93,10 @@ def walk_all(
 ) -> None:
     """Move all agents. Inputs (3, n): positions, steps, headings and up vectors.
 
-    `close` is the tolerance to the surface, `lean` the radius over which normals are measured. Results: position, up, heading and
-    direction go to `results` (4, 3, n), the travelled distance to `distances`, and the flags to `blocked` and `lost`."""
+    - `close`: the tolerance to the surface (mm)
+    - `lean`: the radius over which normals are measured (voxels)
+    - `results` (4, 3, n): position, up, heading and direction
+    - `distances`, `blocked`, `lost`: the travelled distances, and the flags"""
     table, values = bricks[:2]
     grid = bricks[2:]
     for i in range(distances.size):
@@ -124,7 +128,8 @@ def _prefetch_cells(
     first: I64,
     last: I64,
 ) -> F64:
-    """Read the cells around the positions of some agents, so that no read waits for another. The returned sum has no meaning."""
+    """Read the cells around the positions of some agents. No read depends on another, so none has to wait. The returned sum has
+    no meaning."""
     total = 0.0
     for i in range(first, last):
         a, b, _ = corners_at(table, values, grid, (points[0, i], points[1, i], points[2, i]))
@@ -133,7 +138,8 @@ def _prefetch_cells(
 
 
 class WalkResult(NamedTuple):
-    """Result of an agent's steps: position, normal, direction, travelled distance, and whether the agent is blocked or lost."""
+    """The result of an agent's steps: position, normal, direction, travelled distance, and whether the agent is blocked or
+    lost."""
 
     place: Vec3
     normal: Vec3
@@ -153,7 +159,7 @@ def _walk_agent(
     wish: Vec3,
     close: F64,
 ) -> WalkResult:
-    """All steps of one agent."""
+    """Return the result of all steps of one agent."""
     voxel = grid[3]
     direction, flat = _project_tangent(wish, n)
     left = min(np.sqrt(dot(wish, wish)), 2 * flat)
@@ -221,12 +227,12 @@ def _project_to_surface(
     length: F64,
     close: F64,
 ) -> tuple[Vec3, Vec3, F64]:
-    """Project the end of a path of `length` from `p`, a point on the zero level. Return the point there, the gradient and the
+    """Project the end of a path of `length` from `p`, a point on the zero level. Return the projected point, the gradient and the
     distance.
 
     The method is Newton's. Where the gradient jumps between cells, as at a sharp edge, Newton steps may oscillate and never
-    converge. But just below the start is solid and just above it is air, so the surface lies between the point and one of
-    these."""
+    converge. But just below the start is solid, and just above it is air. So the surface lies between the point and one of these
+    two points."""
     voxel = grid[3]
     far = (p[0] + direction[0] * length, p[1] + direction[1] * length, p[2] + direction[2] * length)
     q = far
@@ -270,8 +276,8 @@ def _turn_direction(direction: Vec3, old_normal: Vec3, new_normal: Vec3) -> Vec3
 
 @called
 def _rotate_between(v: Vec3, old_normal: Vec3, new_normal: Vec3, direction: Vec3) -> Vec3:
-    """Return a vector rotated by the smallest rotation from one unit normal to the other. A half turn rotates over
-    `direction`."""
+    """Return a vector rotated by the smallest rotation from one unit normal to the other. For opposite normals, the rotation goes
+    over `direction`."""
     cosine = dot(old_normal, new_normal)
     if cosine < -1 + 1e-9:
         hinge = cross(old_normal, direction)

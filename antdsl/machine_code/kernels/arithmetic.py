@@ -1,4 +1,4 @@
-"""Operations on numbers, of one turn of a loop or of several in SIMD lanes."""
+"""Operations on numbers, for one iteration of a loop or for several in SIMD lanes."""
 
 from __future__ import annotations
 
@@ -25,13 +25,13 @@ _INT64_RANGE = range(-(1 << 63), 1 << 63)
 
 
 class ArithmeticEmitter(Vectors[Number]):
-    """Operations on numbers."""
+    """Writer of operations on numbers."""
 
-    mask: Number | None = None  # the turns for which the text counts; None where one turn is written
-    reached: Number | None = None  # the mask that holds for one turn at least wherever it is the present one
+    mask: Number | None = None  # the active iterations; None if code for one iteration is written
+    reached: Number | None = None  # a mask that holds for at least one iteration while it is `mask`
 
     def any_lane(self, mask: Number) -> Number:
-        """Whether a mask holds for one turn at least."""
+        """Return whether a mask holds for at least one iteration."""
         bits = self.op("lanes", f"i{LANE_COUNT}", mask, lanes=1)
         return self.op("ne", TRUTH, bits, Number(bits.kind, "0"))
 
@@ -41,7 +41,7 @@ class ArithmeticEmitter(Vectors[Number]):
         return self.mask is None or self.mask.known is not None or self.mask is self.reached
 
     def active_mask(self) -> Number | None:
-        """Return the condition that this code runs for at least one iteration; None where it certainly does."""
+        """Return the condition that this code runs for at least one iteration; None if it certainly does."""
         return None if self.mask is None or self.is_reached else self.any_lane(self.mask)
 
     def named_number(self, kind: str, name: str, lanes: int = 1, known: Any = None) -> Number:
@@ -70,15 +70,16 @@ class ArithmeticEmitter(Vectors[Number]):
         return self.op("fptoui" if kind == UNSIGNED else "fptosi", kind, value)
 
     def alike(self, a: Number, b: Number) -> tuple[Number, Number]:
-        """Both wide if one is."""
+        """Return both numbers, broadcast to all lanes if one of them has several lanes."""
         return (self.widened(a), self.widened(b)) if a.wide or b.wide else (a, b)
 
     def to_float(self, value: Number) -> Number:
         return value if value.kind in (DOUBLE, FLOAT) else self.convert(value, DOUBLE)
 
     def match_kinds(self, a: Number, b: Number) -> tuple[Number, Number]:
-        """Convert two numbers to one kind by NumPy's rules: a literal takes the type of the other one. Raises NotInSubset for a
-        float32 with another type, or for a literal that float32 cannot represent."""
+        """Convert two numbers to one kind by NumPy's rules: a literal takes the type of the other number.
+
+        Raises NotInSubset for a float32 with another type, or for a literal that float32 cannot represent."""
         if FLOAT in (a.kind, b.kind) and TRUTH not in (a.kind, b.kind):
             a, b = self._as_float32(a), self._as_float32(b)
         kinds = {a.kind, b.kind}
@@ -146,7 +147,7 @@ class ArithmeticEmitter(Vectors[Number]):
         return self._divide(node, word is ast.Mod, a, b)
 
     def _fold(self, node: ast.AST, word: type[ast.operator], a: Number, b: Number) -> Number:
-        """Compute an operation on two integer literals with an integer result."""
+        """Return the result of an operation on two integer literals, as an integer literal."""
         kind = UNSIGNED if UNSIGNED in (a.kind, b.kind) else INT
         try:
             value = _PYTHON_OPERATORS[word](int(a.known or 0), int(b.known or 0))
@@ -157,7 +158,7 @@ class ArithmeticEmitter(Vectors[Number]):
         return Number(kind, constant(wrap_integer(value, kind)).name, wrap_integer(value, kind))
 
     def _shift(self, node: ast.AST, word: type[ast.operator], a: Number, b: Number) -> Number:
-        """Counts of shifts are taken modulo 64."""
+        """Return a shifted number. Shift counts are taken modulo 64."""
         if b.known is None:
             b = self.op("and", b.kind, b, self.alike(constant(63), b)[0])
         elif not 0 <= b.known < 64:
@@ -165,8 +166,10 @@ class ArithmeticEmitter(Vectors[Number]):
         return self.op("shl" if word is ast.LShift else "lshr" if a.kind == UNSIGNED else "ashr", a.kind, a, b)
 
     def _divide(self, node: ast.AST, is_rest: bool, a: Number, b: Number) -> Number:
-        """The quotient of integers, rounded down, or the remainder. The checked build reports division by 0; other builds
-        divide by 1 instead. They also do so for the least integer by -1, which wraps around."""
+        """Return the quotient of two integers, rounded down, or with `is_rest` the remainder.
+
+        The checked build reports division by 0; other builds divide by 1 instead. They also divide by 1 for the least integer by
+        -1, which wraps around."""
         if b.known == 0:
             self.fail(node, "division by 0")
         if b.known is None:
@@ -190,15 +193,15 @@ class ArithmeticEmitter(Vectors[Number]):
         return self.op("sub", INT, self.op("sdiv", INT, a, b), self.convert(down, INT))
 
     def logical_and(self, a: Number, b: Number) -> Number:
-        """Whether two conditions hold."""
+        """Return whether both conditions hold."""
         for one, other in ((a, b), (b, a)):
             if one.known is not None:
                 return other if one.known else constant(False)
         return self.op("and", TRUTH, *self.alike(a, b))
 
     def _first_lane_sum(self, word: type[ast.operator], a: Number, b: Number) -> Number | None:
-        """Return the number of a sum in the first lane, if one operand grows by one per turn and the other is loop-invariant;
-        else None."""
+        """Return the sum or difference in the first lane, or None. One operand must grow by one per iteration, the other be
+        loop-invariant."""
         if word not in (ast.Add, ast.Sub) or a.base != "i64" or b.base != "i64" or (b.first and word is ast.Sub):
             return None
         one, other = (a.first, b) if a.first else (a, b.first)

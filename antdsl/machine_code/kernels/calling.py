@@ -1,7 +1,7 @@
 """Calls of a kernel's code: arguments are checked and written into a table of words, which the code reads.
 
-Most calls are made by machine code (`direct`). The others are made here, and mistakes are reported: arrays of another type, or
-with another memory layout."""
+Machine code (`direct`) handles most calls. The functions of this module handle the others, and report mistakes, such as arrays of
+another type or memory layout."""
 
 from __future__ import annotations
 
@@ -24,26 +24,29 @@ _RESULT_KINDS = {"double": REAL_KIND, "float": REAL_KIND, "i64": INTEGER_KIND, "
 
 @dataclass(frozen=True, slots=True)
 class KernelDescription:
-    """The signature of a kernel's text: the kinds of its results, whether they form a tuple, and the numbers of the arrays that
-    it writes to."""
+    """The signature of a kernel's text.
+
+    - `gives`: the kinds of its results
+    - `several`: whether the results form a tuple
+    - `stored`: the numbers of the arrays that the kernel writes to"""
 
     gives: tuple[str, ...]
     several: bool
     stored: tuple[int, ...]
 
     def text(self) -> str:
-        """On one line, without quotes."""
+        """Return the description as one line of text without quotes."""
         return ";".join((",".join(self.gives), str(int(self.several)), ",".join(map(str, self.stored))))
 
     @classmethod
     def read(cls, text: str) -> KernelDescription:
-        """From such a line."""
+        """Return the description from a line that the method `text` wrote."""
         gives, several, stored = (tuple(filter(None, part.split(","))) for part in text.split(";"))
         return cls(gives, several == ("1",), tuple(map(int, stored)))
 
 
 def caller(name: str, code: machine.LoadedCode, types: Sequence[Any], description: KernelDescription) -> Callable[..., Any]:
-    """Return a function of a kernel's arguments. `types` are those of its annotations."""
+    """Return a function that calls a kernel with its arguments. `types` are the types of the kernel's annotations."""
     specs = list(_argument_specs(types, description.stored))
     words = RESULT_WORDS + sum(_word_count(each) for each in specs)
     result_kinds, several = list(description.gives), description.several
@@ -57,10 +60,11 @@ def caller(name: str, code: machine.LoadedCode, types: Sequence[Any], descriptio
 def parallel_caller(
     name: str, code: machine.LoadedCode, types: Sequence[Any], description: KernelDescription, single_call: Callable[..., Any]
 ) -> Callable[..., Any] | None:
-    """Return a function that runs a kernel in parts, or None where there is none. The last two arguments of the kernel are where
-    its loop begins and ends. The function takes these arguments, a number of parts, and the address of a pool. It returns a list
-    of the kernel's results for each part, which the pool's workers compute. Arguments that it cannot read go to `single_call`, in
-    one part."""
+    """Return a function that runs a kernel in parts on a pool, or None if the kernel cannot be run in parts.
+
+    The last two parameters of the kernel are the begin and the end of its loop. The function takes the kernel's arguments, the
+    number of parts and the address of the pool. It returns a list with the kernel's results for each part. If it cannot read the
+    arguments, it calls `single_call` with all of them, as one part."""
     specs = list(_argument_specs(types, description.stored))
     words = RESULT_WORDS + sum(_word_count(each) for each in specs)
     if any(not isinstance(each, ScalarType) or each.kind != INT for each in types[-2:]) or (
@@ -110,7 +114,7 @@ def _word_count(spec: ArgumentSpec) -> int:
 def _plain(
     name: str, function: Any, types: Sequence[Any], specs: list[ArgumentSpec], words: int, result_kinds: list[str], several: bool
 ) -> Callable[..., Any]:
-    """The same in Python."""
+    """Return the same function as `caller`, written in Python."""
     word_specs = [each for each in specs if each.count is None]
     results = struct.Struct("=" + "".join(_CTYPES_FORMATS[each] for each in result_kinds))
     truths = [k for k, each in enumerate(result_kinds) if each == "i1"]
@@ -139,8 +143,8 @@ def _plain(
 
 
 def flat(name: str, types: Sequence[Any], arguments: Sequence[Any]) -> Iterator[Any]:
-    """Yield the arguments, with the contents of tuples instead of tuples. Raises TypeError or ValueError for a wrong number of
-    them."""
+    """Yield the arguments, with tuples replaced by their contents. Raises TypeError or ValueError for a wrong number of
+    arguments."""
     if len(types) != len(arguments):
         raise TypeError(f"{name} takes {len(types)} arguments, not {len(arguments)}")
     for type, argument in zip(types, arguments, strict=True):

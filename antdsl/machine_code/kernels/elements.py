@@ -1,7 +1,7 @@
-"""Reads and stores of arrays' elements: of one turn of a loop, or of several in SIMD lanes.
+"""Loads and stores of array elements, for one iteration of a loop or for several in SIMD lanes.
 
-Elements of lanes that are contiguous in memory are read and stored at once, others one by one. For inactive lanes, another
-address is read, and nothing is stored."""
+If the elements of all lanes are contiguous in memory, they are loaded or stored at once, else one by one. For inactive lanes,
+another address is read, and nothing is stored."""
 
 from __future__ import annotations
 
@@ -17,11 +17,10 @@ ALL_LANES = Number(TRUTH, "splat (i1 true)", True, LANE_COUNT)  # all turns
 
 
 class ElementAccess(ArithmeticEmitter):
-    """Reads and stores of elements."""
+    """Writer of loads and stores of array elements."""
 
     def check_index(self, node: ast.AST, index: Number, length: Number, count: int = 1) -> None:
-        """Check that `count` indices from this one on are within an axis. Raises NotInSubset for an index that is outside for
-        certain."""
+        """Check that `count` indices from this one on are within an axis. Raises NotInSubset if an index is certainly outside."""
         if index.known is not None and (index.known < 0 or (length.known is not None and index.known + count > length.known)):
             self.fail(node, f"{index.known} is no index of an axis, or a negative one")
         if index.known is None or length.known is None:
@@ -31,7 +30,7 @@ class ElementAccess(ArithmeticEmitter):
             self.do("index", index, length, *([self.mask] if index.wide and self.mask is not None else []), x=count, node=node)
 
     def _check_span(self, array: Array, first: Number, count: int = LANE_COUNT) -> None:
-        """Check that elements read or stored at once lie in the array, for all iterations."""
+        """Check that elements that are read or stored at once lie in the array, for all iterations."""
         self.do("span", first, *array.lengths, x=count)
 
     def offset(self, node: ast.AST, array: Array, numbers: list[Number]) -> Number:
@@ -52,14 +51,14 @@ class ElementAccess(ArithmeticEmitter):
         return place
 
     def count(self, array: Array) -> Number:
-        """How many elements an array has."""
+        """Return the number of elements of an array."""
         total = array.lengths[0]
         for each in array.lengths[1:]:
             total = self.op("mul", INT, total, each)
         return total
 
     def load_element(self, array: Array, at: Number) -> Number:
-        """The element so far behind the first one."""
+        """Load the element at an offset of `at` elements from the first one."""
         scalar = array.of
         if not at.wide:
             element = self.op("load", scalar.loaded, self._guarded_address(array, at))
@@ -79,7 +78,7 @@ class ElementAccess(ArithmeticEmitter):
         return self.op("load", kind, place, x=_alignment(array), lanes=LANE_COUNT)
 
     def store_element(self, node: ast.AST, array: Array, at: Number, item: Number) -> None:
-        """Store an element so far behind the first one."""
+        """Store `item` as the element at an offset of `at` elements from the first one."""
         if (self.mask is not None) != at.wide:
             self.fail(node, "what several turns would change at once belongs to none of them")
         value = self.to_stored_kind(array.of, self.widened(item) if at.wide else item)
@@ -107,7 +106,7 @@ class ElementAccess(ArithmeticEmitter):
                 self.begin(next_block)
 
     def to_stored_kind(self, scalar: ScalarType, item: Number) -> Number:
-        """A number as an array of this type holds it."""
+        """Convert a number to the form in which an array of this type stores it."""
         value = self.convert(item, scalar.kind)
         if value.kind == TRUTH:
             return self.op("zext", "i8", value)
@@ -133,9 +132,10 @@ class ElementAccess(ArithmeticEmitter):
         return self.op("element", "ptr", address, index, x=array.of.stored, lanes=index.lanes)
 
     def _guarded_address(self, array: Array, at: Number) -> Number:
-        """Return the address of an element at a loop-invariant index. Where no turn counts, the index may be out of range: then
-        that of zeros. The comparison is with the array's length, and not the mask, so that LLVM can move the load out of
-        loops."""
+        """Return the address of an element at a loop-invariant index.
+
+        If no iteration is active, the index may be out of range; the result is then the address of zeros. The index is compared
+        with the array's length, not combined with the mask, so that LLVM can move the load out of loops."""
         place = self._place(array, at)
         if self.mask is None or self.is_reached:
             return place
@@ -146,14 +146,15 @@ class ElementAccess(ArithmeticEmitter):
         return place if counts.known is not None else self.op("select", "ptr", counts, place, ZEROS_CONSTANT)
 
     def _addresses(self, array: Array, at: Number) -> Number:
-        """Return the addresses of elements; for inactive lanes that of zeros, which no code writes to."""
+        """Return the addresses of elements, one per lane. Inactive lanes get the address of zeros, which no code writes to."""
         addresses = self._place(array, at)
         if self.mask is None or self.mask.known is not None:
             return addresses
         return self.op("select", "ptr", self.mask, addresses, self.widened(ZEROS_CONSTANT))
 
     def load_consecutive(self, node: ast.AST, array: Array, at: Number, count: int) -> tuple[Number, ...]:
-        """Return `count` consecutive elements of an array of numbers, as computed with. `count` is a multiple of four."""
+        """Return `count` consecutive elements of an array, converted to the kind that kernels compute with. `count` is a multiple
+        of four."""
         self.check_index(node, at, array.lengths[0], count)
         if not at.wide:
             offsets = [self.arithmetic(node, ast.Add(), at, constant(k)) for k in range(count)]
@@ -171,14 +172,14 @@ class ElementAccess(ArithmeticEmitter):
         return self.columns(rows)
 
     def three(self, node: ast.AST, array: Array, row: Number) -> tuple[Number, ...]:
-        """The three elements of a row."""
+        """Return the three elements of a row."""
         if not row.first:
             return tuple(self.load_element(array, each) for each in self._row_offsets(node, array, row))
         self.check_index(node, row, array.lengths[0])
         return self._load_three_lanes(array, row.first)
 
     def _load_three_lanes(self, array: Array, first: Number) -> tuple[Number, ...]:
-        """The three elements of each of the rows from one on."""
+        """Return the three elements of consecutive rows, one row per lane, from row `first` on."""
         place, parts = self._rows_address(array, first), []
         for k in range(3):
             parts.append(self._load_lanes(array, array.of.kind, self._element_address(array, place, LANE_COUNT * k)))
@@ -220,7 +221,7 @@ class ElementAccess(ArithmeticEmitter):
         return [self.offset(node, array, [row, constant(k)]) for k in range(3)]
 
     def fetch_ahead(self, array: Array, at: Number) -> tuple[()]:
-        """Prefetch memory."""
+        """Prefetch the memory of an element."""
         for lane in range(LANE_COUNT if at.wide else 1):
             self.do("prefetch", self._place(array, self.one(at, lane) if at.wide else at))
         return ()
@@ -231,5 +232,5 @@ class ElementAccess(ArithmeticEmitter):
 
 
 def _alignment(array: Array) -> str:
-    """Return the alignment for several elements of an array: the size of one element, not their total size."""
+    """Return the alignment of a load or store of several elements: the size of one element, not their total size."""
     return f", align {array.of.dtype.itemsize}"

@@ -1,4 +1,4 @@
-"""Writes expressions of kernels: operators, conditions, indices and calls."""
+"""Writes the expressions of kernels: operators, conditions, indices and calls."""
 
 from __future__ import annotations
 
@@ -22,17 +22,17 @@ _COMPARISON_WORDS = {ast.Lt: "lt", ast.LtE: "le", ast.Gt: "gt", ast.GtE: "ge", a
 
 
 class ExpressionEmitter(ElementAccess):
-    """Expressions of Python. `variables` has the value of each name, `world` the names of the function's module."""
+    """Writer of Python expressions. `variables` has the value of each local name, `world` the names of the function's module."""
 
     world: dict[str, Any]
     unit: KernelUnit
 
     def lookup_name(self, name: str) -> Any:
-        """Return the item of a name, in which variables are not loaded yet."""
+        """Return the item of a name, without loading the variables in it."""
         raise NotImplementedError
 
     def loaded(self, item: Any) -> KernelItem:
-        """Return such an item with the values of its variables loaded."""
+        """Return an item of `lookup_name` with the values of its variables loaded."""
         raise NotImplementedError
 
     def call_function(self, node: ast.Call, function: Any, inputs: list[KernelItem]) -> KernelItem:
@@ -77,7 +77,7 @@ class ExpressionEmitter(ElementAccess):
         self.fail(node, f"`{ast.unparse(node)}` is not in the subset")
 
     def _tuple_items(self, node: ast.expr) -> Any:
-        """What an expression adds to a tuple."""
+        """Return the items that an expression adds to a tuple."""
         if not isinstance(node, ast.Starred):
             return (self.value(node),)
         spread = self.value(node.value)
@@ -86,8 +86,8 @@ class ExpressionEmitter(ElementAccess):
         return spread
 
     def _unloaded_value(self, node: ast.expr) -> Any:
-        """Return the value of an expression. A part of a variable is returned as its address, so that other parts are not
-        loaded."""
+        """Return the value of an expression. For a part of a variable, return its unloaded address, so that the other parts are
+        not loaded."""
         match node:
             case ast.Name(id=name):
                 return self.lookup_name(name)
@@ -118,7 +118,7 @@ class ExpressionEmitter(ElementAccess):
         return conjunction
 
     def _boolean(self, every: bool, parts: list[ast.expr]) -> Number:
-        """Evaluate later parts only where they count, as in Python."""
+        """Return `and` (with `every`) or `or` of conditions. As in Python, later ones are evaluated only if needed."""
         first = self.truth(parts[0])
         if len(parts) == 1 or (first.known is not None and bool(first.known) != every):
             return first
@@ -185,7 +185,7 @@ class ExpressionEmitter(ElementAccess):
 
     @contextmanager
     def where(self, condition: Number) -> Iterator[None]:
-        """Restrict the code that is written in the context to lanes for which a condition holds."""
+        """Within the context, write code that runs only for the lanes for which a condition holds."""
         outer_mask = self.mask
         assert outer_mask is not None
         self.mask = self.logical_and(outer_mask, condition)
@@ -287,7 +287,7 @@ class ExpressionEmitter(ElementAccess):
         return self.call_function(node, known, inputs)
 
     def _record(self, node: ast.Call, record: Any) -> KernelItem:
-        """Return a record from a call of its class, with positional and keyword fields."""
+        """Return the record that a call of its class builds, from positional and keyword fields."""
         names = record._fields
         if len(node.args) > len(names):
             self.fail(node, f"`{record.__name__}` has {len(names)} fields, not {len(node.args)}")
@@ -299,7 +299,7 @@ class ExpressionEmitter(ElementAccess):
         return self._check_fields(node, record, fields)
 
     def _replace_fields(self, node: ast.Call, item: KernelItem) -> KernelItem:
-        """A record with other values in some fields."""
+        """Return a copy of a record with new values of some fields."""
         if not hasattr(item, "_fields") or node.args:
             self.fail(node, "`_replace` belongs to records, and is given fields by name")
         fields: dict[str, KernelItem] = {}
@@ -307,7 +307,7 @@ class ExpressionEmitter(ElementAccess):
         return self._check_fields(node, type(item), {**item._asdict(), **fields})
 
     def _add_keyword_fields(self, node: ast.Call, record: Any, fields: dict[str, KernelItem]) -> None:
-        """Adds what a call gives by name."""
+        """Add the keyword arguments of a call to `fields`."""
         for each in node.keywords:
             name = each.arg or "**"
             if name not in record._fields:
@@ -324,7 +324,7 @@ class ExpressionEmitter(ElementAccess):
         return record(**{name: self.fit_to_type(node, name, item, types[name]) for name, item in fields.items()})
 
     def fit_to_type(self, node: ast.AST, name: str, item: KernelItem, type_: Any) -> KernelItem:
-        """Return an item of a given type: a constant is converted, any other item must have the type."""
+        """Return an item with a required type: a constant is converted, any other item must already have the type."""
         if type_ is Any:
             return item
         if isinstance(type_, ScalarType) and isinstance(item, Number):
@@ -340,7 +340,7 @@ class ExpressionEmitter(ElementAccess):
         self.fail(node, f"`{name}` is given a value of another type")
 
     def _load_elements(self, node: ast.Call, known: Any, inputs: list[KernelItem]) -> KernelItem:
-        """Several elements of an array at once."""
+        """Return several elements of an array, read at once."""
         if len(inputs) < 2 or not (isinstance(inputs[0], Array) and isinstance(inputs[1], Number)):
             self.fail(node, "this needs an array and an index")
         array, at, *others = inputs
@@ -360,7 +360,7 @@ class ExpressionEmitter(ElementAccess):
         return ()
 
     def resolve_name(self, node: ast.AST, name: ast.expr) -> Any:
-        """Return the value of a name of the module, of a package in it, or of Python."""
+        """Return the value of a name: of the module, of a package that the module imports, or of Python."""
         if isinstance(name, ast.Attribute) and isinstance(name.value, ast.Name):
             package = self.world.get(name.value.id)
             if isinstance(package, ModuleType):

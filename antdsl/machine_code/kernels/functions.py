@@ -1,5 +1,5 @@
-"""The functions that a kernel may call, in addition to those of kernels: the function that Python knows, and how it is
-written."""
+"""The functions that a kernel may call, other than kernel functions: each Python function, and how it is written as
+instructions."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def three(array: Any, row: int) -> tuple[Any, Any, Any]:
 
 
 def put_three(array: Any, row: int, items: tuple[Any, Any, Any]) -> None:
-    """Store a row of such an array."""
+    """Store three numbers as a row of an array (n, 3)."""
     array[row, 0], array[row, 1], array[row, 2] = items
 
 
@@ -50,17 +50,17 @@ def fetch_ahead(array: Any, at: int) -> None:
 
 
 def nearest_integer(value: float) -> int:
-    """Return the nearest integer to a float64, for results below 51 bits. Other inputs give an unspecified number."""
+    """Return the integer nearest to a float64, if the result is below 2**51. Other inputs give an unspecified number."""
     return round(value) if abs(value) < 2.0**51 else 0
 
 
 def as_bits(value: Any) -> Any:
-    """The bits of a float64 as a whole number."""
+    """Return the bits of a float64 as an integer."""
     return int(np.float64(value).view(np.int64))
 
 
 def as_float(bits: Any) -> Any:
-    """The float64 of these bits."""
+    """Return the float64 with these bits."""
     return float(np.int64(bits).view(np.float64))
 
 
@@ -79,7 +79,7 @@ def _absolute(w: StatementWriter, a: Number) -> Number:
 
 
 def _lesser(w: StatementWriter, *values: Number) -> Number:
-    """Return the minimum as Python defines it: the first value, unless another is less."""
+    """Return the minimum as Python defines it: the first value, unless another value is less."""
     best = values[0]
     for each in values[1:]:
         a, b = w.match_kinds(each, best)
@@ -127,7 +127,7 @@ def _float(w: StatementWriter, a: Number) -> Number:
 
 
 def _make_narrowing(bits: int, signed: bool) -> Callable[..., Number]:
-    """To fewer bits and back, as a cast does."""
+    """Return a function that converts a number to an integer of fewer bits and back, as a cast does."""
 
     def write(w: StatementWriter, a: Number) -> Number:
         return w.op("sext" if signed else "zext", INT, w.op("trunc", f"i{bits}", w.convert(a, INT)))

@@ -32,16 +32,19 @@ _GLOBAL_TYPES = {ZEROS_CONSTANT.name: "ptr", LANE_ORDERS_CONSTANT.name: "ptr"}
 
 
 class NotInSubset(Exception):
-    """Error for a kernel that uses constructs outside the supported subset, a mistake of ours; the message has the location."""
+    """Error for a kernel that uses constructs outside the supported subset. It is a mistake in antdsl; the message has the
+    location."""
 
 
 class InvalidCode(Exception):
-    """Error for instructions that do not fit together, a mistake of the code that writes them."""
+    """Error for instructions that do not fit together. It is a mistake in the code that writes them."""
 
 
 class Instruction(NamedTuple):
-    """An operation of `OPERATION_BY_NAME` with its operands. `extra` is the operation's immediate `x`; `line` is a line of the
-    kernel's file."""
+    """An operation of `OPERATION_BY_NAME` with its operands.
+
+    - `extra`: the immediate `x` of the operation
+    - `line`: a line of the kernel's file"""
 
     op: str
     result: Number | None
@@ -59,7 +62,11 @@ class BasicBlock(NamedTuple):
 
 @dataclass(slots=True)
 class IrFunction:
-    """A function. `slots`: its stack slots. `result`: its result types, as text. `attribute`: as in LLVM."""
+    """A function of typed instructions.
+
+    - `slots`: its stack slots
+    - `result`: its result types, as text
+    - `attribute`: its attribute in LLVM's language"""
 
     name: str
     file: str
@@ -71,7 +78,7 @@ class IrFunction:
 
 
 class IrBuilder(ABC, Generic[Value]):
-    """Adds the instructions of one function."""
+    """Builder of the instructions of one function."""
 
     def __init__(self, place: str, file: str) -> None:
         self.place, self.file = place, file
@@ -88,25 +95,26 @@ class IrBuilder(ABC, Generic[Value]):
 
     @abstractmethod
     def named_number(self, kind: str, name: str, lanes: int = 1, known: Any = None) -> Value:
-        """A number that is called so in the text."""
+        """Return a number with this name in the text."""
 
     def op(self, op: str, kind: str, *operands: Number, x: Any = "", lanes: int = 0) -> Value:
-        """Add an instruction with a result. It has as many lanes as its first operand, unless `lanes` gives another number."""
+        """Add an instruction and return its result. The result has as many lanes as the first operand, or `lanes` if that is not
+        0."""
         output = self.named_number(kind, self.name(), lanes or operands[0].lanes)
         self.block_now.body.append(Instruction(op, output, operands, x, self.line))
         return output
 
     def do(self, op: str, *operands: Number, x: Any = "", node: ast.AST | None = None) -> None:
-        """An instruction without a result."""
+        """Add an instruction without a result."""
         line = getattr(node, "lineno", self.line)
         self.block_now.body.append(Instruction(op, None, operands, x, line))
 
     def slot(self, kind: str, lanes: int = 1) -> Number:
-        """A place on the stack."""
+        """Add a stack slot for a number, and return its address."""
         return self._alloca("a", text_type(kind, lanes))
 
     def allocate(self, count: int, stored: str) -> Number:
-        """Places on the stack for so many numbers."""
+        """Add a stack slot for `count` numbers, and return its address."""
         return self._alloca("s", f"[{count} x {stored}], align 64")
 
     def _alloca(self, stem: str, type: str) -> Number:
@@ -115,7 +123,7 @@ class IrBuilder(ABC, Generic[Value]):
         return output
 
     def load(self, place: Number, kind: str, lanes: int = 1) -> Value:
-        """What lies at an address."""
+        """Load the number at an address."""
         return self.op("load", kind, place, lanes=lanes)
 
     def put(self, place: Number, value: Number) -> None:
@@ -141,8 +149,10 @@ class IrBuilder(ABC, Generic[Value]):
 
 
 def verify(functions: Sequence[IrFunction], others: Mapping[str, IrFunction] | None = None) -> None:
-    """Raise InvalidCode where operand types do not fit the operation, or a register is defined twice or read before. A block must
-    also end with its only branch. `others`: further functions that they call."""
+    """Raise InvalidCode for instructions that do not fit together.
+
+    Each operand must have a type that fits the operation. Each register is defined once, and before it is read. The only branch
+    of a block is its last instruction. `others`: further functions that `functions` call."""
     known = {**(others or {}), **{each.name: each for each in functions}}
     for each in functions:
         _Verifier(each, known).run()
@@ -187,7 +197,7 @@ class _Verifier:
             known[result.name] = gives
 
     def _check_rest(self, each: Instruction, types: tuple[str, ...], gives: str) -> None:
-        """What goes by more than types."""
+        """Check the rules of an instruction that concern more than types."""
         op, _, operands, extra, _ = each
         if op in ("load", "store"):
             slot = self.slots.get(operands[-1].name)

@@ -1,4 +1,4 @@
-"""`@kernel`, `@inlined` and `@called`: functions with text that becomes machine code."""
+"""`@kernel`, `@inlined` and `@called`: Python functions that are translated to machine code."""
 
 from __future__ import annotations
 
@@ -35,14 +35,14 @@ F = TypeVar("F", bound=PythonFunction)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class KernelPart:
-    """A function that kernels call, either as `alwaysinline` or as LLVM decides."""
+    """A function that kernels call. `attribute`: `alwaysinline`, or empty if LLVM decides about inlining."""
 
     function: FunctionType
     attribute: str = ""
 
     @lru_cache(maxsize=512)  # noqa: B019 - a part lives as long as its module
     def source(self) -> tuple[str, ast.FunctionDef, dict[str, Any]]:
-        """Its file, its definition with the lines of the file, and the names of its module."""
+        """Return its file, its definition with line numbers of that file, and the names of its module."""
         code = self.function.__code__
         tree = ast.parse(textwrap.dedent(inspect.getsource(self.function))).body[0]
         assert isinstance(tree, ast.FunctionDef)
@@ -50,8 +50,7 @@ class KernelPart:
 
     @lru_cache(maxsize=512)  # noqa: B019
     def types(self) -> dict[str, Any]:
-        """Return the types of its annotations, by parameter; `return` is the result. Parameters without annotation are left
-        out."""
+        """Return the annotated types by parameter; `return` is the result. Parameters without an annotation are left out."""
         function = self.function
         return {
             name: () if annotation in ("None", None) else resolve_annotation(annotation, function.__globals__)
@@ -72,8 +71,9 @@ called = _part("")
 
 
 class Kernel:
-    """A function of arrays and numbers, compiled to machine code at its first call. Its results are numbers. Raises ValueError
-    for an array of another type, or with another layout than its annotation."""
+    """A function of arrays and numbers that returns numbers. It is compiled to machine code at its first call.
+
+    Raises ValueError for an array with another type or memory layout than its annotation."""
 
     # What is called is held by the instance, so that the interpreter goes to a built-in function and makes no frame for a call.
     __slots__ = ("__call__", "__dict__", "__weakref__")
@@ -89,11 +89,12 @@ class Kernel:
         library.add(self)
 
     def _first_call(self, *arguments: Any) -> Any:
-        """The first call."""
+        """Load the machine code, then call it."""
         return self.load_function()(*arguments)
 
     def load_function(self) -> Callable[..., Any]:
-        """Return the function that calls the machine code, which is compiled or loaded if needed. Raises NoMachineCode."""
+        """Return the function that calls the machine code. The code is compiled or loaded if needed. Raises
+        MachineCodeUnavailable."""
         with self._lock:
             if self._run is None:
                 machine.require()
@@ -108,7 +109,7 @@ class Kernel:
             return self._run
 
     def caller(self, code: machine.LoadedCode, checked: bool = CHECKS_ENABLED) -> Callable[..., Any]:
-        """Return the function that calls the code of a text that contains this kernel."""
+        """Return the function that calls this kernel in the code of a text that contains it."""
         guarded_call: Callable[..., Any] = _guard(
             caller(self.__name__, code, self.types(), self._description(code)), code, checked
         )
@@ -118,21 +119,21 @@ class Kernel:
         return KernelDescription.read(code.constant_text(_description_name(self.__name__)))
 
     def parted(self) -> Callable[..., list[Any]] | None:
-        """Return the function that runs its machine code on a pool of workers, as in `calling.parallel_caller`; None where there
-        is none."""
+        """Return the function that runs the kernel in parts on a pool of workers, as `calling.parallel_caller`; None if there is
+        none."""
         if self._apart is None:
             self.load_function()
         assert self._apart is not None
         return self._apart()
 
     def has_code(self) -> bool:
-        """Whether its machine code is there, in memory or from another run."""
+        """Return whether its machine code is available, in memory or from another run."""
         if self._run is not None:
             return True
         return codes.is_available(self.text_key(machine.host()))
 
     def text_key(self, target: machine.Target) -> str:
-        """Return the name of its text: the key of its sources, or else the text."""
+        """Return the key of its sources, or its text if the sources have no key."""
         return sources.key(self.part, self.types()) or self.text(target)
 
     def types(self) -> list[Any]:
@@ -142,11 +143,13 @@ class Kernel:
         return [resolve_annotation(function.__annotations__.get(name), function.__globals__) for name in named]
 
     def text(self, target: machine.Target = machine.PORTABLE_TARGET) -> str:
-        """What is compiled, in LLVM's language."""
+        """Return the text to compile, in LLVM's language."""
         return text_of([self], target)
 
     def instructions(self) -> tuple[str, KernelItem, list[IrFunction]]:
-        """For the interpreter, without lanes: the called function, what it returns, and all functions, callees first."""
+        """Return the instructions for the interpreter, without lanes.
+
+        The result has the name of the kernel's function, its result, and all functions, callees first."""
         unit = KernelUnit(lanes=1)
         words, arrays = count(), count()
         name, result = write_function(unit, self.part, [_argument(each, words, [], arrays) for each in self.types()])
@@ -155,7 +158,7 @@ class Kernel:
 
 
 def text_of(kernels: Sequence[Kernel], target: machine.Target, checked: bool = CHECKS_ENABLED) -> str:
-    """The text of several kernels with different names, in LLVM's language."""
+    """Return one text of several kernels with different names, in LLVM's language."""
     unit, module, tables = KernelUnit(), LlvmModule(target), LineTables() if checked else None
     entries = [line for each in kernels for line in _entry(each, unit, module, tables)]
     verify(unit.functions)
@@ -167,7 +170,8 @@ def text_of(kernels: Sequence[Kernel], target: machine.Target, checked: bool = C
 
 
 def _entry(kernel: Kernel, unit: KernelUnit, module: LlvmModule, tables: LineTables | None) -> tuple[str, str]:
-    """The constant that describes a kernel, and the function that reads its arguments from a table and stores its results."""
+    """Return the constant that describes a kernel, and the function that reads its arguments from a table and stores its
+    results."""
     words, arrays, body = count(RESULT_WORDS), count(), list[str]()
     inputs = [_argument(each, words, body, arrays) for each in kernel.types()]
     name, result = write_function(unit, kernel.part, inputs)
@@ -199,7 +203,7 @@ def _entry(kernel: Kernel, unit: KernelUnit, module: LlvmModule, tables: LineTab
 
 
 def _description_name(name: str) -> str:
-    """The constant that describes a kernel."""
+    """Return the name of the constant that describes a kernel."""
     return f"about.{name}"
 
 
@@ -208,12 +212,12 @@ def _guard(run: Any, code: machine.LoadedCode, checked: bool) -> Any:
 
 
 def kernel(function: PythonFunction) -> Kernel:
-    """Return a kernel of a function with annotated arguments."""
+    """Return the kernel of a function with annotated arguments."""
     return Kernel(function)  # type: ignore[arg-type]
 
 
 def _argument(type: Any, words: Iterator[int], body: list[str], numbers: Iterator[int]) -> KernelItem:
-    """Return the item of an argument, read from these words of the table."""
+    """Return the item of an argument. Its numbers are read from the next `words` of the table."""
 
     def read(kind: str) -> Number:
         k = next(words)

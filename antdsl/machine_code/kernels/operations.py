@@ -1,7 +1,8 @@
 """The table of all operations of kernels and plans: types, text in LLVM's language, and the meaning of one lane in Python.
 
-Types are those of LLVM: integers have no sign, operations do (`sdiv`, `udiv`). Operations on numbers apply to each lane, so one
-row is both the scalar and the vector form. Results are exact, or rounded once to nearest, ties to even:
+Types are those of LLVM: integer types have no sign; operations are signed or unsigned (`sdiv`, `udiv`). Operations on numbers
+apply to each lane, so one table entry is both the scalar and the vector form. Results are exact, or rounded once to nearest, ties
+to even:
 
 - Integers wrap around. Shift counts are 0 to 63 (`arithmetic` takes them modulo 64).
 - Floats follow IEEE 754, with denormals. No operation is fused. The sign and the payload of a NaN are not defined.
@@ -30,12 +31,13 @@ TYPES_BY_CLASS: Final[Mapping[str, frozenset[str]]] = {
 
 
 class Operation(NamedTuple):
-    """One operation. `takes`: a class of types for each operand; `=` is the type of the first one, `n` any number, `v` any type.
-    `gives`: the same for the result; `2` is the type of the second operand.
+    """One operation of kernels and plans.
 
-    `text` formats the operands, the result `r` and the immediate `x`. `meaning` is a function of NumPy scalars; the interpreter
-    implements operations without one. `extra_types`: extra types in the declaration of an LLVM function, after those of the
-    operands."""
+    - `takes`: a class of types for each operand; `=` is the type of the first operand, `n` any number, `v` any type
+    - `gives`: the class of types of the result; `2` is the type of the second operand
+    - `text`: the text in LLVM's language, with the operands, the result `r` and the immediate `x` as format fields
+    - `meaning`: a function of NumPy scalars; if it is None, the interpreter implements the operation
+    - `extra_types`: types after those of the operands in the declaration of an LLVM function"""
 
     takes: str
     gives: str
@@ -46,13 +48,13 @@ class Operation(NamedTuple):
 
 
 def unsigned(a: Any) -> int:
-    """A whole number as if it had no sign."""
+    """Return an integer as if it were unsigned."""
     ones: int = (1 << 8 * a.dtype.itemsize) - 1
     return int(a) & ones
 
 
 def _on_unsigned(function: Callable[[int, int], Any]) -> Callable[[Any, Any], Any]:
-    """Convert a function of unsigned integers to one of signed integers."""
+    """Return a function of signed integers that calls a function of unsigned ones."""
     return lambda a, b: wrap(function(unsigned(a), unsigned(b)), a.dtype)
 
 
@@ -99,7 +101,7 @@ def _cast(a: Any, dtype: Any) -> Any:
 
 
 def _unsigned_cast(a: Any, dtype: Any) -> Any:
-    """Of a whole number as if it had no sign."""
+    """Cast an integer as if it were unsigned."""
     return (a if a.dtype == np.bool_ else a.view(f"u{a.dtype.itemsize}")).astype(dtype)
 
 
@@ -110,7 +112,7 @@ def _binary(takes: str, meanings: Mapping[str, Callable[..., Any]]) -> dict[str,
 def _comparisons(
     takes: str, prefix: str, word: str, sign: str, meanings: Mapping[str, Callable[..., Any]]
 ) -> dict[str, Operation]:
-    """Return the comparisons: `prefix` starts their names; `word` and `sign` are those of LLVM."""
+    """Return the comparisons. `prefix` starts their names in the table; `word` and `sign` form LLVM's names."""
     return {
         f"{prefix}{name}": Operation(takes, "b", f"{word} {sign}{name}" + " {0.typed}, {1.name}", meaning)
         for name, meaning in meanings.items()

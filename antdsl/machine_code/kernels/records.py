@@ -11,31 +11,32 @@ from typing import Any
 
 
 def is_record(named: Any) -> bool:
-    """Whether something is the class of a record."""
+    """Return whether an object is the class of a record."""
     return isinstance(named, type) and issubclass(named, tuple) and hasattr(named, "_fields")
 
 
 def rebuild_like(like: Any, parts: Iterable[Any]) -> Any:
-    """Parts as a tuple, or as a record of the same class."""
+    """Return `parts` as a tuple, or as a record of the class of `like` if that is a record."""
     kind = type(like)
     return tuple(parts) if kind is tuple else kind._make(parts)
 
 
 @cache
 def field_types(record: Any) -> Any:
-    """The types of a record's fields, as a record of its class. TypeError for a field without a type of kernels."""
+    """Return the types of a record's fields, as a record of the same class. Raises TypeError for a field without a kernel
+    type."""
     world = vars(sys.modules[record.__module__])
     return record._make(resolve_annotation(_text(record.__annotations__[name]), world) for name in record._fields)
 
 
 def _text(annotation: Any) -> Any:
-    """`NamedTuple` wraps the text of an annotation."""
+    """Return the text of an annotation, which `NamedTuple` wraps."""
     return getattr(annotation, "__forward_arg__", annotation)
 
 
 def resolve_annotation(annotation: Any, world: dict[str, Any]) -> Any:
-    """Return the type of an annotation in a module with these names: a Scalar, an ArrayType, a tuple or record of these, or
-    Any."""
+    """Return the type of an annotation in a module with the names `world`: a ScalarType, an ArrayType, a tuple or record of
+    these, or Any."""
     return _type(_parse_annotation(annotation), world) if isinstance(annotation, str) else _expand_records(annotation)
 
 
@@ -59,7 +60,7 @@ def _type(node: ast.expr | None, world: dict[str, Any]) -> Any:
 
 
 def _expand_records(named: Any) -> Any:
-    """Return what a name stands for, which may be a record or `tuple[..]` of others."""
+    """Return the type that a name stands for: a record is expanded, also within `tuple[..]`."""
     if isinstance(named, GenericAlias):
         return tuple(_expand_records(each) for each in named.__args__)
     return field_types(named) if is_record(named) else named

@@ -1,4 +1,4 @@
-"""Instructions as text in LLVM's language."""
+"""Writes instructions as text in LLVM's language."""
 
 from __future__ import annotations
 
@@ -34,8 +34,9 @@ _CONSTANT_TABLES = {
 def render_functions(
     functions: Sequence[IrFunction], checks: CheckRenderer | None = None, tables: LineTables | None = None
 ) -> list[str]:
-    """Return the texts of functions and of the LLVM functions that they call. Without `checks`, their checks are left out;
-    without `tables`, their lines."""
+    """Return the texts of functions, and the declarations of the LLVM functions that they call.
+
+    Without `checks`, the checks are left out; without `tables`, the line numbers."""
     declared = {ZEROS_CONSTANT.name: _CONSTANT_TABLES[ZEROS_CONSTANT.name]}
     texts = [function_text(each, declared, checks, tables) for each in functions]
     return [*declared.values(), *texts, *([] if checks is None else [checks.text()])]
@@ -80,8 +81,8 @@ def _line(each: Instruction, declared: dict[str, str]) -> str:
 
 @cache
 def _pattern(op: str, types: tuple[str, ...], gives: str, extra: Any) -> tuple[str, tuple[str, str] | None]:
-    """Return the text of an operation on these types, with `%s` for each operand, and the LLVM function that it calls, with its
-    declaration."""
+    """Return the text of an operation on these types, with `%s` for each operand. Return also the LLVM function that it calls,
+    and its declaration, or None."""
     operation = OPERATION_BY_NAME[op]
     operands = [Number(base, "%s", None, lanes) for lanes, base in map(split_type, types)]
     lanes, base = split_type(gives)

@@ -1,8 +1,9 @@
-"""Loops with turns that do not depend on each other: eight at once, the rest one by one.
+"""Loops with iterations that do not depend on each other: eight run at once in SIMD lanes, the rest one by one.
 
-Each number of a turn becomes one of eight, each condition a mask. Code under a condition runs where it holds for some of the
-turns, and counts for those. So do loops, until no turn is left in them, and functions, until all turns have returned a value (M.
-Pharr, W. R. Mark, ispc: A SPMD compiler for high-performance CPU programming, InPar 2012)."""
+Each number of an iteration becomes a vector of eight, each condition a mask. Code under a condition runs if its mask holds for at
+least one iteration, and has an effect only for these iterations. Inner loops run until all iterations have left them, and
+functions until all iterations have returned a value (M. Pharr, W. R. Mark, ispc: A SPMD compiler for high-performance CPU
+programming, InPar 2012)."""
 
 from __future__ import annotations
 
@@ -26,14 +27,17 @@ _EXIT_STATEMENTS = (ast.Break, ast.Continue, ast.Return)
 
 @dataclass(slots=True)
 class LoopTurns:
-    """The masks of a loop or function: iterations that are in it, and those that run the code that follows now."""
+    """The stack slots of two masks of a loop or function.
+
+    - `inside`: the iterations that have not left it
+    - `now`: the iterations that run the code that follows"""
 
     inside: Number
     now: Number
 
 
 class SimdWriter(StatementWriter):
-    """Writer of a function for one iteration or for several in lanes."""
+    """Writer of a function for one iteration, or for several in SIMD lanes."""
 
     def __init__(self, unit: KernelUnit, part: Any, mask: Number | None = None) -> None:
         super().__init__(unit, *part.source())
@@ -46,7 +50,7 @@ class SimdWriter(StatementWriter):
             self._enter()
 
     def _enter(self) -> LoopTurns:
-        """Begin a loop or a function for the active lanes."""
+        """Begin a loop or a function for the active lanes, and return its masks."""
         assert self.mask is not None
         turns = LoopTurns(self.slot(TRUTH, LANE_COUNT), self.slot(TRUTH, LANE_COUNT))
         self.put(turns.inside, self.mask)
@@ -85,7 +89,7 @@ class SimdWriter(StatementWriter):
     # --- statements ----------------------------------------------------------------------------------------------------
 
     def _write_where(self, mask: Number, write: Callable[[], None]) -> None:
-        """Write code that runs if a mask holds for at least one iteration."""
+        """Write code that runs if a mask holds for at least one iteration, with this mask."""
         outer_mask, reached, then, end = self.mask, self.reached, self.label("then"), self.label("done")
         if mask.known is None:
             self.branch(self.any_lane(mask), then, end)
@@ -117,7 +121,7 @@ class SimdWriter(StatementWriter):
         self._write_remaining([*then, *other])
 
     def _write_remaining(self, body: list[ast.stmt]) -> None:
-        """Remove from the mask the iterations that have left in `body`."""
+        """Remove from the mask the iterations that `body` has ended by `break`, `continue` or `return`."""
         if _has_exits(body):
             assert self.mask is not None
             self.mask = self.logical_and(self.mask, self.load(self.turns[-1].now, TRUTH, LANE_COUNT))
@@ -158,7 +162,7 @@ class SimdWriter(StatementWriter):
         self._rejoin_after_loop(outer_mask, body)
 
     def _rejoin_after_loop(self, outer_mask: Number, body: list[ast.stmt]) -> None:
-        """Restore the mask after a loop, without the iterations that left the function in it."""
+        """Restore the mask after a loop, without the iterations that left the function in that loop."""
         self.turns.pop()
         self.mask, self.open = outer_mask, True
         if any(isinstance(each, ast.Return) for statement in body for each in ast.walk(statement)):
@@ -204,7 +208,8 @@ class SimdWriter(StatementWriter):
         self._rejoin_after_loop(outer_mask, body)
 
     def _uniform_loop(self, name: str, begin: Number, end: Number, step: int, write: Callable[[], None]) -> None:
-        """Write a loop over the same numbers for all iterations, which none leaves. Their mask does not change."""
+        """Write a loop over the same numbers for all iterations. No iteration leaves the loop early, so the mask does not
+        change."""
         with self._scalar_loop(begin, end, step) as at:
             self.variables[name] = at
             fresh = set(self.fresh)
@@ -214,7 +219,7 @@ class SimdWriter(StatementWriter):
 
     @contextmanager
     def _scalar_loop(self, begin: Number, end: Number, step: int) -> Iterator[Number]:
-        """Write a loop over numbers that all lanes share. Its body is written in the context."""
+        """Write a loop over numbers that all lanes share. Yield the number; the context writes the body."""
         number = self.slot(INT)
         self.put(number, begin)
         head, inner, exit_label = self.label("for"), self.label("body"), self.label("end")
@@ -263,7 +268,7 @@ class SimdWriter(StatementWriter):
         return rebuild_like(item, map(self._widen, item)) if isinstance(item, tuple) else self.widened(item)
 
     def end(self) -> None:
-        """Return the results of all iterations from a function that runs several."""
+        """Return the results of all iterations from a function that runs several iterations."""
         if self.mask is None:
             super().end()
             return
@@ -326,13 +331,15 @@ class SimdWriter(StatementWriter):
 
 
 def _has_exits(body: list[ast.stmt]) -> bool:
-    """Return whether iterations may leave a loop or their function in these statements."""
+    """Return whether these statements may end an iteration, a loop or the function."""
     return any(isinstance(each, _EXIT_STATEMENTS) for statement in body for each in ast.walk(statement))
 
 
 def write_function(unit: KernelUnit, part: Any, inputs: list[KernelItem], wide: bool = False) -> tuple[str, KernelItem]:
-    """Return the name and the result of a part's function for items of these types, written once. `wide`: for several turns in
-    SIMD lanes; the last argument is the mask of those that count."""
+    """Return the name and the result of the function of a `part` for these types of inputs. The function is written at the first
+    call.
+
+    With `wide`, it runs several iterations in SIMD lanes, and its last argument is the mask of the active ones."""
     key = (part, ",".join(type_key(each) for each in inputs) + ("," if wide else ""))
     if key not in unit.specialisations:
         name = f"@{part.function.__name__}.{len(unit.specialisations)}"

@@ -1,7 +1,7 @@
-"""A key of all sources of a kernel's text: cached code is found by it without writing the text.
+"""A key of all sources of a kernel's text. It identifies cached code, so that the text need not be written.
 
-The key covers the content of the files with its functions, the values of the names in these functions, and the files that write
-texts. A kernel with a name for anything else has no key, and is identified by its text."""
+The key covers the files with the kernel's functions, the values of the names in these functions, and all files of `machine_code`.
+A kernel with a name for a value that cannot be compared between runs has no key; its text identifies it."""
 
 from __future__ import annotations
 
@@ -26,11 +26,12 @@ _MAX_SOURCE_BYTES = 4 * MIB  # of a file
 
 
 class _UnknownSource(Exception):
-    """A value that cannot be compared between runs."""
+    """Error for a value that cannot be compared between runs."""
 
 
 def key(part: Any, types: list[Any]) -> str | None:
-    """Return a key for the text of a kernel with arguments of these types; None where there is none. A text begins otherwise."""
+    """Return a key for the text of a kernel with arguments of these types; None if there is none. No text begins as a key
+    does."""
     parts: list[str] = [_writers(), f"checked {CHECKS_ENABLED}", *map(_type_text, types)]
     known: dict[int, int] = {}
     try:
@@ -58,7 +59,7 @@ def _repr(type: Any) -> str:
 
 @cache
 def _writers() -> str:
-    """What reads and writes the texts of kernels."""
+    """Return the hashes of all sources of `machine_code`, which read and write the texts of kernels."""
     folder = Path(machine_code.__file__).parent
     return "".join(_digest(str(each)) for each in sorted([*folder.rglob("*.py"), *folder.rglob("*.ll")]))
 
@@ -74,8 +75,8 @@ def _digest_of(path: str, changed: int, size: int) -> str:
 
 
 def _describe_function(part: Any, parts: list[str], known: dict[int, int]) -> None:
-    """Append the description of a function of kernels, and of the values of its names. One that is already described is referred
-    to by its number."""
+    """Append the description of a function that kernels use, and of the values of its names. A function that is already described
+    is given by its number."""
     function: FunctionType = part.function
     if id(function) in known:
         parts.append(f"function {known[id(function)]}")
@@ -92,7 +93,7 @@ def _describe_function(part: Any, parts: list[str], known: dict[int, int]) -> No
 
 
 def _code_names(code: CodeType) -> Iterator[str]:
-    """Yield all names that a function uses for anything. A reader of its text may look up each in its module."""
+    """Yield all names in the code of a function. The translation may look up each of them in the function's module."""
     for names in (code.co_names, code.co_varnames, code.co_freevars, code.co_cellvars):
         yield from names
     for each in code.co_consts:

@@ -32,7 +32,7 @@ class StatementWriter(ExpressionEmitter):
         self.open = True  # whether the text has come to a place that is reached
 
     def run(self, inputs: list[KernelItem]) -> None:
-        """Write the body, its arguments being these."""
+        """Write the body of the function for these arguments."""
         names = [each.arg for each in self.definition.args.args]
         if len(names) != len(inputs):
             self.fail(self.definition, f"{len(inputs)} arguments for {len(names)}")
@@ -46,7 +46,7 @@ class StatementWriter(ExpressionEmitter):
         self.end()
 
     def end(self) -> None:
-        """The body has been written."""
+        """End the function after its body."""
         if self.open:
             self.return_item(self.definition, ())
 
@@ -83,7 +83,7 @@ class StatementWriter(ExpressionEmitter):
         return item if isinstance(item, Array) else self.variable(item)
 
     def variable(self, item: Number) -> StackVariable:
-        """Room for a number."""
+        """Return a new variable for a number of the same kind."""
         return StackVariable(item.kind, self.slot(item.kind, item.lanes), item.lanes)
 
     def _assign_into(self, node: ast.AST, name: str, destination: Any, item: KernelItem) -> None:
@@ -102,7 +102,7 @@ class StatementWriter(ExpressionEmitter):
             self.fail(node, f"`{name}` is given a value of another type")
 
     def change(self, node: ast.AST, variable: StackVariable, value: Number) -> None:
-        """Give a variable another value."""
+        """Assign another value to a variable."""
         self.put(variable.place, value)
 
     def _assign_target(self, node: ast.AST, target: ast.expr, item: KernelItem) -> None:
@@ -131,7 +131,7 @@ class StatementWriter(ExpressionEmitter):
         self.store_element(node, array, at, item)
 
     def _fill(self, node: ast.AST, array: KernelItem, item: KernelItem) -> None:
-        """`a[:] = number`."""
+        """Write `a[:] = number`."""
         if not isinstance(array, Array) or array.steps is not None or not isinstance(item, Number):
             self.fail(node, "`a[:] = number` of an array in one piece")
         if self.mask is not None:
@@ -229,7 +229,7 @@ class StatementWriter(ExpressionEmitter):
         self.begin(end)
 
     def _body(self, loop: LoopLabels, write: Callable[[], None]) -> None:
-        """A turn of a loop, and on to what follows it."""
+        """Write an iteration of a loop, and the jump to the next one."""
         self.loops.append(loop)
         write()
         self.loops.pop()
@@ -273,7 +273,7 @@ class StatementWriter(ExpressionEmitter):
     def count_loop(
         self, name: str, begin: Number, end: Number, step: int, body: list[ast.stmt], write: Callable[[], None] | None = None
     ) -> None:
-        """Write a loop over numbers. `write` writes an iteration, where that is more than its `body`."""
+        """Write a loop over numbers. `write` writes an iteration; None means that an iteration is just `body`."""
         self._count_loop(name, begin, end, step, write or (lambda: self.block(body)))
 
     def side_by_side(self, name: str, begin: Number, end: Number, body: list[ast.stmt]) -> None:
@@ -292,7 +292,7 @@ class StatementWriter(ExpressionEmitter):
         self.unbind(target)
 
     def bind(self, node: ast.AST, target: ast.expr, item: KernelItem) -> None:
-        """Bind the names of an unrolled loop's iteration. Literals stay literals."""
+        """Bind the names of an iteration of an unrolled loop to its item. Literals stay literals."""
         if isinstance(target, ast.Name):
             self.variables[target.id] = item
         elif isinstance(target, ast.Tuple) and isinstance(item, tuple) and len(item) == len(target.elts):
@@ -302,13 +302,13 @@ class StatementWriter(ExpressionEmitter):
             self.fail(node, "cannot be bound")
 
     def unbind(self, target: ast.expr) -> None:
-        """Remove the names of a loop after it, since its last iteration is not known."""
+        """Remove the names of a loop after the loop, because it is not known which iteration was the last."""
         for each in ast.walk(target):
             if isinstance(each, ast.Name):
                 self.variables.pop(each.id, None)
 
     def _count_loop(self, name: str, begin: Number, end: Number, step: int, write: Callable[[], None]) -> None:
-        """A loop over numbers."""
+        """Write a loop over numbers."""
         begin, end = self.convert(begin, INT), self.convert(end, INT)
         number = self.slot(INT)
         self.put(number, begin)
@@ -336,7 +336,7 @@ class StatementWriter(ExpressionEmitter):
         self.emit_return(item)
 
     def emit_return(self, item: KernelItem) -> None:
-        """Leave the function, which gives back an item."""
+        """Write the return of an item from the function."""
         numbers = list(leaves(item))
         if len(numbers) < 2:
             self.do("return", *numbers)
@@ -357,10 +357,10 @@ class StatementWriter(ExpressionEmitter):
 
 @lru_cache(maxsize=512)
 def stored_names(definition: ast.FunctionDef) -> Counter[str]:
-    """Return the names that a function's text assigns, and how often."""
+    """Return the names that a function assigns, each with its number of assignments."""
     return Counter(each.id for each in ast.walk(definition) if isinstance(each, ast.Name) and isinstance(each.ctx, ast.Store))
 
 
 def target_of(node: ast.AugAssign) -> ast.expr:
-    """What such a statement changes."""
+    """Return the target that an augmented assignment changes."""
     return node.target

@@ -1,4 +1,4 @@
-"""The types that a kernel's annotations name, and what they are in LLVM's language."""
+"""The types that a kernel's annotations name, and their forms in LLVM's language."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ LLVM_TYPE_BY_KIND = {DOUBLE: "double", FLOAT: "float", INT: "i64", UNSIGNED: "i6
 
 @dataclass(frozen=True, slots=True)
 class ScalarType:
-    """A number: how it is stored in an array (`dtype`, `stored`) and worked with (`kind`)."""
+    """The type of a number. Arrays store it as `dtype`, which is `stored` in LLVM's language. Kernels compute with its `kind`."""
 
     name: str
     dtype: np.dtype[Any]
@@ -24,13 +24,13 @@ class ScalarType:
 
     @property
     def loaded(self) -> str:
-        """The kind of a loaded number before its conversion to the computed kind."""
+        """Return the kind of a number as loaded from memory, before its conversion to the kind that kernels compute with."""
         return self.kind if LLVM_TYPE_BY_KIND[self.kind] == self.stored else self.stored
 
 
 @dataclass(frozen=True, slots=True)
 class ArrayType:
-    """An array type with a number of axes. With `strided`, each axis has its own step; otherwise the array is contiguous."""
+    """An array type with a number of axes. If `strided`, each axis has its own step; otherwise the array is contiguous."""
 
     axes: int
     of: ScalarType

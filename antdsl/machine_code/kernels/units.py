@@ -12,7 +12,7 @@ from antdsl.machine_code.kinds import LANE_COUNT
 
 @dataclass(slots=True)
 class StackVariable:
-    """A number that may change: its kind, and its stack slot."""
+    """A variable: the kind of its number, and its stack slot."""
 
     kind: str
     place: Number
@@ -25,7 +25,7 @@ class StackVariable:
 
 @dataclass(slots=True)
 class LoopLabels:
-    """Where `continue` and `break` go to."""
+    """The labels that `continue` (`following`) and `break` (`end`) jump to."""
 
     following: str
     end: str
@@ -33,8 +33,11 @@ class LoopLabels:
 
 @dataclass(slots=True, eq=False)
 class KernelUnit:
-    """All functions of a text. `specialisations`: their names and results, by key. `written`: the numbers of the arguments with
-    arrays that some function stores to. `lanes`: the lanes of independent loops, 1 or 8."""
+    """All functions of a text.
+
+    - `lanes`: the number of lanes of independent loops, 1 or 8
+    - `specialisations`: the name and result of each function, by key
+    - `written`: the numbers of the array arguments that some function writes to"""
 
     lanes: int = LANE_COUNT
     functions: list[IrFunction] = field(default_factory=list)

@@ -17,10 +17,15 @@ _INTRINSIC_SUFFIXES = {"double": "f64", "float": "f32", "ptr": "p0"}
 
 @dataclass(slots=True, unsafe_hash=True)
 class Number:
-    """A number, by its kind and its name in the text. `known` is its value if it is a literal. `lanes` is its number of lanes.
+    """A number in a function's text.
 
-    `first` is the number of the first iteration, if each lane has one more than the lane before. `type` is the type in LLVM's
-    language. Numbers never change; `frozen` would make them slow to create."""
+    - `kind`, `name`: its kind, and its name in the text
+    - `known`: its value if it is a literal, else None
+    - `lanes`: its number of lanes
+    - `first`: the number in the first lane, if each lane has one more than the lane before; else None
+    - `type`: its type in LLVM's language
+
+    Numbers never change. The class is not `frozen`, because that would make numbers slow to create."""
 
     kind: str
     name: str
@@ -38,7 +43,7 @@ class Number:
 
     @property
     def base(self) -> str:
-        """The type of one lane in LLVM's language."""
+        """Return the type of one lane in LLVM's language."""
         return LLVM_TYPE_BY_KIND.get(self.kind, self.kind)
 
     @property
@@ -47,21 +52,21 @@ class Number:
 
     @property
     def suffix(self) -> str:
-        """The suffix of the name of an intrinsic function for such numbers."""
+        """Return the suffix in the name of an intrinsic function for numbers of this type."""
         one = _INTRINSIC_SUFFIXES.get(self.base, self.base)
         return f"v{self.lanes}{one}" if self.lanes > 1 else one
 
 
 @cache
 def text_type(kind: str, lanes: int = 1) -> str:
-    """A kind in LLVM's language."""
+    """Return the type of a kind in LLVM's language."""
     one = LLVM_TYPE_BY_KIND.get(kind, kind)
     return f"<{lanes} x {one}>" if lanes > 1 else one
 
 
 @dataclass(frozen=True, slots=True)
 class Array:
-    """An array, by the name of its address, the lengths of its axes, and the step along each axis in elements."""
+    """An array: its address, the lengths of its axes, and the step along each axis in elements (None if contiguous)."""
 
     of: ScalarType
     address: Number
@@ -103,12 +108,12 @@ def leaves(item: KernelItem) -> Iterator[Number]:
 
 
 def has_arrays(item: KernelItem) -> bool:
-    """Whether an item is an array, or has one in it."""
+    """Return whether an item is an array or contains one."""
     return any(map(has_arrays, item)) if isinstance(item, tuple) else isinstance(item, Array)
 
 
 def type_key(item: KernelItem) -> str:
-    """What a function of this item is known by."""
+    """Return the text of an item's type; a function is written once for each such text."""
     if isinstance(item, tuple):
         record = "" if type(item) is tuple else f"{type(item).__module__}.{type(item).__qualname__}"
         return f"{record}({','.join(type_key(each) for each in item)})"
@@ -118,7 +123,7 @@ def type_key(item: KernelItem) -> str:
 
 
 def rename_item(item: KernelItem, names: Iterator[str]) -> KernelItem:
-    """The same with other names, for instance those of arguments."""
+    """Return a copy of an item with other names, such as the names of arguments."""
     if isinstance(item, tuple):
         return rebuild_like(item, (rename_item(each, names) for each in item))
     if isinstance(item, Array):

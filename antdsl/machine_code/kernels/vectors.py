@@ -10,10 +10,10 @@ from antdsl.machine_code.kinds import F32, LANE_COUNT
 
 
 class Vectors(IrBuilder[Value]):
-    """Writes what puts lanes in place."""
+    """Writer of operations that move numbers between lanes."""
 
     def widened(self, value: Value) -> Value:
-        """The same in each lane."""
+        """Return the value broadcast to all lanes."""
         if value.wide:
             return value
         if value.name[0] not in "%@":
@@ -23,11 +23,12 @@ class Vectors(IrBuilder[Value]):
         return self.op("shufflevector", value.kind, first, none, x=f"<{LANE_COUNT} x i32> zeroinitializer")
 
     def one(self, value: Number, lane: int) -> Value:
-        """The number of one lane."""
+        """Return the number in one lane."""
         return self.op("extractelement", value.kind, value, x=lane, lanes=1)
 
     def combine_lanes(self, values: Iterable[Value], lanes: int = LANE_COUNT, onto: Value | None = None) -> Value:
-        """Return single numbers in one lane each, from the first on; the remaining lanes come from `onto`."""
+        """Return a vector with these single numbers in its first lanes. The remaining lanes come from `onto`, or are undefined if
+        it is None."""
         for lane, value in enumerate(values):
             previous = self.named_number(value.kind, "poison", lanes) if onto is None else onto
             onto = self.op("insertelement", value.kind, previous, value, x=lane)
@@ -35,7 +36,7 @@ class Vectors(IrBuilder[Value]):
         return onto
 
     def shuffle(self, a: Number, b: Number, order: Sequence[int]) -> Value:
-        """Return selected lanes of two numbers, by their indices in both."""
+        """Return a vector of the lanes of `a`, then `b`, at the indices `order`."""
         text = f"<{len(order)} x i32> <{', '.join(f'i32 {each}' for each in order)}>"
         return self.op("shufflevector", a.kind, a, b, x=text, lanes=len(order))
 

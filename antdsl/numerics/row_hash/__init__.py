@@ -1,15 +1,15 @@
-"""A hash of a table that does not depend on the order of its rows. It has 128 bits, the sum over rows of a mixed word of each.
+"""A 128-bit hash of a table that does not depend on the order of its rows: the sum of a mixed hash of each row.
 
-A row is taken as 32-bit halves in pairs. Two lanes of 64 bits each add up the products of such pairs, after keys were added to
-the halves. This is the hash NH (J. Black, S. Halevi, H. Krawczyk, T. Krovetz, P. Rogaway, UMAC: Fast and Secure Message
-Authentication, CRYPTO 1999). Its keys, separate for each pair and lane, are by SplitMix64 (G. Steele, D. Lea, C. Flood, Fast
-Splittable Pseudorandom Number Generators, OOPSLA 2014). Each lane of a row then goes through the finaliser of MurmurHash3 (A.
-Appleby, `fmix64`, 2011), a bijection. It is added to that of the other rows, modulo 2^64. The first pair of a row is its id, so
-that values which change places between rows change the sum too.
+A row is processed as pairs of 32-bit halves. Each of two 64-bit lanes adds keys to the halves, multiplies the halves of each
+pair, and sums the products. This is the hash NH (J. Black, S. Halevi, H. Krawczyk, T. Krovetz, P. Rogaway, UMAC: Fast and Secure
+Message Authentication, CRYPTO 1999). Its keys differ for each pair and lane; SplitMix64 generates them (G. Steele, D. Lea, C.
+Flood, Fast Splittable Pseudorandom Number Generators, OOPSLA 2014). Each lane of a row is then mixed by the finaliser of
+MurmurHash3 (A. Appleby, `fmix64`, 2011), a bijection. The mixed lanes of all rows are added modulo 2^64. The first pair of a row
+is its id. So the sum also changes if rows exchange values.
 
-Where one 32-bit half of one row differs, the hash differs for certain. A lane keeps its product only where the other half and its
-key come to 0. No two lanes have the same key. Any other difference is missed once in 2^64 or less, unless an attacker knows the
-keys and searches for one: this finds faults, not forgeries."""
+A difference in a single 32-bit half of one row always changes the hash. A lane's product stays the same only if the other half
+and its key add up to 0. No two lanes have the same key, so the other lane changes. Any other difference is missed with a
+probability of at most 2^-64, unless an attacker knows the keys and searches for one. The hash detects faults, not forgeries."""
 
 from __future__ import annotations
 
@@ -41,8 +41,9 @@ Int64Array = NDArray[np.int64]
 
 
 def row_hash(ids: NDArray[np.int64] | None, columns: Sequence[NDArray[Any]]) -> bytes:
-    """Return 16 bytes for a table with these columns, [n] each, of 1, 2, 4 or 8 bytes a value. `ids` int64[n] are different from
-    each other. None: the numbers of the rows, for a table with ordered rows."""
+    """Return the hash, 16 bytes, of a table with these columns, [n] each, of 1, 2, 4 or 8 bytes per value.
+
+    `ids` int64[n] are all different. None means the row numbers, for a table in which the order of rows matters."""
     count = len(columns[0]) if ids is None else len(ids)
     arrays = [np.ascontiguousarray(column) for column in (columns if ids is None else (ids, *columns))]
     return _to_digest(HashTable(arrays, keys, ids=ids is not None).sums(count))
@@ -53,7 +54,7 @@ def _to_digest(sums: Sequence[int]) -> bytes:
 
 
 class RowHasher:
-    """Repeated `row_hash` of tables that mostly have the same addresses. These are looked up once."""
+    """Repeated `row_hash` of tables that mostly have the same addresses. The addresses are looked up once."""
 
     def __init__(self) -> None:
         self._arrays: list[NDArray[Any]] = []  # the ids first, where there are any
@@ -62,16 +63,17 @@ class RowHasher:
         self._parts: list[NDArray[Any]] = []
 
     def split_columns(self, arrays: Sequence[NDArray[Any]], several: Sequence[bool]) -> list[NDArray[Any]]:
-        """Return the columns of arrays; an array with `several` has one column per row of its first axis. The result has the same
-        objects as long as the arrays are the same."""
+        """Return the columns of arrays. An array for which `several` is true has one column per row of its first axis.
+
+        As long as the arrays are the same, the result has the same objects."""
         if len(arrays) != len(self._whole) or any(map(is_not, arrays, self._whole)):
             self._whole = list(arrays)
             self._parts = [part for array, each in zip(arrays, several, strict=True) for part in (array if each else (array,))]
         return self._parts
 
     def of(self, ids: NDArray[np.int64] | None, columns: Sequence[NDArray[Any]], threads: int = 1) -> bytes:
-        """Return the hash of columns [n] or [n, k]; the rows of the latter count as k columns. Columns with fewer than four bytes
-        per value must be contiguous."""
+        """Return the hash of columns [n] or [n, k]; the latter count as k columns. Columns with fewer than four bytes per value
+        must be contiguous."""
         arrays = list(columns) if ids is None else [ids, *columns]
         count = len(arrays[0])
         if not count:  # arrays without rows have any strides
@@ -84,7 +86,7 @@ class RowHasher:
 
 
 def describe_columns(names: tuple[str, ...], columns: Iterable[NDArray[Any]]) -> bytes:
-    """Return what a digest needs of columns in addition to the hash of the rows: their names and types."""
+    """Return the names and types of columns as bytes, for a digest that also contains the hash of the rows."""
     return _describe_columns(names, tuple([column.dtype for column in columns]))
 
 
@@ -95,8 +97,10 @@ def _describe_columns(names: tuple[str, ...], types: tuple[np.dtype[Any], ...]) 
 
 @cache
 def keys(number: int) -> Int64Array:
-    """The keys of a word by its number in the row: of its first and its second half in one lane, then in the other, 32 bits each.
-    Two numbers of SplitMix64 that begins at 0."""
+    """Return the four keys of a word by its number in the row, 32 bits each.
+
+    They are the keys of its first and second half in one lane, then in the other lane. They come from two numbers of SplitMix64,
+    started at 0."""
     halves: list[int] = []
     for each in (2 * number + 1, 2 * number + 2):
         z = each * 0x9E3779B97F4A7C15 & _MASK_64
@@ -112,7 +116,7 @@ _WordPart = tuple[int, int, int]  # which column, how many bytes from its begin 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _ColumnForm:
-    """The common layout of all arrays for a column: type, steps, axes after the first, and whether they are contiguous."""
+    """The memory layout of a column's arrays: type, steps, axes after the first, and whether they are contiguous."""
 
     dtype: np.dtype[Any]
     strides: tuple[int, ...]
@@ -121,9 +125,11 @@ class _ColumnForm:
 
 
 class HashTable:
-    """The memory layout of a table's columns, for machine code. `columns` [n] or [n, k], of 1, 2, 4 or 8 bytes a value, are not
-    stored here. `keys` returns the four of a word by its number. `ids`: whether the first column is those of the rows; otherwise
-    the numbers of the rows are."""
+    """The memory layout of a table's columns, for machine code.
+
+    - `columns`: arrays [n] or [n, k], of 1, 2, 4 or 8 bytes per value; the table does not store the arrays
+    - `keys`: a function that returns the four keys of a word by its number
+    - `ids`: whether the first column is the ids of the rows; otherwise row numbers are used"""
 
     def __init__(self, columns: Sequence[NDArray[Any]], keys: Callable[[int], NDArray[np.int64]], *, ids: bool) -> None:
         self._forms = [_ColumnForm(each.dtype, each.strides, each.shape[1:], each.flags.c_contiguous) for each in columns]
@@ -157,8 +163,8 @@ class HashTable:
         self.rebind(columns, [None] * len(columns))
 
     def rebind(self, columns: Sequence[NDArray[Any]], previous: Sequence[NDArray[Any] | None]) -> bool:
-        """Return whether other arrays can replace the columns; if so, they do from now on. `previous`: the arrays that they
-        replace."""
+        """Replace the arrays of the columns if the new arrays have the same layout; return whether they have. `previous`: the
+        arrays to replace."""
         for k, (column, other) in enumerate(zip(columns, previous, strict=True)):
             if column is other:
                 continue
@@ -173,7 +179,7 @@ class HashTable:
         return True
 
     def sums(self, count: int, threads: int = 1) -> tuple[int, int]:
-        """Return the sums of both lanes over `count` rows, each row mixed, modulo 2^64."""
+        """Return the sums of both lanes over `count` rows modulo 2^64. Each row is mixed before it is added."""
         chunks = 1 if threads < 2 else max(1, min(PARTS_PER_THREAD * threads, count // parallel.MIN_AGENTS_PER_THREAD))
         if len(self._heads) != chunks or self._chunks[-1, 2] != count:
             self._heads = np.zeros((chunks, TABLE_HEADER_WORDS), np.int64)

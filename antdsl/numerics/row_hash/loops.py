@@ -1,7 +1,7 @@
 """The loops of `row_hash`, in LLVM's language.
 
-Rows are processed in blocks that fit into a core's own cache. The lanes of a block's rows are summed there, word by word. So each
-column is read as one stream, which processors can prefetch. All columns at once would be too many streams."""
+Rows are processed in blocks that fit into a core's own cache. The lanes of a block's rows are summed in that cache, word by word.
+So each column is read as one stream, which processors can prefetch. All columns at once would be too many streams."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ _LANE_NUMBERS = "<" + ", ".join(f"i64 {k}" for k in range(ROWS_PER_STEP)) + ">"
 
 
 class _TextBuilder:
-    """Lines of a function, with unique names for its values."""
+    """Builder of a function's text, with unique names for its values."""
 
     def __init__(self) -> None:
         self.lines: list[str] = []
@@ -46,7 +46,7 @@ class _TextBuilder:
         return self.put(f"getelementptr {of}, ptr {begin}, i64 {number}")
 
     def broadcast(self, value: str, kind: str = "i64") -> str:
-        """A number in all lanes."""
+        """Write a number to all lanes."""
         one = self.put(f"insertelement <{ROWS_PER_STEP} x {kind}> poison, {kind} {value}, i64 0")
         return self.put(
             f"shufflevector <{ROWS_PER_STEP} x {kind}> {one}, <{ROWS_PER_STEP} x {kind}> poison, <{ROWS_PER_STEP} x i32> "
@@ -60,7 +60,7 @@ def _constant(value: int) -> str:
 
 @library_text
 def text(target: machine.Target) -> str:
-    """Return the compiled text: a function of such a table that adds the sums of rows from the first to before the last."""
+    """Return the text to compile: a function of the table that adds the sums of rows from the first to before the last."""
     module = LlvmModule(target)
     module.declare("llvm.memset.p0.i64", "void", ["ptr", "i8", "i64", "i1"])
     w = _TextBuilder()
@@ -140,8 +140,10 @@ def _words(w: _TextBuilder) -> None:
 
 
 def _add_products(w: _TextBuilder, label: str, predecessor: str, columns: Sequence[str], keys: Sequence[str]) -> None:
-    """Add the products of a word to both lanes of a block, after the block `predecessor`. The word comes from one column of full
-    words, or from two of halves."""
+    """Add the products of a word to both lanes of a block. The word comes from one column of complete words, or from two columns
+    of halves.
+
+    `predecessor` is the label of the block of code before."""
     _loop(w, label, predecessor, ROWS_PER_STEP, "%room")
     if len(columns) == 1:
         place = w.place(columns[0], "i64", f"%{label}.i")
@@ -163,7 +165,8 @@ def _add_products(w: _TextBuilder, label: str, predecessor: str, columns: Sequen
 
 
 def _write_halves(w: _TextBuilder, name: str, begin: str, step: str) -> None:
-    """Write the low or the `high` halves of words from a column of values of at most 4 bytes, and continue at `name`.done."""
+    """Write the low or the `high` halves of words from a column of values of at most 4 bytes. Then continue at the label
+    `name`.done."""
     shift = 32 if name == "high" else 0
     w.do(f"br i1 %few, label %{name}.few, label %{name}.many")
     for many in (True, False):
@@ -186,7 +189,7 @@ def _write_halves(w: _TextBuilder, name: str, begin: str, step: str) -> None:
 
 
 def _loop(w: _TextBuilder, label: str, predecessor: str, step: int, count: str) -> None:
-    """Begin a loop over the rows of a block, after the block `predecessor`."""
+    """Begin a loop over the rows of a block. `predecessor` is the label of the block of code before."""
     w.do(f"br label %{label}")
     w.at(label)
     w.do(f"%{label}.i = phi i64 [ 0, %{predecessor} ], [ %{label}.next, %{label}.turn ]")
@@ -218,7 +221,7 @@ def _read_halves(w: _TextBuilder, label: str, predecessor: str, begin: str, kind
 
 
 def _gather_values(w: _TextBuilder, label: str, predecessor: str, begin: str, step: str, kind: str, shift: int | None) -> None:
-    """Write values that are `step` bytes apart, one by one, as full words or as halves."""
+    """Write values that are `step` bytes apart, one by one, as complete words or as halves."""
     _loop(w, label, predecessor, 1, "%count")
     at = w.place(begin, "i8", w.put(f"mul i64 %{label}.i, {step}"))
     word = w.put(f"load {kind}, ptr {at}, align 1")
@@ -246,7 +249,9 @@ def _write_row_numbers(w: _TextBuilder) -> None:
 
 
 def _mix_rows(w: _TextBuilder) -> None:
-    """Mix both lanes of each row of a block and add them to the sums, row by row: few processors multiply 64 bits in lanes."""
+    """Mix both lanes of each row of a block and add them to the sums.
+
+    It works row by row, because few processors multiply 64-bit numbers in SIMD lanes."""
     w.at("mix")
     w.do("br label %mixing")
     w.at("mixing")

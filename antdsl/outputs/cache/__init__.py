@@ -1,6 +1,8 @@
 """A run on disk: frames, checkpoints and hashes. After a crash at any instant the run can continue from the cache.
 
-`cache_writer` writes frames atomically behind a lock (`lock`); `frame_writer` writes them in a thread beside the simulation.
+`cache_writer` writes frames atomically behind a lock (`lock`).
+`frame_writer` writes frames in a thread, while the simulation continues.
 `cache_reader` checks everything in a cache against limits before it is used.
-`frames` defines a frame's arrays, `manifest` describes the cache, `hashes` finds damage, `npz` writes and reads plain arrays.
-Solids are stored as the removed volume (`solid_pieces`) and dug again for drawing (`dug_solids`)."""
+`frames` defines the arrays of a frame, `manifest` describes the cache, `hashes` finds damage.
+`npz` writes and reads plain arrays.
+`solid_pieces` stores solids as the removed volume; `dug_solids` digs them again for drawing."""

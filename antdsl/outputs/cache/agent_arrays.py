@@ -1,7 +1,6 @@
-"""Agents in a frame, as arrays in scene units. Rows are agents: species in order of their names, agents by id within each.
+"""Arrays of the agents in a frame, in scene units. Each row is an agent: ordered by species name, then by id.
 
-Each species writes its own rows of an array. A register is read in row order, and each value is written to the agent's rank by
-id."""
+Each species writes its own rows of an array. Registers are read in row order. Each value is written at the agent's rank by id."""
 
 from __future__ import annotations
 
@@ -21,14 +20,17 @@ Arrays = dict[str, NDArray[Any]]
 
 
 class AgentArrays:
-    """Builder of the agents' arrays. `scale`: scene units per millimetre. `factors`: multipliers of a species' numbers, 1 by
-    default. `pairs`: names for which a species has one value per pair."""
+    """Builder of the agents' arrays.
+
+    `scale`: scene units per millimetre.
+    `factors`: multiplier of a number, by (species, name); 1 where absent.
+    `pairs`: by species, the names of values that exist per pair of agents and not per agent."""
 
     def __init__(self, scale: float, factors: Mapping[tuple[str, str], float], pairs: Mapping[str, Container[str]]) -> None:
         self.scale, self.factors, self.pairs = scale, factors, pairs
 
     def arrays(self, world: World, attributes: tuple[str, ...]) -> Arrays:
-        """The arrays of these names."""
+        """Return the arrays with the names `attributes`, one row per agent of the world."""
         populations = [world.populations[name] for name in sorted(world.populations)]
         output = Arrays()
         for attribute in attributes:
@@ -41,7 +43,7 @@ class AgentArrays:
         return output
 
     def _write(self, world: World, attribute: str, population: Population, out: NDArray[Any]) -> None:
-        """Write an attribute of a species into its rows of an array."""
+        """Write an attribute of a species into `out`, its rows of the array. Agents without the attribute get NaN."""
         threads = world.options.threads
         column = ATTRIBUTES.get(attribute)
         if column is not None and column.kind == "derived":
@@ -55,7 +57,7 @@ class AgentArrays:
 
 
 def write_column(population: Population, column: Column, scale: float, out: NDArray[Any], threads: int = 1) -> None:
-    """Write a fixed array or registers of agents by id, in the units of frames."""
+    """Write a column of a population into `out`, by id, in the units of frames. The column is a fixed array or registers."""
     ranks, factor = population.id_ranks(), column.factor(scale)
     if column.kind == "register" and not column.shape:
         write_numbers(population, column.name, factor, out, threads)
@@ -70,7 +72,7 @@ def write_column(population: Population, column: Column, scale: float, out: NDAr
 
 
 def write_numbers(population: Population, name: str, factor: float, out: NDArray[np.float32], threads: int = 1) -> None:
-    """Write a register of agents times a factor, [n]."""
+    """Write a register times `factor` into `out` float32[n], by id."""
     of = population.now[name]
     if of.dtype == np.float32:
         work = partial(frame_loops.agent_numbers, of, population.id_ranks(), np.float32(factor), out)
@@ -80,7 +82,7 @@ def write_numbers(population: Population, name: str, factor: float, out: NDArray
 
 
 def write_colours(world: World, population: Population, out: NDArray[np.float32]) -> None:
-    """Write the state colours of agents, [n, 3]. Raises IndexError for an invalid state."""
+    """Write the state colours of agents into `out` float32[n, 3], by id. Raises IndexError for an invalid state."""
     machines = population.plan.machines
     if not machines:
         out[:] = 1.0
@@ -101,7 +103,7 @@ def _write_states(world: World, population: Population, out: NDArray[np.int16]) 
 
 
 def write_orientations(world: World, population: Population, out: NDArray[np.float32]) -> None:
-    """Write the orientations of agents, [n, 4]."""
+    """Write the orientations of agents into `out` float32[n, 4]: quaternions x, y, z, w, by id."""
     heading, up, ranks = _columns(population, "heading"), _columns(population, "up"), population.id_ranks()
     parallel.in_parts(partial(frame_loops.agent_orientations, heading, up, ranks, out), len(ranks), world.options.threads)
 

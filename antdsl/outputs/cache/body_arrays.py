@@ -1,4 +1,4 @@
-"""Agent definitions in a cache: `static.npz` has each once, as `body.N.PART`, so that pictures need nothing but the cache."""
+"""Agent definitions in a cache. `static.npz` has each definition once, as `body.N.PART`, so pictures need no other files."""
 
 from __future__ import annotations
 
@@ -20,7 +20,11 @@ Arrays = Mapping[str, NDArray[Any]]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class StoredBodies:
-    """Definitions for a cache: a manifest entry and arrays for each, and the number of the definition of each species."""
+    """Definitions for a cache.
+
+    `entries`: a manifest entry for each definition.
+    `worn`: the index of the definition of each species.
+    `arrays`: the arrays of all definitions."""
 
     entries: tuple[BodyEntry, ...]
     worn: Mapping[str, int]
@@ -28,7 +32,7 @@ class StoredBodies:
 
     @staticmethod
     def of(definitions: Mapping[str, Definition], names: Mapping[str, str]) -> StoredBodies:
-        """Build from definitions by species; `names` are the files they were read from."""
+        """Build from definitions by species. `names`: by species, the file that its definition was read from."""
         numbers: dict[int, int] = {}
         entries: list[BodyEntry] = []
         worn: dict[str, int] = {}
@@ -43,7 +47,8 @@ class StoredBodies:
 
 
 def definition_of(manifest: Manifest, static: Arrays, number: int) -> Definition:
-    """Return the definition at an index of the manifest's list. Raises BodyError where it is missing, damaged, or another one."""
+    """Return the definition at index `number` of the manifest's list. Raises BodyError if it is missing, damaged, or not the one
+    written."""
     arrays = {part: static[name] for part in ARRAY_NAMES if (name := f"body.{number}.{part}") in static}
     if number >= len(manifest.bodies) or len(arrays) != len(ARRAY_NAMES):
         raise BodyError("is not there")
@@ -54,7 +59,8 @@ def definition_of(manifest: Manifest, static: Arrays, number: int) -> Definition
 
 
 def unpack_checked(arrays: Mapping[str, NDArray[Any]]) -> Definition:
-    """Return the definition from arrays that `packed` made. Raises BodyError for any other arrays: nothing in them is trusted."""
+    """Return the definition from arrays that `bodies.agents.packed` made. Raises BodyError for any other arrays; all of them are
+    checked."""
     definition, report = unpack_definition(arrays), Report()
     with np.errstate(all="ignore"):
         if check_definition(Parts(definition, measured=False), report) is None:

@@ -1,9 +1,10 @@
-"""Reading of a cache: its frames and their content, checkpoints and hashes. Nothing in it is trusted before it is checked.
+"""Reading of a cache: its frames and their content, checkpoints and hashes. Everything is checked before use.
 
-manifest.json                   the inputs it was made from and how to read it static.npz                      meshes, positions
-of field cells frames/frame.1001.npz           one per frame: agents, fields, items checkpoints/checkpoint.1050.npz everything
-needed to continue from there hashes.jsonl                    by frame, hashes of the complete state, the frame file and the
-checkpoint file"""
+manifest.json                         the inputs of the cache, and how to read it
+static.npz                            meshes, positions of field cells
+frames/frame.1001.npz                 one per frame: agents, fields, items
+checkpoints/checkpoint.1050.npz       everything needed to continue from this frame
+hashes.jsonl                          by frame, hashes of the complete state, the frame file and the checkpoint file"""
 
 from __future__ import annotations
 
@@ -23,19 +24,19 @@ from antdsl.outputs.cache.npz import ArrayFileError, read_npz
 
 MARKER = ".antdsl-cache"
 STATIC = "static.npz"
-NAMES = ("frames", "checkpoints", STATIC, HASHES, MANIFEST, MARKER)  # what lies in a cache's folder
-SURFACE_ERROR = "surface_error"  # of a checkpoint: the greatest of all frames up to it
+NAMES = ("frames", "checkpoints", STATIC, HASHES, MANIFEST, MARKER)  # the entries of a cache's folder
+SURFACE_ERROR = "surface_error"  # in a checkpoint: the greatest surface error of all frames up to it
 _NUMBERED = re.compile(r"[a-z]+\.(-?[0-9]{1,10})\.npz", re.ASCII)
 
 Arrays = Mapping[str, NDArray[Any]]
 
 
 class CacheError(Exception):
-    """Reason why a part of a cache cannot be used; the message is complete without context."""
+    """Reason why a part of a cache cannot be used. The message is complete without context."""
 
 
 def frame_path(folder: Path, frame: int) -> Path:
-    """Return the path of a frame's file. Numbers have at least four digits, as in files of pictures."""
+    """Return the path of a frame's file. Its number has at least four digits, as in the names of pictures."""
     return folder / f"frames/frame.{frame:04d}.npz"
 
 
@@ -44,8 +45,10 @@ def checkpoint_path(folder: Path, frame: int) -> Path:
 
 
 def numbered_files(folder: Path, path: Callable[[Path, int], Path]) -> tuple[list[int], list[Path]]:
-    """Return the numbers of the frames or checkpoints in a cache's folder, in order; `path` writes their names. Also return files
-    among them with invalid names, such as `frame.12.npz`."""
+    """Return the numbers of the frames or checkpoints in a cache's folder, ascending, and the files with invalid names.
+
+    `path`: returns the path of a frame's or checkpoint's file from the folder and the number.
+    The second list has files in the same folder with names such as `frame.12.npz`."""
     place = path(folder, 0).parent
     numbers, strays = [], []
     for each in place.iterdir() if place.is_dir() else ():
@@ -59,21 +62,22 @@ def numbered_files(folder: Path, path: Callable[[Path, int], Path]) -> tuple[lis
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Cache:
-    """A cache on disk. `open_cache` makes one."""
+    """A cache on disk. Use `open_cache` to get one."""
 
     folder: Path
     manifest: Manifest
 
     def frames(self) -> list[int]:
-        """The frames that are there, in order."""
+        """Return the numbers of the existing frames, ascending."""
         return numbered_files(self.folder, frame_path)[0]
 
     def checkpoints(self) -> list[int]:
-        """The frames that have a checkpoint, in order."""
+        """Return the numbers of the frames that have a checkpoint, ascending."""
         return numbered_files(self.folder, checkpoint_path)[0]
 
     def strays(self) -> list[str]:
-        """Return messages on files next to frames and checkpoints that are ignored, each complete without context."""
+        """Return a message for each ignored file in the folders of frames and checkpoints. Each message is complete without
+        context."""
         return [
             f"`{stray}` is not a {what} of this cache: {what}s have names such as `{path(self.folder, 12).name}`"
             for what, path in (("frame", frame_path), ("checkpoint", checkpoint_path))
@@ -81,17 +85,20 @@ class Cache:
         ]
 
     def frame(self, number: int, only: frozenset[str] | None = None) -> Arrays:
-        """Return the arrays of a frame, or `only` those with some names, in the documented format. Raises CacheError when the
-        frame is missing or damaged."""
+        """Return the arrays of a frame in the documented format. Raises CacheError if the frame is missing or damaged.
+
+        `only`: the names of the arrays to return; None for all."""
         return _read(frame_path(self.folder, number), number, only)
 
     def checkpoint(self, number: int) -> Arrays:
-        """Return everything needed to continue from a frame. Raises CacheError when it is missing or damaged."""
+        """Return all arrays needed to continue from a frame. Raises CacheError if the checkpoint is missing or damaged."""
         return _read(checkpoint_path(self.folder, number), number)
 
     def static(self) -> Arrays:
-        """Return meshes (`mesh.NAME.vertices`, `.faces`) and positions of field cells (`field.NAME.P`), in scene units. Raises
-        CacheError, also where something that the manifest names is missing."""
+        """Return the arrays of `static.npz`, in scene units. Raises CacheError, also if an array that the manifest needs is
+        missing.
+
+        Among them are meshes (`mesh.NAME.vertices`, `.faces`) and positions of field cells (`field.NAME.P`)."""
         arrays = _read(self.folder / STATIC, None)
         for name in _static_names(self.manifest, arrays):
             if name not in arrays:
@@ -99,40 +106,42 @@ class Cache:
         return arrays
 
     def source_files(self) -> list[Path]:
-        """Return the files that the scene was made from, as far as they are known and still exist there."""
+        """Return the files that the scene was made from, without those that no longer exist. Empty if the manifest names no
+        scene."""
         if self.manifest.scene_path is None:
             return []
         scene = Path(os.path.normpath(self.folder.resolve() / self.manifest.scene_path))
         return [each for each in (scene, *(scene.parent / name for name in self.manifest.inputs)) if each.is_file()]
 
     def hashes(self) -> dict[int, str]:
-        """Return the state hash of each frame, without a last line that a crash cut off."""
+        """Return the state hash of each frame. An incomplete last line, left by a crash, is ignored."""
         return {frame: line.hash for frame, line in self.lines().items()}
 
     def lines(self) -> dict[int, Line]:
-        """Return the line of each frame and its file, as far as lines are complete."""
+        """Return the complete lines of `hashes.jsonl`, by frame."""
         return read_lines(self.folder / HASHES)
 
     def damage(self, frame: int, line: Line | None) -> str | None:
-        """Return what is wrong with the file of a frame; None where it has the bytes that were written. `line` is the frame's
-        line."""
+        """Return a message on damage to a frame's file, or None if its bytes are those that were written. `line`: the line of the
+        frame."""
         return damage(frame_path(self.folder, frame), frame, line)
 
     def checkpoint_damage(self, frame: int, line: Line | None) -> str | None:
-        """Return what is wrong with a checkpoint, or None. It must also be readable. Without a stored hash, changed bytes are not
-        detected."""
+        """Return a message on damage to a checkpoint, or None. An unreadable checkpoint is damaged too.
+
+        `line`: the line of the frame. If it has no hash of the checkpoint, changed bytes are not detected."""
         return checkpoint_damage(checkpoint_path(self.folder, frame), frame, line) or _read_problem(
             lambda: self.checkpoint(frame)
         )
 
     def static_damage(self) -> str | None:
-        """The same for `static.npz`."""
+        """Return a message on damage to `static.npz`, or None."""
         expected = self.manifest.static
         return (static_damage(self.folder / STATIC, expected) if expected else None) or _read_problem(self.static)
 
 
 def open_cache(folder: Path) -> Cache:
-    """The cache in a folder; ManifestError says why there is none."""
+    """Return the cache in a folder. Raises ManifestError with the reason if there is none."""
     return Cache(folder, read_manifest(folder))
 
 
@@ -145,7 +154,8 @@ def _read_problem(read: Callable[[], object]) -> str | None:
 
 
 def _static_names(manifest: Manifest, arrays: Arrays) -> Iterator[str]:
-    """Yield the names of the arrays that the manifest's entries need, and that must match each other."""
+    """Yield the names of the arrays that must exist: those that the manifest's entries need, and the vectors of each stored
+    flow."""
     for mesh in manifest.meshes:
         if not mesh.row.is_dug:
             yield from (f"mesh.{mesh.name}.vertices", f"mesh.{mesh.name}.faces")
@@ -172,5 +182,5 @@ def _read(path: Path, number: int | None, only: frozenset[str] | None = None) ->
 
 
 def scalar(value: int) -> NDArray[np.int64]:
-    """A number as an array without dimensions."""
+    """Return an integer as an int64 array without dimensions."""
     return np.array(value, np.int64)

@@ -1,5 +1,7 @@
-"""Writing of a cache that can be continued after a crash at any time. Frames are written atomically behind the simulation,
-checkpoints only after all earlier frames are on the disk, and hashes line by line."""
+"""Writing of a cache that can be continued after a crash at any time.
+
+A thread writes frames atomically while the simulation continues. A checkpoint is written only after all earlier frames are on
+the disk. Hashes are written line by line."""
 
 from __future__ import annotations
 
@@ -44,15 +46,19 @@ Arrays = Mapping[str, NDArray[Any]]
 
 
 class ForeignFolder(Exception):
-    """The folder has files that antdsl did not write; the message names one."""
+    """The folder contains a file that antdsl did not write. The message names it."""
 
 
 class PathBlocked(Exception):
-    """Error for an object in a cache's folder at the path of one of its files; the message names it."""
+    """Something in a cache's folder, such as a folder or a link, has the path of one of the cache's files. The message names
+    it."""
 
 
 class DifferentInputs(Exception):
-    """Error for a cache made from other inputs: `names` are the differing inputs, `choices` describe the options that differ."""
+    """The cache was made from other inputs.
+
+    `names`: the inputs that differ.
+    `choices`: descriptions of the options that differ."""
 
     def __init__(self, manifest: Manifest, names: list[str], choices: Sequence[str] = ()) -> None:
         problems = [f"the cache was made {' and '.join(choices)}"] if choices else []
@@ -62,9 +68,10 @@ class DifferentInputs(Exception):
 
 
 def prepare_folder(folder: Path, *, force: bool) -> None:
-    """Make the folder, or check that antdsl may write to it. Changes nothing on an error.
+    """Create the folder, or check that antdsl may write to it. Changes nothing on an error.
 
-    Raises ForeignFolder if it holds other files, InTheWay if something else has the name of a file of the cache."""
+    Raises ForeignFolder if the folder has other files. Raises PathBlocked if something else has the path of a file of the
+    cache."""
     if folder.exists() and not folder.is_dir():
         raise ForeignFolder(f"`{folder}` is a file")
     make_folder(folder)
@@ -81,7 +88,7 @@ def prepare_folder(folder: Path, *, force: bool) -> None:
         raise PathBlocked(f"`{lock}` is a link or a device, but a file of the cache is needed there")
     marker = folder / MARKER
     if not marker.exists():
-        # a lock or a half-written marker is what a run leaves that was killed as it began
+        # a run that was killed at its start leaves a lock or an unfinished marker
         others = sorted(
             name.name for name in folder.iterdir() if name.name != LOCK and not name.match(f".{MARKER}.*{PART_SUFFIX}")
         )
@@ -93,7 +100,7 @@ def prepare_folder(folder: Path, *, force: bool) -> None:
 
 
 def _files(folder: Path) -> Iterator[Path]:
-    """Yield the existing files that a run removes or writes in a cache's folder."""
+    """Yield the existing files of a cache's folder that a run removes or writes."""
     yield from (folder / name for name in (MARKER, LOCK, STATIC, MANIFEST, HASHES))
     for path in (frame_path, checkpoint_path):
         yield from (path(folder, number) for number in numbered_files(folder, path)[0])
@@ -101,15 +108,16 @@ def _files(folder: Path) -> Iterator[Path]:
 
 
 def _unfinished_files(folder: Path) -> list[Path]:
-    """Return unfinished files of killed runs."""
+    """Return the unfinished files that killed runs left in the folder."""
     return [part for place in (folder, folder / "frames", folder / "checkpoints") for part in place.glob(f".*{PART_SUFFIX}")]
 
 
 def clear(folder: Path, above: int | None = None, damaged: Container[int] = ()) -> None:
-    """Remove the frames, checkpoints and hashes of an earlier run, and nothing else.
+    """Remove the frames, checkpoints and hashes of an earlier run, and no other files.
 
-    With `above`, only those after that frame, and the `damaged` checkpoints. Hashes are removed first: if this is interrupted, a
-    file without a hash is ignored."""
+    `above`: remove only files of frames after this one; None removes all.
+    `damaged`: frames with a checkpoint that is also removed.
+    Hashes are removed first. If the removal is interrupted, a file without a hash is ignored."""
     remaining_lines = {} if above is None else {f: line for f, line in read_lines(folder / HASHES).items() if f <= above}
     write_atomically(folder / HASHES, b"".join(line.text(frame) for frame, line in remaining_lines.items()))
     for number in numbered_files(folder, frame_path)[0]:
@@ -123,7 +131,7 @@ def clear(folder: Path, above: int | None = None, damaged: Container[int] = ()) 
 
 
 class DifferentHashes(Exception):
-    """Error for a cache with another method of state hashes, so that states cannot be compared."""
+    """The cache was made with another method of state hashes, so states cannot be compared."""
 
     def __init__(self, folder: Path) -> None:
         super().__init__(f"`{folder}` was written by an antdsl that hashes states in another way")
@@ -131,8 +139,11 @@ class DifferentHashes(Exception):
 
 @dataclass(frozen=True, slots=True)
 class IntactPart:
-    """The part of a cache that a run can continue. `points`: checkpoints to continue from, the latest first. `last_frame`: the
-    last frame in the cache. `broken`: why the first incomplete frame is incomplete, None if nothing is wrong."""
+    """The part of a cache that a run can continue.
+
+    `points`: checkpoints to continue from, the latest first.
+    `last_frame`: the last frame in the cache.
+    `broken`: what is wrong with the first incomplete frame; None if nothing is wrong."""
 
     cache: Cache
     points: list[int]
@@ -143,8 +154,8 @@ class IntactPart:
 def intact_part(folder: Path, inputs: Mapping[str, str], first: int, last: int) -> IntactPart | None:
     """Return the part of the cache that can be continued, or None if there is nothing to continue.
 
-    A checkpoint counts only if the file of every frame up to it has the bytes that were written. Raises DifferentInputs if the
-    cache has other inputs, OtherHashes if its states cannot be compared."""
+    A checkpoint counts only if the files of all frames up to it have the bytes that were written. Raises DifferentInputs if the
+    cache has other inputs, DifferentHashes if its states cannot be compared."""
     try:
         cache = open_cache(folder)
     except ManifestError:
@@ -166,8 +177,10 @@ def intact_part(folder: Path, inputs: Mapping[str, str], first: int, last: int) 
 
 
 def read_checkpoint(cache: Cache, frame: int) -> tuple[Arrays, float | None]:
-    """Return a checkpoint's arrays without the bookkeeping, and the greatest surface error of all frames up to it. The error is
-    None if it was not stored. Raises CacheError if the checkpoint is damaged."""
+    """Return a checkpoint's arrays without the surface error, and the surface error separately. Raises CacheError if it is
+    damaged.
+
+    The surface error is the greatest of all frames up to this one; None if it was not stored."""
     arrays = cache.checkpoint(frame)
     stored_error = arrays.get(SURFACE_ERROR)
     known = (
@@ -181,14 +194,16 @@ def read_checkpoint(cache: Cache, frame: int) -> tuple[Arrays, float | None]:
 
 
 class CacheWriter:
-    """Writes a cache. The folder is locked between `__enter__` and `__exit__`, and accepts frames. After an error nothing more is
-    written.
+    """Writer of a cache. The folder is locked from `__enter__` to `__exit__`, and the writer accepts frames in between.
 
-    `made_with` returns what the manifest says about this process. It reads all of antdsl's files, so the writing thread calls it.
+    After an error, nothing more is written.
 
-    The callback receives results about each frame, some frames later, all before `__exit__` returns. `hash` and `surface_error`
-    of all frames so far come once the frame is written; the error is None if that of earlier frames is unknown. `seconds` are by
-    name."""
+    `made_with`: returns the provenance for the manifest. It reads all of antdsl's files, so the writing thread calls it.
+    `report`: a callback for the results of each frame. It is called some frames later, and always before `__exit__` returns.
+
+    Once a frame is written, its results contain `hash` and the greatest `surface_error` of all frames so far. The surface error
+    is
+    None if the error of earlier frames is unknown. `seconds` has the time spent, by name."""
 
     def __init__(
         self, folder: Path, manifest: Manifest, made_with: Callable[[], Provenance], report: Callable[[Mapping[str, Any]], None]
@@ -231,9 +246,13 @@ class CacheWriter:
         damaged: Container[int] = (),
         worst: float | None = 0.0,
     ) -> None:
-        """Write the files that apply to the whole run. First remove frames of an earlier run and its `damaged` checkpoints.
-        Frames and checkpoints up to the last line of `kept_lines` stay. `worst`: the greatest surface error of these, None if
-        unknown. Raises FolderLocked if another run has written since those lines were read."""
+        """Write the files that apply to the complete run. Raises FolderLocked if another run has written since `kept_lines` were
+        read.
+
+        Frames and checkpoints up to the last line of `kept_lines` stay. Other frames of an earlier run are removed first.
+
+        `damaged`: frames with a checkpoint that is also removed.
+        `worst`: the greatest surface error of the frames that stay; None if unknown."""
         last = max(kept_lines, default=None)
         lines = {} if last is None else read_lines(self.folder / HASHES)
         if kept_lines != {frame: line for frame, line in lines.items() if last is not None and frame <= last}:
@@ -252,7 +271,7 @@ class CacheWriter:
         return {}
 
     def put_frame(self, world: World) -> None:
-        """Measure and hash the current frame of a world, and pass it to the writer. Raises an error of an earlier frame."""
+        """Measure and hash the world's current frame, and pass it to the writing thread. Raises an error of an earlier frame."""
         assert self._behind is not None, "begin comes first"
         times = [time.perf_counter()]
         self._worst = None if self._worst is None else max(self._worst, surface_error(world))
@@ -272,7 +291,7 @@ class CacheWriter:
         self._behind.hand_over(write)
 
     def put_checkpoint(self, world: World) -> None:
-        """Pass everything needed to continue from the last frame to the writer."""
+        """Pass everything needed to continue from the last frame to the writing thread."""
         assert self._behind is not None, "begin comes first"
         state_arrays = checkpoint(world)
         arrays = {"frame": state_arrays["frame"], **{f"world.{name}": array for name, array in state_arrays.items()}}

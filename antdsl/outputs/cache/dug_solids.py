@@ -1,4 +1,4 @@
-"""Solids of a cache at a frame, for drawing: dug again from the last checkpoint."""
+"""Solids of a cache at a frame, for drawing. They are dug again, starting from the last checkpoint."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from antdsl.outputs.pictures.model import Solid
 
 @dataclass(slots=True)
 class _DugSolid:
-    """One solid: its volume at the last requested frame, the surface by brick, and the mesh to draw."""
+    """One solid: its volume at the last requested frame, its surface by brick, and the mesh to draw."""
 
     volume: Volume
     pieces: dict[int, Piece] = field(default_factory=dict)
@@ -40,7 +40,8 @@ class _DugSolid:
 
 
 class DugSolids:
-    """Solids frame by frame. Frames in order are fastest; any other is dug again from the checkpoint before it."""
+    """Solids frame by frame. Ascending frames are fastest. For any other frame, digging starts again at the checkpoint before
+    it."""
 
     def __init__(self, cache: Cache, static: Mapping[str, NDArray[Any]], cut: CutPlane | None = None) -> None:
         self.cache, self._static, self._cut = cache, static, cut
@@ -49,7 +50,7 @@ class DugSolids:
         self._scale = 1.0 / {"mm": 1.0, "cm": 10.0, "m": 1000.0}[cache.manifest.units]
 
     def at(self, frame: int) -> tuple[Solid, ...]:
-        """All solids; the same objects as long as nothing was dug."""
+        """Return all solids at a frame. A solid is the same object until it is dug again."""
         if not self._kept:
             return ()
         if self._at is None or not self._at <= frame < self._at + self.cache.manifest.checkpoint:
@@ -70,7 +71,7 @@ class DugSolids:
     def _dig(self, frame: int) -> None:
         try:
             arrays = self.cache.frame(frame)
-        except CacheError:  # a frame that is missing keeps no other from being drawn
+        except CacheError:  # other frames can be drawn without a missing one
             return
         for name, solid in self._kept.items():
             balls = arrays.get(f"solid.{name}.balls")

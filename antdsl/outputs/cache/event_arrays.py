@@ -1,13 +1,22 @@
-"""Events in the frames of a cache, for effects and sound: `events.KIND.FIELD`, one row an event, of the kinds that the scene's
-`output` requests.
+"""Events in the frames of a cache, for effects and sound: `events.KIND.FIELD`, one row per event.
 
-All have the agent's `species` int16 and `id` int64, `P` float32[k, 3] (scene units) and `N` float32[k, 3] (unit).
+Frames have the kinds of events that the scene's `output` requests.
 
-`emit`: `event` int16, an index into the manifest's `events`; `P` is the agent's position at the start of the step, `N` the normal
-of its ground.
+Fields of all kinds:
+`species` int16 and `id` int64: the agent.
+`P` float32[k, 3]: a position in scene units.
+`N` float32[k, 3]: a unit vector.
 
-`contact`: overlapping bodies. The first of two by species and id has the row, with `other_species` int16, `other` int64 and
-`depth` float32 (scene units). `P` is where they meet, `N` the direction from the other to the first."""
+`emit`: a named event that an agent emits.
+`event` int16: the index in the manifest's `events`.
+`P`: the agent's position at the start of the step.
+`N`: the normal of the agent's ground.
+
+`contact`: two bodies that overlap. `species` and `id` are the agent that is first by species and id.
+`other_species` int16 and `other` int64: the second agent.
+`depth` float32: the penetration depth in scene units.
+`P`: the contact point.
+`N`: the direction from the second agent to the first."""
 
 from __future__ import annotations
 
@@ -27,7 +36,7 @@ Arrays = dict[str, NDArray[Any]]
 
 
 def events_of(world: World, kinds: tuple[str, ...], scale: float) -> Arrays:
-    """Return the arrays of a frame with the events since the frame before. `scale`: scene units per millimetre."""
+    """Return the arrays with the events since the previous frame, for the kinds `kinds`. `scale`: scene units per millimetre."""
     return {f"events.{kind}.{name}": array for kind in kinds for name, array in EVENTS[kind](world, scale).items()}
 
 
@@ -57,8 +66,9 @@ def _contacts(world: World, scale: float) -> Arrays:
 
 
 def _contact_points(near: NearbyPairs, pairs: NDArray[np.intp]) -> NDArray[np.float64]:
-    """Return the contact points of two capsules (3, k) mm: midway between their surfaces, on the shortest line between their
-    axes."""
+    """Return the contact points (3, k) in mm of pairs of capsules.
+
+    A contact point is midway between the two surfaces, on the shortest line between the capsules' axes."""
     i, j, direction, gap = near.i[pairs], near.j[pairs], near.direction[:, pairs], near.gap[pairs]
     a, b, ri, rj = near.ahead[:, i], near.ahead[:, j], near.radius[i], near.radius[j]
     off = direction * (gap + ri + rj) - (near.middle[:, i] - near.middle[:, j])  # t a - s b

@@ -1,4 +1,4 @@
-"""The agents of a frame: their ids and species, and the arrays about all of them."""
+"""The agents of a frame: their ids, their species, and the names of arrays with one row per agent."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from antdsl.program.tables.columns import FRAME
 
 Arrays = Mapping[str, NDArray[Any]]
 Longs = NDArray[np.int64]
-ALWAYS_SAVED = frozenset(each.name for each in FRAME if each.of == "species" and each.saved == "always")  # beside `output`'s
+ALWAYS_SAVED = frozenset(each.name for each in FRAME if each.of == "species" and each.saved == "always")  # also without `output`
 
 IDENTITY = frozenset(("id", "species"))
 
@@ -23,7 +23,7 @@ def own_arrays(form: str) -> frozenset[str]:
 
 
 def further_numbers(arrays: Arrays, form: str) -> Iterator[tuple[str, NDArray[Any]]]:
-    """Yield the arrays with a number of each agent that a file format writes under their own names."""
+    """Yield the names and arrays with one number per agent that a file format writes under the same names."""
     own, count = own_arrays(form), len(arrays["P"])
     for name, values in arrays.items():
         if name not in own and "." not in name.removesuffix(".state") and values.shape == (count,):
@@ -31,22 +31,22 @@ def further_numbers(arrays: Arrays, form: str) -> Iterator[tuple[str, NDArray[An
 
 
 def agent_ids(arrays: Arrays) -> Longs:
-    """Return the id of each agent; the row where a frame has none."""
+    """Return the id of each agent; its row index if the frame has no ids."""
     return np.asarray(arrays["id"], np.int64) if "id" in arrays else np.arange(_count(arrays))
 
 
 def species_numbers(arrays: Arrays) -> Longs:
-    """Return the number of each agent's species."""
+    """Return the species number of each agent."""
     return np.asarray(arrays["species"], np.int64) if "species" in arrays else np.zeros(_count(arrays), np.int64)
 
 
 def species_rows(arrays: Arrays, number: int) -> NDArray[np.intp]:
-    """Return the rows of a species."""
+    """Return the rows of the agents of species `number`."""
     return np.flatnonzero(species_numbers(arrays) == number)
 
 
 def agent_keys(arrays: Arrays) -> Longs:
-    """Return a number that each agent alone has in all frames."""
+    """Return one number per agent that is unique among all agents and the same in all frames."""
     return agent_ids(arrays) * 4096 + species_numbers(arrays)
 
 

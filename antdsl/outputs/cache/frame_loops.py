@@ -1,7 +1,9 @@
-"""Loops of `frames`, `agent_arrays`, `pose_arrays` and `surface_error`: one pass over the agents for an array, or for all clips
-of a machine. Loops with the last arguments `begin` and `end` run in parallel chunks.
+"""Loops of `frames`, `agent_arrays`, `pose_arrays` and `surface_error`.
 
-A loop that reads several numbers of an agent follows the rows in memory and writes to the index of the agent's rank by id. One
+Each loop passes once over the agents, for one array or for all clips of a machine. Loops with the last arguments `begin` and
+`end` run in parallel chunks.
+
+A loop that reads several numbers of an agent follows the rows in memory. It writes each result at the agent's rank by id. One
 scattered write costs less than several scattered reads."""
 
 from __future__ import annotations
@@ -35,7 +37,7 @@ Shares = tuple[Array1[F32], Array1[F32], Array1[F32], Array1[F32], Array1[F32]]
 
 @kernel
 def agent_positions(position: Strided2[F64], ranks: Array1[I32], scale: F64, out: Array2[F32], begin: I64, end: I64) -> None:
-    """Write positions of agents in scene units, each at its rank. Zeros have no sign."""
+    """Write the positions of agents in scene units, each at its rank. Minus zero becomes zero."""
     for i in range(begin, end):
         k = ranks[i]
         out[k, 0] = np.float32((position[i, 0] + 0.0) * scale)
@@ -70,7 +72,7 @@ def agent_integers(of: Array1[I32], ranks: Array1[I32], out: Array1[I16], begin:
 
 @kernel
 def agent_colours(colours: Array2[F32], state: Array1[I32], ranks: Array1[I32], out: Array2[F32], begin: I64, end: I64) -> BOOL:
-    """Write the state colours of agents, each at its rank. Return whether all states have one."""
+    """Write the state colours of agents, each at its rank. Return whether every state has a colour."""
     for i in range(begin, end):
         number, k = state[i], ranks[i]
         if number < 0 or number >= colours.shape[0]:
@@ -83,7 +85,7 @@ def agent_colours(colours: Array2[F32], state: Array1[I32], ranks: Array1[I32], 
 def playing(
     clips: Clips, shares: Shares, ranks: Array1[I32], clips_out: ClipsOut, shares_out: Shares, begin: I64, end: I64
 ) -> None:
-    """Write the clips that a machine of agents plays, each at its rank: clips, and turns, weights and the fade."""
+    """Write what one machine of each agent plays, each at the agent's rank: clips, turns, weights and the fade."""
     clip, previous = clips
     clip_out, before_out = clips_out
     turns, weight, before_turns, before_weight, fade = shares
@@ -97,15 +99,16 @@ def playing(
 
 @kernel
 def mark_worn(on: Array1[BOOL], ranks: Array1[I32], bit: I64, mask: Array1[I64]) -> None:
-    """Set a bit in the masks, by rank, of the agents that wear a layer."""
+    """Set `bit` in the masks of the agents that wear a layer (`on`). Masks are by rank."""
     for i in range(ranks.size):
         mask[ranks[i]] |= bit if on[i] else 0
 
 
 @kernel
 def nonzero_cells(values: Array1[F64], cells: Array1[I32], out: Array1[F32]) -> I64:
-    """Write the indices of the values that are not 0, and these values; return their number. Both outputs have space for one more
-    than all values."""
+    """Write the indices of the values that are not 0 to `cells`, and these values to `out`. Return their number.
+
+    Both outputs need one element more than `values`."""
     count = 0
     for i in range(values.size):
         value = values[i]
@@ -117,17 +120,19 @@ def nonzero_cells(values: Array1[F64], cells: Array1[I32], out: Array1[F32]) -> 
 
 @inlined
 def _copy_sign(size: F64, sign: F64) -> F64:
-    """Return np.copysign of a size without a sign. The sign of a NaN does not count."""
+    """Return `size` (not negative) with the sign of `sign`, as np.copysign does. NaN counts as positive."""
     return -size if as_bits(sign) < 0 and sign == sign else size
 
 
 @kernel
 def agent_orientations(heading: Three, up: Three, ranks: Array1[I32], out: Array2[F32], begin: I64, end: I64) -> None:
-    """Write quaternions x, y, z, w that rotate +x to the heading and +y to the part of `up` perpendicular to it, each at its
-    rank.
+    """Write the orientations of agents as quaternions x, y, z, w, each at the agent's rank.
 
-    Each is the shortest rotation of +x to the heading, then a rotation about the heading. A zero heading counts as +x; for an
-    `up` along the heading, some perpendicular direction is used."""
+    A quaternion rotates +x to the heading, and +y to the part of `up` perpendicular to the heading.
+
+    It is composed of the shortest rotation of +x to the heading, and a rotation about the heading. A zero heading counts as +x.
+    If
+    `up` is parallel to the heading, an arbitrary perpendicular direction replaces it."""
     px, py, pz = heading
     qx, qy, qz = up
     for i in independent(begin, end):
@@ -138,12 +143,12 @@ def agent_orientations(heading: Three, up: Three, ranks: Array1[I32], out: Array
         inverse = 1.0 / (1.0 if still else length)
         hx, hy, hz = hx * inverse, hy * inverse, hz * inverse
         hx = np.float64(1.0) if still else hx
-        # The shortest way: half way between +x and the heading; straight back is half a turn about z.
+        # The shortest rotation of +x to the heading. For the opposite direction: half a turn about z.
         back = hx < -1 + 1e-12
         half = 1.0 / np.sqrt(1.0 if back else 2 * (1 + hx))
         aw, ay, az = (1 + hx) * half, -hz * half, hy * half
         aw, ay, az = 0.0 if back else aw, 0.0 if back else ay, 1.0 if back else az
-        # Where that turn brings +y and +z, and how `up` lies between them.
+        # The images of +y and +z under this rotation, and the components of `up` along them.
         above = 2 * -az * aw * ux + (1 - 2 * az * az) * uy + 2 * ay * az * uz
         beside = 2 * ay * aw * ux + 2 * ay * az * uy + (1 - 2 * ay * ay) * uz
         size = np.sqrt(above * above + beside * beside)
@@ -156,7 +161,7 @@ def agent_orientations(heading: Three, up: Three, ranks: Array1[I32], out: Array
         out[k, 2], out[k, 3] = np.float32(az * bw - ay * bx), np.float32(aw * bw)
 
 
-_BLOCK = 256  # agents: their rows stay in the cache of a core from leg to leg
+_BLOCK = 256  # agents per block: their rows stay in a core's cache from leg to leg
 
 
 @kernel
@@ -174,10 +179,13 @@ def agent_feet(
     begin: I64,
     end: I64,
 ) -> None:
-    """Write the feet of agents from `begin` to before `end`, each at its rank, from arrays (.., legs, n) and (.., n).
+    """Write the feet of the agents `begin` to before `end`, each at the agent's rank. The inputs have shapes (.., legs, n) and
+    (.., n).
 
-    Results: positions x, y, z of each leg in scene units; which feet are on the ground (`swing` is -1); rises in scene units;
-    tilts as unit quaternions x, y, z, w."""
+    `positions_out`: x, y, z of each leg's foot, in scene units.
+    `down`: 1 for feet on the ground (`swing` is -1), else 0.
+    `rise_out`: the height of the trunk above its rest height, in scene units.
+    `tilt`: the rotation of the trunk as unit quaternions x, y, z, w."""
     for low in range(begin, end, _BLOCK):
         high = min(low + _BLOCK, end)
         for leg in range(swing.shape[0]):
@@ -202,8 +210,9 @@ def agent_feet(
 def greatest_distance(
     position: Strided2[F64], ground: Strided2[F64], clearance: Array1[F32], size: Array1[F32], begin: I64, end: I64
 ) -> F64:
-    """Return the greatest deviation from the clearance of the distance between written positions and their ground, in sizes; NaN
-    if one is NaN."""
+    """Return the greatest deviation, in body lengths, of an agent's distance to its ground from its clearance.
+
+    Positions are rounded to float32, as written. The result is NaN if the value of any agent is NaN."""
     worst, unknown = 0.0, False
     for i in range(begin, end):
         x = np.float64(np.float32(position[i, 0])) - ground[i, 0]

@@ -1,7 +1,7 @@
-"""Writes frames and checkpoints in order, in a thread beside the simulation, with a message about each.
+"""Writing of frames and checkpoints, in order, in a thread, with results for each.
 
-A thread and not a process: it receives arrays that no code changes any more, without a copy into shared memory. Nearly all its
-work (checksums, hashes, files) runs without the interpreter's lock."""
+It is a thread and not a process, so it receives arrays without a copy into shared memory. No code changes these arrays any more.
+Nearly all of its work (checksums, hashes, files) runs without the interpreter's lock."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from antdsl.outputs.cache.npz import npz_file
 from antdsl.outputs.cache.zip_parts import Stored
 from antdsl.whole import AppendedFile, sync_files, write_atomically
 
-_MOST = 3  # jobs that are not done: one under way, and those that wait for it
+_MOST = 3  # pending jobs: one that runs, and the waiting ones
 
 Results = Mapping[str, Any]
 Work = Callable[[], Results]
@@ -29,10 +29,10 @@ Measures = dict[str, Any]
 
 
 class Scribe:
-    """Writer into a cache's folder, in order: frames atomically, a line with the hash after each, checkpoints only when all
-    earlier frames are on the disk.
+    """Writer of files into a cache's folder, in order. It must be closed.
 
-    Its results have `seconds` by name. It must be closed."""
+    A frame is written atomically, then its line with the hash. A checkpoint is written after all earlier frames are on the disk.
+    The results of its methods have `seconds`, by name."""
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
@@ -41,7 +41,7 @@ class Scribe:
         self._last: dict[int, Line] = {}  # the line of the frame that was written last
 
     def frame(self, frame: int, file: Stored, line: Line) -> Measures:
-        """Write a frame as this file, and its line."""
+        """Write the file of a frame, then its line. Return the seconds spent."""
         began = time.perf_counter()
         path = frame_path(self.folder, frame)
         write_atomically(path, file.parts, sync=False)
@@ -54,8 +54,9 @@ class Scribe:
         self._lines.write([line.text(frame)])
 
     def checkpoint(self, frame: int, arrays: Arrays) -> Measures:
-        """Write a checkpoint, durably, after everything before it, its hash included. A checkpoint without a hash comes from a
-        version that had none."""
+        """Write a checkpoint durably, after everything before it, its hash included. Return the seconds spent.
+
+        In caches of older versions, checkpoints have no hash."""
         began = time.perf_counter()
         file = npz_file(arrays)
         lines = self._last or read_lines(self.folder / HASHES)
@@ -66,7 +67,7 @@ class Scribe:
         return measures
 
     def sync(self) -> Measures:
-        """See that all that was written is on the disk."""
+        """Flush everything written so far to the disk. Return the seconds spent."""
         began = time.perf_counter()
         sync_files(self._unsynced)
         self._unsynced.clear()
@@ -74,7 +75,7 @@ class Scribe:
         return _elapsed("sync", began)
 
     def close(self) -> None:
-        """Nothing more is written."""
+        """Close the writer. Nothing is written afterwards."""
         self._lines.close()
 
 
@@ -83,42 +84,43 @@ def _elapsed(what: str, since: float) -> Measures:
 
 
 class BackgroundWorker:
-    """Runs jobs one after the other. The callback receives the result of each job in the caller's thread: when the next job is
-    passed, or at the end.
+    """Runner of jobs in a thread, one after the other.
 
-    After an error no job runs; the next call raises the error."""
+    The callback `report` receives the result of each job in the caller's thread: when the next job is submitted, or at the end.
+    After
+    an error no further job runs, and the next call raises the error."""
 
     def __init__(self, report: Callable[[Results], None]) -> None:
         self._told = report
         self._work: SimpleQueue[Work | None] = SimpleQueue()
-        self._found: SimpleQueue[Results | None] = SimpleQueue()  # one for each work, None where it was not done
-        self._left = 0  # works of which nothing has been heard
+        self._found: SimpleQueue[Results | None] = SimpleQueue()  # one per job, None if it did not run
+        self._left = 0  # jobs without a reported result
         self._problem: BaseException | None = None
-        # a daemon: a disk that never answers must not keep the program from ending; all it could leave is a file beside its place
+        # a daemon: a disk that never answers must not prevent the program from ending; at worst an unfinished file remains
         self._thread = threading.Thread(target=self._run_thread, name="cache writer", daemon=True)
         self._thread.start()
 
     def hand_over(self, work: Work) -> None:
-        """Submit work; block while too much is pending."""
+        """Submit a job. Block while too many jobs are pending. Raises the error of an earlier job."""
         self._report_results(_MOST - 1)
         self.check()
         self._left += 1
         self._work.put(work)
 
     def finish(self) -> None:
-        """Wait until all is done and the thread has ended. Raises no errors itself."""
+        """Wait until all jobs have ended and the thread has stopped. Does not raise the errors of jobs."""
         if self._thread.is_alive():
             self._work.put(None)
             self._thread.join()
         self._report_results(self._left)
 
     def check(self) -> None:
-        """Raise what went wrong."""
+        """Raise the error of an earlier job, if there is one."""
         if self._problem is not None:
             raise self._problem
 
     def _report_results(self, most: int) -> None:
-        """Report the results since the last call; block until at most `most` works are pending."""
+        """Report the results that arrived since the last call. Block until at most `most` jobs are pending."""
         while self._left > most or not self._found.empty():
             measures = self._found.get()
             self._left -= 1

@@ -1,5 +1,6 @@
-"""Conversion of a world at one frame to a cache's arrays in scene units. Rows are agents: species in order of their names, agents
-by id within each."""
+"""Conversion of a world at one frame to a cache's arrays in scene units.
+
+Rows are agents: species in order of their names, agents by id within each species."""
 
 from __future__ import annotations
 
@@ -46,8 +47,10 @@ Arrays = dict[str, NDArray[Any]]
 
 
 class FrameMaker:
-    """Converter of a world to the arrays of a frame. `attributes` are names in the scene's `output`; all but the usual ones are
-    registers. `events`: the kinds of events in frames."""
+    """Converter of a world to the arrays of a frame.
+
+    `attributes`: the names in the scene's `output`; names that are not built in are registers.
+    `events`: the kinds of events in frames."""
 
     def __init__(
         self,
@@ -93,7 +96,7 @@ class FrameMaker:
         return arrays if self.pieces is None else arrays | self.pieces.frame(world)
 
     def _pair_arrays(self, population: Population, rows: NDArray[np.intp]) -> Arrays:
-        """Return the values per pair: both ids and the value."""
+        """Return the attributes of a species that have one value per pair of agents: the ids of both agents and the value."""
         arrays: Arrays = {}
         for name, slots in self.pairs[population.name].items():
             who, value = (np.stack([population.now[each[part]][rows] for each in slots], axis=1) for part in (0, 1))
@@ -122,19 +125,21 @@ class FrameMaker:
 
 
 def _nonzero_cells(values: NDArray[np.float64]) -> tuple[NDArray[np.int32], NDArray[np.float32]]:
-    """Return the cells of a field that are not zero, and their amounts."""
+    """Return the indices of a field's cells that are not zero, and the values of these cells."""
     cells, strength = np.empty(len(values) + 1, np.int32), np.empty(len(values) + 1, np.float32)
     count = frame_loops.nonzero_cells(values, cells, strength)
     return cells[:count], strength[:count]
 
 
 def _plain_number_names(program: Program) -> set[str]:
-    """Return names of numbers that at least one species has once per agent."""
+    """Return the names of the numbers that at least one species has once per agent."""
     return {a.name for species in program.species.values() for a in species.attributes if a.each is None}
 
 
 def static_arrays(world: World, setting: WorldSetting) -> Arrays:
-    """Return static data: meshes, positions of field cells, flows as arrows, in scene units, relative to the origin."""
+    """Return the arrays of `static.npz`, in scene units and relative to the world's origin.
+
+    They are meshes, positions of field cells, and flows as arrows."""
     scale = 1.0 / setting.unit_mm
     arrays: Arrays = {}
     for name, mesh in {**setting.surfaces, **setting.obstacles}.items():
@@ -177,8 +182,10 @@ def make_manifest(
     camera: CameraEntry | Literal["fit"] | None,
     looks: Mapping[str, Look | Mapping[str, Look]],
 ) -> Manifest:
-    """Return the manifest of a run that begins with this world. `looks`: the looks that the scene gives, by name; for items with
-    different looks, by the name of each."""
+    """Return the manifest of a run that begins with this world.
+
+    `looks`: the looks that the scene sets, by name of a mesh or of items. Items with different looks have a mapping by item
+        name."""
     scale, kinds = 1.0 / setting.unit_mm, {name: kind for kind, names in world.plan.things.items() for name in names}
     return Manifest(
         antdsl=version,

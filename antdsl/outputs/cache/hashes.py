@@ -1,9 +1,11 @@
-"""Hashes that detect damage to a cache. For each frame, `hashes.jsonl` has hashes of the complete state, of the frame file and of
-the checkpoint file. The manifest has that of `static.npz`.
+"""Hashes that detect damage to a cache.
 
-A file's hash covers its headers only, which contain the CRC-32 of each array. Written files need those CRCs anyway, so the hash
-costs almost nothing. A damaged content is missed once in 2^32. Older caches have hashes of all bytes, without the name of the
-method in front; they are checked by these. Neither kind detects forgeries."""
+For each frame, `hashes.jsonl` has hashes of the complete state, of the frame file and of the checkpoint file. The manifest has
+the hash of `static.npz`.
+
+The hash of a file covers its headers only, which contain the CRC-32 of each array. Writing the file computes the CRC-32s anyway,
+so the hash costs almost nothing. Damaged content is missed once in 2^32. Older caches have hashes of all bytes, without the
+name of the method in front, and are checked by these. Neither kind detects forgeries."""
 
 from __future__ import annotations
 
@@ -25,9 +27,12 @@ _BYTES = 400 * limits.MAX_FRAMES
 
 @dataclass(frozen=True, slots=True)
 class Line:
-    """The hashes of a frame. `hash`: of the state. `feet`: of the state of all feet, empty if none are computed. `file`: of the
-    frame's number, those hashes and its file, so that neither a damaged file nor a damaged line passes. `checkpoint`: the same
-    for its checkpoint. Empty in caches older than the entry, or without a checkpoint."""
+    """The hashes of a frame. Fields are empty in caches older than the field.
+
+    `hash`: the hash of the state.
+    `feet`: the hash of all feet; empty if no feet are computed.
+    `file`: the hash of the frame's number, `hash`, `feet` and the frame file. Damage to the file or to the line changes it.
+    `checkpoint`: the same hash for the checkpoint file; empty without a checkpoint."""
 
     hash: str
     file: str
@@ -35,19 +40,21 @@ class Line:
     feet: str = ""
 
     def text(self, frame: int) -> bytes:
-        """The line for a frame."""
+        """Return the line of a frame as JSON text."""
         words = {"frame": frame, "hash": self.hash, "file": self.file}
         optional = {"checkpoint": self.checkpoint, "feet": self.feet}
         return json.dumps(words | {name: text for name, text in optional.items() if text}).encode() + b"\n"
 
 
 def line_of(frame: int, state: str, file: Stored, feet: str = "") -> Line:
-    """Return the line for a frame with a state hash, the hash of its written file, and a hash of its feet."""
+    """Return the line of a frame. `state`: the state hash; `file`: the written file; `feet`: the hash of the feet."""
     return Line(state, _hash_headers(_frame_prefix(frame, state) + _feet_prefix(feet), file.headers), feet=feet)
 
 
 def with_checkpoint(frame: int, line: Line, file: Stored) -> Line:
-    """Return a frame's line with the hash of its checkpoint file added. It follows the frame's earlier line and replaces it."""
+    """Return a frame's line with the hash of its checkpoint file added.
+
+    The returned line is written after the frame's earlier line and replaces it."""
     return replace(line, checkpoint=_hash_headers(_checkpoint_prefix(frame, line.hash) + _feet_prefix(line.feet), file.headers))
 
 
@@ -57,7 +64,7 @@ def hash_of_static(file: Stored) -> str:
 
 
 def read_lines(path: Path) -> dict[int, Line]:
-    """Return the lines by frame, as far as they are complete. The result is empty where none can be read."""
+    """Return the complete lines, by frame. The result is empty if no line can be read."""
     lines: dict[int, Line] = {}
     try:
         text = read_bounded(path, _BYTES, follow=False).decode("utf-8", "replace")
@@ -77,14 +84,15 @@ def read_lines(path: Path) -> dict[int, Line]:
 
 
 def damage(path: Path, frame: int, line: Line | None) -> str | None:
-    """Return what is wrong with the file of a frame, complete without context; None where it has the bytes that were written."""
+    """Return a message on damage to the file of a frame, complete without context. Return None if its bytes are those that were
+    written."""
     if line is None:
         return _hash_problem(path, b"", "")
     return _hash_problem(path, _frame_prefix(frame, line.hash) + _feet_part(line.file, line.feet), line.file)
 
 
 def checkpoint_damage(path: Path, frame: int, line: Line | None) -> str | None:
-    """Return what is wrong with a checkpoint, or None. Damage is not detected in caches without hashes of checkpoints."""
+    """Return a message on damage to a checkpoint, or None. Damage is not detected if the cache has no hash of the checkpoint."""
     if line is None:
         return _hash_problem(path, b"", "")
     if not line.checkpoint and not line.file.startswith(_BY_HEADERS):
@@ -93,13 +101,15 @@ def checkpoint_damage(path: Path, frame: int, line: Line | None) -> str | None:
 
 
 def static_damage(path: Path, expected: str) -> str | None:
-    """Return what is wrong with `static.npz`, compared with the hash in the manifest; None where nothing is."""
+    """Return a message on damage to `static.npz`, or None if it matches the hash `expected` of the manifest."""
     return _hash_problem(path, _STATIC, expected)
 
 
 def _hash_problem(path: Path, begin: bytes, expected: str) -> str | None:
-    """Return how a file differs from its hash, or None. `expected`: the result of `_told` for `begin` and the file's headers, or
-    the hash of `begin` and all its bytes; empty if there is none."""
+    """Return how a file differs from its hash, or None.
+
+    `expected`: the result of `_hash_headers` for `begin` and the file's headers. In older caches: the hash of `begin` and all
+    bytes of the file. Empty if there is no hash."""
     try:
         handle = open_regular(path, follow=False)
     except FileNotFoundError:
@@ -137,12 +147,13 @@ def _feet_prefix(feet: str) -> bytes:
 
 
 def _feet_part(expected: str, feet: str) -> bytes:
-    """Return the part of a hash that covers the feet; nothing for a hash of all bytes of a file."""
+    """Return the part of a frame's hash input that covers the feet. It is empty if `expected` is a hash of all bytes of the
+    file."""
     return _feet_prefix(feet) if expected.startswith(_BY_HEADERS) else b""
 
 
 def _hash_headers(begin: bytes, headers: Iterable[bytes]) -> str:
-    """Return the hash of `begin` and the headers of a file, with the name of the method in front."""
+    """Return the hash of `begin` and the headers of a file, prefixed with the name of the method."""
     return _BY_HEADERS + _hash_bytes(begin, headers)
 
 

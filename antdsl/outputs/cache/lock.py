@@ -1,4 +1,4 @@
-"""One run at a time in a cache's folder: a lock that ends with the processes that hold it, however those end."""
+"""A lock that allows one run at a time in a cache's folder. It ends with the processes that hold it, even if they are killed."""
 
 from __future__ import annotations
 
@@ -14,23 +14,27 @@ from antdsl.whole import name_failures
 
 LOCK = "lock"
 _OPEN = os.O_RDWR | os.O_CREAT | getattr(os, "O_CLOEXEC", 0) | getattr(os, "O_NOFOLLOW", 0)
-_PATIENCE = 30.0  # seconds for the writer of a run that was killed to finish what it had been given
+_PATIENCE = 30.0  # seconds in which the writer of a killed run may finish its jobs
 _AGAIN = 0.01
-_HELD = (errno.EWOULDBLOCK, errno.EACCES, errno.EDEADLK)  # what systems say of a lock that another process holds
+_HELD = (errno.EWOULDBLOCK, errno.EACCES, errno.EDEADLK)  # errors for a lock that another process holds
 
 
 class FolderLocked(Exception):
-    """Another run writes to the folder; the message has its process id."""
+    """Another run writes to the folder. The message contains its process id."""
 
 
 class FolderLock:
-    """The lock of a cache's folder, from `__enter__` to `__exit__`, and in processes forked in between until they end. Raises
-    Locked, and OSError where the file system has no locks.
+    """The lock of a cache's folder, held from `__enter__` to `__exit__`.
 
-    The file has the process id and the host in it, for people. The lock on it is the system's own, so no lock outlives its
-    processes. If the run that holds it has ended but its writer has not, the lock waits for the writer. A file with further hard
-    links is replaced, not written into. So a hard-link copy of the cache, or a file outside that an archive links to, does not
-    change."""
+    Processes forked in between hold it until they end. Raises FolderLocked if another run holds it, OSError if the file system
+    has no
+    locks.
+
+    The file contains the process id and the host, for people to read. The lock itself belongs to the operating system, so no lock
+    outlives its processes. If the run that holds the lock has ended but its writer has not, `__enter__` waits for the writer.
+
+    A file with further hard links is replaced, not written into. So the lock changes neither a hard-link copy of the cache nor a
+    file outside the cache."""
 
     def __init__(self, folder: Path) -> None:
         self.path = folder / LOCK
@@ -42,7 +46,8 @@ class FolderLock:
         return self
 
     def _open(self) -> int | None:
-        """Return the open, locked file; None where the path was not its only name. The next call then succeeds."""
+        """Return the handle of the open, locked file. Return None if the path was not the file's only name; the next call then
+        succeeds."""
         handle = os.open(self.path, _OPEN, 0o644)
         try:
             self._wait(handle)
@@ -61,7 +66,7 @@ class FolderLock:
         return handle
 
     def _is_own(self, handle: int) -> bool:
-        """Return whether the path is the only name of the open file. A path that is one of several names is unlinked."""
+        """Return whether the path is the only name of the open file. If the file has several names, the path is unlinked."""
         opened = os.fstat(handle)
         try:
             named = os.stat(self.path, follow_symlinks=False)
@@ -92,19 +97,19 @@ class FolderLock:
     def __exit__(self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None) -> None:
         if self._handle is not None:
             handle, self._handle = self._handle, None
-            with suppress(OSError):  # what the file says is for people only
+            with suppress(OSError):  # the text in the file is for people only
                 os.ftruncate(handle, 0)
             _unlock(handle)
             os.close(handle)
 
 
 def _host() -> str:
-    """Return the name of this machine or container: a process number is meaningful on that host only."""
+    """Return the name of this machine or container. A process id is meaningful only together with it."""
     return "".join(each for each in platform.node() if each.isascii() and each.isprintable() and each != " ")[:64]
 
 
 def _holder(handle: int) -> tuple[str, str]:
-    """Return the process number and the host in the file; empty where the system denies reading it (Windows)."""
+    """Return the process id and the host in the file. Both are empty where the system denies reading it (Windows)."""
     try:
         os.lseek(handle, 0, os.SEEK_SET)
         words = os.read(handle, 128).decode("ascii", "replace").split()
@@ -114,7 +119,7 @@ def _holder(handle: int) -> tuple[str, str]:
 
 
 def _has_ended(holder: str, host: str) -> bool:
-    """Return whether a process of this host is known to have ended, also while its exit code is still unread."""
+    """Return whether a process of this host is known to have ended. A process with an unread exit code has ended too."""
     if os.name == "nt" or host not in ("", _host()) or not (holder.isascii() and holder.isdigit()):
         return False  # Windows frees a lock with the one process that holds it
     try:
@@ -131,7 +136,7 @@ def _has_ended(holder: str, host: str) -> bool:
 
 
 def _try_lock(handle: int) -> None:
-    """Lock an open file without waiting; OSError when another process has it."""
+    """Lock an open file without waiting. Raises OSError if another process has locked it."""
     if os.name == "nt":
         import msvcrt
 
@@ -143,7 +148,7 @@ def _try_lock(handle: int) -> None:
 
 
 def _unlock(handle: int) -> None:
-    """Unlock for all processes that share this open file. A forked process of another run may share it, and would still hold the
+    """Unlock an open file for all processes that share it. Otherwise a forked process of another run would still hold the
     lock."""
     if os.name != "nt":
         import fcntl

@@ -1,4 +1,4 @@
-"""The manifest of a cache: its inputs and the meaning of its numbers. JSON, with types and bounds checked when it is read."""
+"""The manifest of a cache: its inputs and the meaning of its numbers. It is JSON; types and bounds are checked on reading."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ class Part(BaseModel):
 
 
 class StateEntry(Part):
-    """A state's name, label, and display (sRGB) colour from 0 to 1."""
+    """A state's name, label, and colour (sRGB display values from 0 to 1)."""
 
     name: Word
     label: Word
@@ -44,7 +44,9 @@ class MachineEntry(Part):
 
 
 class FeelersEntry(Part):
-    """Rays ahead, up to `spread` radians to each side. Their length is `reach` scene units plus `per_length` body lengths."""
+    """One set of feelers: rays ahead of the agent, up to `spread` radians to each side.
+
+    Each ray is `reach` scene units plus `per_length` body lengths long."""
 
     count: Annotated[int, Field(ge=1, le=64)]
     spread: float
@@ -53,16 +55,20 @@ class FeelersEntry(Part):
 
 
 class BodyEntry(Part):
-    """An agent definition: the file it was read from, and a hash of its content. `static.npz` has it as the arrays `body.N.text`,
-    `.f4`, `.f8`, `.i4` and `.i8`, with its index in the list as N."""
+    """An agent definition: the file that it was read from, and a hash of its content.
+
+    `static.npz` contains it as the arrays `body.N.text`, `.f4`, `.f8`, `.i4` and `.i8`. N is the index in the manifest's list."""
 
     name: Word
     digest: Word
 
 
 class ClipEntry(Part):
-    """A clip that states play, on the joints of a transform group (empty: all). `add`: it is added to all others. `left`,
-    `right`, `up`, `down`: the clips that replace it as an agent turns, climbs or descends."""
+    """A clip that states play.
+
+    `on`: the transform group with the joints that it moves; empty for all joints.
+    `add`: the clip is added to all others.
+    `left`, `right`, `up`, `down`: the clips that replace it while an agent turns left or right, climbs or descends."""
 
     name: Word
     on: Word = ""
@@ -74,11 +80,15 @@ class ClipEntry(Part):
 
 
 class SpeciesEntry(Part):
-    """A species. `body`: the body in pictures; None chooses by the species' name. `definition`: its index among the manifest's
-    bodies. `clips`: the clips of its states, in the order of the indices in frames. `playing`: the machines that play them.
+    """A species.
 
-    `wears`: body layers that agents may show in addition to their own; frames have masks with one bit per layer. `channels` and
-    `looks`: the body's channels and groups that states set or turn."""
+    `body`: the body in pictures; None chooses one by the species' name.
+    `definition`: the index of its agent definition in the manifest's `bodies`.
+    `clips`: the clips of its states; frames contain indices into this list.
+    `playing`: the machines that play clips.
+    `wears`: body layers that agents may show in addition to the body's own; frames have masks with one bit per layer.
+    `channels`: the channels of the body that states set.
+    `looks`: the transform groups of the body that states turn."""
 
     name: Word
     body: Word | None = None
@@ -96,7 +106,7 @@ Count = Annotated[int, Field(ge=0)]
 
 
 class ImportEntry(Part):
-    """Notes on the import of a mesh's file, as in `antdsl.scene.geometry.import_notes.MeshImport`."""
+    """The import report of a mesh's file. The fields are those of `antdsl.scene.geometry.import_notes.MeshImport`."""
 
     file: Word
     form: Word
@@ -115,11 +125,13 @@ class ImportEntry(Part):
 
 
 class MeshEntry(Part):
-    """A mesh. `imported`: notes on the import of its file. `moves`: each frame has its vertices. `look`: its look in pictures;
-    None chooses by its name.
+    """A mesh.
 
-    `deviation`: for a height field, the maximum distance (scene units) of its triangles from the bilinear surface through its
-    samples."""
+    `imported`: the import report of its file.
+    `moves`: whether each frame has the mesh's vertices.
+    `look`: its look in pictures; None chooses one by its name.
+    `deviation`: only for a height field: the greatest distance of its triangles from the bilinear surface through its samples, in
+    scene units."""
 
     name: Word
     kind: MeshKind
@@ -130,22 +142,23 @@ class MeshEntry(Part):
 
     @property
     def row(self) -> KindOfThing:
-        """Return what the program knows about its kind."""
+        """Return the program's table row for this kind of mesh."""
         return KIND_BY_WORD[self.kind]
 
 
 class FieldEntry(Part):
-    """`cell` in scene units."""
+    """A field. `cell`: the edge of a cell in scene units."""
 
     name: Word
     cell: float
 
 
 class ItemsEntry(Part):
-    """Items of one name: their own names, and the attributes for which each frame has an array.
+    """Items of one name: the names of the single items, and the attributes for which each frame has an array.
 
-    Positions and radii are in scene units, at the first simulated frame; `moves`: each frame has its own. `looks`: the look of
-    each in pictures, empty where no scene gives one."""
+    Positions and radii are in scene units, at the first simulated frame.
+    `moves`: whether each frame has positions of the items.
+    `looks`: the look of each item in pictures; empty if the scene sets none."""
 
     name: Word
     names: tuple[Word, ...]
@@ -157,7 +170,9 @@ class ItemsEntry(Part):
 
 
 class CameraEntry(Part):
-    """Points in scene units, focal length in mm for a sensor 36 mm wide. `moves`: `static.npz` has it for each frame."""
+    """A camera: points in scene units, focal length in mm for a sensor 36 mm wide.
+
+    `moves`: whether `static.npz` has the camera at each frame."""
 
     at: Triple
     look_at: Triple
@@ -167,8 +182,11 @@ class CameraEntry(Part):
 
 
 class Provenance(Part):
-    """The environment in which a cache was made. `sources` is a hash of antdsl's own files, `command` makes the same frames.
-    Versions are empty for missing packages. Readers do not depend on any of it."""
+    """The environment in which a cache was made. Readers do not depend on it.
+
+    `sources`: a hash of antdsl's own files.
+    `command`: the command that makes the same frames.
+    Versions are empty for packages that are not installed."""
 
     sources: Word
     python: Word
@@ -180,11 +198,16 @@ class Provenance(Part):
 
 
 class Manifest(Part):
-    """The description of a cache. `inputs` has a hash for every input of the frames. `fps` is a fraction, `24/1`. `first` and
-    `last` are the requested frames; `events` are the names that frames count. `static` is the hash of `static.npz`, None if none
-    was stored. `state_hash` is the method of state hashes, a `STATE_HASH`. `scene_path` leads from the cache's folder to the
-    scene's file, if `relative_path` knows a path. All positions are relative to `origin` (scene units); in caches without it, to
-    the zero point."""
+    """The description of a cache.
+
+    `inputs`: a hash of every input that affects the frames.
+    `fps`: a fraction such as `24/1`.
+    `first`, `last`: the first and the last requested frame.
+    `events`: the names of events; frames contain indices into this list.
+    `static`: the hash of `static.npz`; None if none was stored.
+    `state_hash`: the method of state hashes, a `STATE_HASH`.
+    `scene_path`: the path from the cache's folder to the scene file; None if `relative_path` returned none.
+    `origin`: the point, in scene units, that all positions are relative to; the zero point in caches without it."""
 
     format: Literal[1] = 1
     antdsl: Word
@@ -215,13 +238,14 @@ class Manifest(Part):
 
 
 class ManifestError(Exception):
-    """Reason why a folder is not a cache; the message is complete without context."""
+    """Reason why a folder is not a cache. The message is complete without context."""
 
 
 def relative_path(file: Path, folder: Path) -> str | None:
-    """Return the path from a folder to a file, with `/` and `..`; None where it is too long for a manifest.
+    """Return the path from a folder to a file, with `/` and `..`. Return None if it is too long for a manifest.
 
-    Also None where it would pass the root of the file system and so name the machine's own folders."""
+    Also return None if the path would pass through the root of the file system, because it would reveal folders of this
+    machine."""
     start = folder.resolve()
     for end in (Path(os.path.abspath(file)), file.resolve()):  # the way through links first: it stays below what both share
         if end.anchor == start.anchor and os.path.commonpath((start, end)) != start.anchor:
@@ -234,13 +258,13 @@ def relative_path(file: Path, folder: Path) -> str | None:
 
 
 def write_manifest(folder: Path, manifest: Manifest) -> None:
-    """Put the manifest into a cache's folder, durably."""
+    """Write the manifest into a cache's folder, durably."""
     text = json.dumps(manifest.model_dump(mode="json"), indent=1, ensure_ascii=False) + "\n"
     write_atomically(folder / MANIFEST, text.encode())
 
 
 def read_manifest(folder: Path) -> Manifest:
-    """The manifest of a cache's folder; ManifestError says why there is none."""
+    """Return the manifest of a cache's folder. Raises ManifestError with the reason if there is none."""
     path = folder / MANIFEST
     try:
         text = read_bounded(path, _BYTES, follow=False).decode()

@@ -1,6 +1,7 @@
-"""NPZ files of plain arrays, written atomically and checked when read: no pickle, no compression, sizes compared with the file.
+"""NPZ files of plain arrays. They are written atomically, without pickle or compression.
 
-The layout is NumPy's (NEP 1 inside an uncompressed zip), so `numpy.load` in any program can read these files."""
+On reading, all sizes are compared with the size of the file. The layout is NumPy's (NEP 1 inside an uncompressed zip), so
+`numpy.load` can read these files in any program."""
 
 from __future__ import annotations
 
@@ -28,13 +29,13 @@ _STAMP = (1980, 1, 1, 0, 0, 0)  # the same arrays give the same bytes, whenever 
 
 
 def to_bytes(arrays: Mapping[str, NDArray[Any]]) -> bytes:
-    """The bytes of an NPZ file with these arrays, in order."""
+    """Return the bytes of an NPZ file with these arrays, in order."""
     return b"".join(npz_file(arrays).parts)
 
 
 def npz_file(arrays: Mapping[str, NDArray[Any]]) -> Stored:
-    """Return the NPZ file in parts. The parts of arrays share the arrays' memory, which must not change until they have been
-    used."""
+    """Return the NPZ file as consecutive parts. The parts share memory with the arrays, which must not change until the parts
+    were used."""
     return stored_file(_member(name, array) for name, array in arrays.items())
 
 
@@ -45,10 +46,11 @@ def _member(name: str, array: NDArray[Any]) -> tuple[MemberForm, memoryview]:
     return form, np.asarray(array, order="C").astype(kind or array.dtype, copy=False).reshape(-1).view(_BYTE).data
 
 
-@lru_cache(1024)  # a frame's arrays are mostly of the shapes that they had before
+@lru_cache(1024)  # arrays of consecutive frames mostly have equal shapes
 def _form(name: str, dtype: np.dtype[Any], shape: tuple[int, ...]) -> tuple[MemberForm, str]:
-    """Return the form of a member with a name, type and shape, and its type in the file. The type is empty where arrays have the
-    same bytes in memory."""
+    """Return the zip member's form for an array with this name, type and shape, and the type to convert the array to.
+
+    The second result is empty if the array in memory already has the bytes of the file."""
     kind = _type_code(name, dtype)
     as_it_is = dtype.isnative and dtype.str == kind
     return form_of(f"{name}.npy", _header(kind, shape), dtype.itemsize * prod(shape)), "" if as_it_is else kind
@@ -57,7 +59,8 @@ def _form(name: str, dtype: np.dtype[Any], shape: tuple[int, ...]) -> tuple[Memb
 def to_member(
     file: zipfile.ZipFile, name: str, dtype: np.dtype[Any], shape: tuple[int, ...], parts: Iterable[NDArray[Any]]
 ) -> None:
-    """Add an array of a type and shape to an open NPZ file. Its consecutive parts are in memory one at a time."""
+    """Add an array with this type and shape to an open NPZ file. `parts`: its consecutive parts, of which memory holds one at a
+    time."""
     entry = zipfile.ZipInfo(f"{name}.npy", _STAMP)
     kind = _type_code(name, dtype)
     with file.open(entry, "w", force_zip64=True) as member:
@@ -67,7 +70,7 @@ def to_member(
 
 
 def _type_code(name: str, dtype: np.dtype[Any]) -> str:
-    """What a type is in a file."""
+    """Return the code of a type in the file. Raises ValueError for a type that cannot be stored."""
     kind = dtype.newbyteorder("<").str
     if kind not in ALLOWED_DTYPES:
         raise ValueError(f"array `{name}` of type {dtype} cannot be stored")
@@ -81,9 +84,10 @@ def _header(kind: str, shape: tuple[int, ...]) -> bytes:
 
 
 def read_npz(path: Path, only: Container[str] | None = None) -> dict[str, NDArray[Any]]:
-    """Return all arrays of a file that `to_bytes` wrote, or `only` those with some names, with checksums compared.
+    """Return the arrays of a file that `to_bytes` wrote, after checking their checksums. `only`: the names to return; None for
+    all.
 
-    Raises ArrayFileError for any other file, and OSError for one that cannot be opened. Links are not followed."""
+    Raises ArrayFileError for any other file, and OSError for a file that cannot be opened. Links are not followed."""
     try:
         with open_bounded(path, FILE_BYTES, follow=False) as file:
             return read_archive(file, os.fstat(file.fileno()).st_size, only)

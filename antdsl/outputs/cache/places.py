@@ -1,6 +1,7 @@
-"""Places in a cache: relative to the origin of the world, which the manifest has in double precision.
+"""Positions in a cache. They are relative to the origin of the world, which the manifest has in double precision.
 
-Positions far from the zero point would lose precision as float32. A world near the zero point has the origin 0."""
+Without the origin, positions far from the zero point would lose precision as float32. A world near the zero point has the
+origin 0."""
 
 from __future__ import annotations
 
@@ -11,7 +12,7 @@ from antdsl.runtime.world import World
 
 
 def scene_origin(world: World) -> tuple[float, float, float]:
-    """The origin of a world in scene units."""
+    """Return the origin of a world in scene units."""
     x, y, z = (world.origin / world.setting.unit_mm).tolist()
     return x, y, z
 

@@ -1,17 +1,25 @@
-"""What poses of agents need, in the frames of a cache: clips, what agents show beside them, and feet. One row an agent of the
-species, by id.
+"""Arrays for poses in the frames of a cache: clips, what agents show in addition to clips, and feet.
 
-`clips.SPECIES.MACHINE.FIELD`: `clip`, `before` and `earlier` int16 count the clips of the species in the manifest, -1 for
-none; `turns`, `weight`, `fade` and the like float32. What concerns `earlier` is in a frame only where anybody has such a clip.
+Each row is an agent of the species, by id. Indices of clips count the species' clips in the manifest; -1 means no clip.
 
-`wears.SPECIES` uint64: a mask of layers of the body, bit k for layer k of the species' `wears` in the manifest.
-`channels.SPECIES.NAME` float32: the value that a state sets, NaN where none does. `looks.SPECIES.GROUP` float32[n, 3]: where
-the joints of a transform group look, by the heading, the body's up and what is right of both. `leans.SPECIES` float32[n, 2]:
-how much each turns, to the left above 0, and climbs, from -1 to 1, where clips go by that.
+`clips.SPECIES.MACHINE.FIELD`: the clips that a machine plays.
+`clip` int16: the current clip. `before` int16: the clip that fades out.
+`earlier` int16: the clip that was still fading out when `before` began to.
+`turns`, `weight`, `fade` and similar fields are float32.
+Fields about `earlier` are only in frames in which at least one agent has an earlier clip.
 
-`feet.SPECIES.FIELD`: `P` float32[n, L, 3], scene units: where each foot stands or swings, in the order of the body's legs;
-`down` uint8[n, L]: which stand; `phase` float32[n]: of the gait; `rise` float32[n] (scene units) and `tilt` float32[n, 4] (x y
-z w): how much higher than it rests and turned from `orient` the trunk is."""
+`wears.SPECIES` uint64: a mask of body layers; bit k stands for layer k of the species' `wears` in the manifest.
+`channels.SPECIES.NAME` float32: the value that a state sets; NaN if no state sets it.
+`looks.SPECIES.GROUP` float32[n, 3]: where the joints of a transform group look. The axes are the heading, the body's up and
+the right of both.
+`leans.SPECIES` float32[n, 2]: turning (left is above 0) and climbing, from -1 to 1. Present if clips depend on them.
+
+`feet.SPECIES.FIELD`: the feet, with L legs in the order of the body.
+`P` float32[n, L, 3]: position of each foot in scene units, on the ground or in swing.
+`down` uint8[n, L]: 1 for feet on the ground.
+`phase` float32[n]: the phase of the gait.
+`rise` float32[n]: height of the trunk above its rest height, in scene units.
+`tilt` float32[n, 4]: rotation of the trunk relative to `orient`, as a quaternion x, y, z, w."""
 
 from __future__ import annotations
 
@@ -44,12 +52,12 @@ _CLIPS, _SHARES = ("clip", "before"), ("turns", "weight", "before_turns", "befor
 
 
 def playing(population: Population) -> Iterator[str]:
-    """The machines that play clips, in text order."""
+    """Yield the names of the machines that play clips, in text order."""
     return (machine.name for machine in population.plan.machines if f"{machine.name}.clip" in population.plan.registers)
 
 
 def clips_playing(population: Population, threads: int = 1) -> dict[str, NDArray[Any]]:
-    """The arrays of a species, of its agents by id. Those of the earlier clip are there if an agent has one."""
+    """Return the `clips` arrays of a species, by agent id. Arrays of the earlier clip are included if any agent has one."""
     arrays: dict[str, NDArray[Any]] = {}
     for machine in playing(population):
         now = {field: population.now[f"{machine}.{register}"] for field, (register, _) in _REGISTERS.items()}
@@ -66,7 +74,7 @@ def clips_playing(population: Population, threads: int = 1) -> dict[str, NDArray
 
 
 def machine_clips(species: str, machine: str, arrays: Arrays, count: int) -> MachineClips | None:
-    """Return the clips that a machine of `count` agents plays; None where the arrays do not have them."""
+    """Return the clips that a machine of `count` agents plays. Return None if the arrays lack them."""
     named = f"clips.{species}.{machine}."
     parts = {field: _stored(arrays, named + field, kind, count) for field, (_, kind) in _REGISTERS.items()}
     if any(parts[field] is None for field in _USUAL):
@@ -75,20 +83,19 @@ def machine_clips(species: str, machine: str, arrays: Arrays, count: int) -> Mac
 
 
 def _stored(arrays: Arrays, name: str, kind: str, *shape: int) -> NDArray[Any] | None:
-    """Return an array of a frame; None if it has none of this shape."""
+    """Return an array of a frame. Return None if the frame has no array of this name, type and shape."""
     array = arrays.get(name)
     return None if array is None or array.shape != shape else np.asarray(array, kind)
 
 
 def machines_of(species: SpeciesEntry, arrays: Arrays, count: int) -> tuple[MachineClips, ...] | None:
-    """Return the clips that the machines of a species play in a frame with `count` of its agents; None where the frame does not
-    have them."""
+    """Return the clips that each machine of a species plays, for `count` agents. Return None if the frame lacks them."""
     clips = [machine_clips(species.name, machine, arrays, count) for machine in species.playing]
     return None if any(each is None for each in clips) else tuple(each for each in clips if each is not None)
 
 
 def placed_feet(world: World, species: str, scale: float) -> dict[str, NDArray[Any]]:
-    """Return the arrays of a species with computed feet; none for others. `scale`: scene units in a millimetre."""
+    """Return the `feet` arrays of a species; empty if its feet are not computed. `scale`: scene units per millimetre."""
     feet = world.feet.get(species)
     if feet is None:
         return {}
@@ -102,20 +109,20 @@ def placed_feet(world: World, species: str, scale: float) -> dict[str, NDArray[A
 
 
 def feet_of(species: str, arrays: Arrays, count: int, legs: int) -> PlacedFeet | None:
-    """Return the feet of a species in a frame with `count` agents and `legs` legs each; None where the frame does not have
-    them."""
+    """Return the feet of the `count` agents of a species, with `legs` legs each. Return None if the frame lacks them."""
     parts = [_stored(arrays, f"feet.{species}.{each.field}", each.type, count, *each.dimensions(legs=legs)) for each in STANCE]
     return PlacedFeet(*parts) if legs and not any(part is None for part in parts) else None  # type: ignore[arg-type]
 
 
 def layers_worn(population: Population, setting: WorldSetting) -> tuple[str, ...]:
-    """The layers that agents of a species may show beside the body's own: those of its states, then those of the scene."""
+    """Return the layers that agents of a species may show in addition to the body's own: first those of its states, then the
+    scene's."""
     by_scene = (name for crowd in _crowds(population, setting) for part in crowd.wears for name in part if name)
     return tuple(dict.fromkeys((*population.plan.wears, *by_scene)))[: limits.MAX_WORN_LAYERS]
 
 
 def display_arrays(population: Population, setting: WorldSetting) -> dict[str, NDArray[Any]]:
-    """The arrays of a species, of its agents by id."""
+    """Return the arrays `wears`, `channels`, `looks` and `leans` of a species, by agent id."""
     name, now, plan, rows = population.name, population.now, population.plan, population.in_id_order()
     arrays: dict[str, NDArray[Any]] = {}
     layers = layers_worn(population, setting)
@@ -138,12 +145,12 @@ def display_arrays(population: Population, setting: WorldSetting) -> dict[str, N
 
 
 def mark_layer(population: Population, on: NDArray[np.bool_], bit: np.uint64, mask: NDArray[np.uint64]) -> None:
-    """Set a bit in the masks, by id, of the agents that wear a layer."""
+    """Set `bit` in the masks of the agents that wear a layer. `on`: by row; `mask`: by id."""
     frame_loops.mark_worn(on, population.id_ranks(), bit.view(np.int64), mask.view(np.int64))
 
 
 def worn_masks(species: SpeciesEntry, arrays: Arrays, count: int) -> NDArray[np.uint64]:
-    """Return the mask of each of `count` agents of a species in a frame; 0 for all if the frame has none."""
+    """Return the mask of layers of each of `count` agents; 0 for all if the frame has no masks."""
     masks = _stored(arrays, f"wears.{species.name}", "u8", count)
     if not species.wears or masks is None:
         return np.zeros(count, np.uint64)
@@ -151,13 +158,14 @@ def worn_masks(species: SpeciesEntry, arrays: Arrays, count: int) -> NDArray[np.
 
 
 def layers_of(species: SpeciesEntry, mask: int) -> tuple[str, ...]:
-    """The layers of a mask."""
+    """Return the names of the layers in a mask."""
     return tuple(layer for k, layer in enumerate(species.wears) if mask >> k & 1)
 
 
 def driven_values(species: SpeciesEntry, arrays: Arrays, ids: NDArray[np.int64], seed: int) -> DrivenPose:
-    """Return the channels and looks that states set in a frame, for the agents of a species by id, and the differences between
-    their bodies. Data that the frame lacks is left out."""
+    """Return the channels and looks that states set in a frame, and the variation between bodies, for agents with these `ids`.
+
+    Data that the frame lacks is left out."""
     of, count = species.name, len(ids)
     channels = {name: _stored(arrays, f"channels.{of}.{name}", "f4", count) for name in species.channels}
     looks = {name: _stored(arrays, f"looks.{of}.{name}", "f4", count, 3) for name in species.looks}
@@ -176,8 +184,11 @@ def _crowds(population: Population, setting: WorldSetting) -> Iterator[CrowdData
 def _scene_layer_masks(
     population: Population, rows: NDArray[np.intp], setting: WorldSetting, layers: tuple[str, ...]
 ) -> Iterator[NDArray[np.uint64]]:
-    """Yield the layers that the scene gives agents: one per part, drawn by the agent's id and the scene's seed for its lifetime.
-    Agents born later use the crowd entry of their parent."""
+    """Yield masks of the layers that the scene gives to agents, one layer per part of the body.
+
+    Layers are drawn by the agent's id and the scene's seed, and stay for the agent's lifetime. Agents born later use the crowd
+    line
+    of their parent."""
     crowds = [crowd for crowd in _crowds(population, setting) if crowd.wears]
     if not crowds:
         return

@@ -1,4 +1,4 @@
-"""Solids in a cache: their start state, the balls dug in each frame, and from time to time the surface.
+"""Solids in a cache: their state at the start, the balls dug in each frame, and at every checkpoint interval the surface.
 
 static.npz  mesh.NAME.vertices, .faces, .bricks: the surface, and the brick of each face
             solid.NAME.values, .table, .shape, .origin, .voxel, .band, .offset: the distances, to repeat the digging
@@ -23,14 +23,14 @@ Piece = tuple[NDArray[np.float64], NDArray[np.int32]]
 
 
 class PieceMaker:
-    """Makes the arrays of solids in frames. Queries each volume for the changes since the last query."""
+    """Builder of the arrays of solids in frames. It asks each volume for the changes since its last request."""
 
     def __init__(self, first: int, every: int, scale: float) -> None:
         self.first, self.every, self.scale = first, every, scale
         self._dug: dict[str, dict[int, Piece]] = {}
 
     def frame(self, world: World) -> Arrays:
-        """Arrays of the frame that the world stands at."""
+        """Return the arrays of the world's current frame."""
         arrays: Arrays = {}
         dug_now = take_dug_balls(world)
         for name, volume in world.solids.items():
@@ -47,7 +47,7 @@ class PieceMaker:
 
 
 def start_pieces(world: World, scale: float) -> Arrays:
-    """Return the arrays of all undug solids for static.npz. `offset` (mm) is 0: the manifest has the origin."""
+    """Return the arrays of all solids for `static.npz`, before digging. `offset` (mm) is 0, since the manifest has the origin."""
     arrays: Arrays = {}
     for name, volume in world.solids.items():
         bricks = volume.bricks
@@ -64,7 +64,7 @@ def start_pieces(world: World, scale: float) -> Arrays:
 
 
 def start_volume(name: str, static: Mapping[str, NDArray[Any]]) -> Volume:
-    """A solid as it was before anybody dug it."""
+    """Return the volume of a solid before any digging."""
 
     def read_array(key: str) -> NDArray[Any]:
         return np.array(static[f"solid.{name}.{key}"])
@@ -97,7 +97,7 @@ def _join_arrays(name: str, pieces: Mapping[int, Piece], scale: float) -> Arrays
 
 
 def join_pieces(pieces: list[Piece]) -> Piece:
-    """One mesh of several."""
+    """Return several meshes joined into one."""
     shift = np.cumsum([0, *(len(vertices) for vertices, _ in pieces)])
     faces = [faces + np.int32(start) for (_, faces), start in zip(pieces, shift, strict=False)]
     return (

@@ -1,10 +1,10 @@
 """An uncompressed zip file as consecutive parts in memory, without copies of its members' contents.
 
 It follows the application note of the format (PKWARE, .ZIP File Format Specification 6.3.10). It has the same bytes as Python's
-`zipfile` writes, in a tenth of the time. Facts known before a member is written go into one header.
+`zipfile` writes, in a tenth of the time. Data that is known before a member is written goes into one header.
 
-Here, the headers of a file are everything except the contents of its members, directory included. They contain the CRC-32 of each
-content, so their bytes suffice to detect damage anywhere in the file."""
+In this module, the headers of a file are everything except the contents of its members. They include the directory. They contain
+the CRC-32 of each content, so their bytes suffice to detect damage anywhere in the file."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ from antdsl.numerics.check_sums import crc32
 from antdsl.whole import BytesParts
 
 LIMIT = (1 << 31) - 1  # larger sizes and offsets are written in eight bytes
-MOST = (1 << 16) - 1  # members; larger counts are written so too
-_ELSEWHERE = 0xFFFFFFFF  # in four bytes: it stands in eight of the extra field
+MOST = (1 << 16) - 1  # members; larger counts are written in eight bytes
+_ELSEWHERE = 0xFFFFFFFF  # marks a value that is in eight bytes of the extra field
 _PLAIN, _LONG = 20, 45  # the version of the format that a reader has to know
 _UTF8 = 0x800
 _TIME, _DATE = 0, 1 << 5 | 1  # 1 January 1980: the same arrays give the same bytes, whenever they are written
@@ -27,7 +27,7 @@ _ATTRIBUTES = 0o600 << 16
 _MEMBER = b"PK\3\4"
 _LOCAL = Struct("<4s5H3L2H")
 _CENTRAL = Struct("<4s4B4H3L5H2L")
-_LOCAL_CHECK, _CENTRAL_CHECK, _PLACE = 14, 16, 42  # where the CRC-32 stands, and where a member begins in its entry
+_LOCAL_CHECK, _CENTRAL_CHECK, _PLACE = 14, 16, 42  # offsets of the CRC-32 in the headers, and of the member's offset in its entry
 _TWO_LONGS = Struct("<2H2Q")
 _END = Struct("<4s4H2LH")
 _LONG_END = Struct("<4sQ2H2L4Q")
@@ -35,21 +35,24 @@ _LOCATOR = Struct("<4sLQL")
 
 
 class NotStored(Exception):
-    """Error for a file that is not a zip file of stored members, or has a content that does not match its header."""
+    """The file is not a zip file of stored (uncompressed) members, or a content does not match its header."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Stored:
-    """A file that has not been written: `parts` are its consecutive bytes, `headers` everything except the contents of its
-    members."""
+    """A zip file that has not been written yet.
+
+    `parts`: its consecutive bytes.
+    `headers`: all bytes except the contents of its members."""
 
     parts: BytesParts
     headers: Sequence[bytes]
 
 
 def stored_file(members: Iterable[tuple[MemberForm, memoryview]]) -> Stored:
-    """Return a file with these members, in order: for each its form, and its content after the head. The content is not copied,
-    so it must not change until the parts have been used."""
+    """Return a file with these members, in order. Each member is its form and the content after the form's head.
+
+    Contents are not copied. They must not change until the parts have been used."""
     parts: list[bytes | memoryview] = []
     headers: list[bytes] = []
     entries: list[bytes] = []
@@ -69,9 +72,11 @@ def stored_file(members: Iterable[tuple[MemberForm, memoryview]]) -> Stored:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MemberForm:
-    """Data shared by all members with the same name, head and size: the CRC-32 of the head, and the fixed bytes of their header
-    and directory entry. These are the bytes before and after the CRC-32 of the member, and in the entry also around its
-    offset."""
+    """Data shared by all members with the same name, head and size.
+
+    `check`: the CRC-32 of the head.
+    `header`: the fixed bytes of the member's header, before and after the CRC-32.
+    `entry`: the fixed bytes of the directory entry, before, between and after the CRC-32 and the offset."""
 
     head: bytes
     size: int
@@ -83,7 +88,7 @@ class MemberForm:
 
 
 def form_of(name: str, head: bytes, rest: int) -> MemberForm:
-    """The form of members with `rest` bytes behind the head."""
+    """Return the form of members with `rest` bytes after the head."""
     words, size = name.encode(), len(head) + rest
     flags = 0 if name.isascii() else _UTF8
     size_field, version, extra = (size, _PLAIN, b"") if size <= LIMIT else (_ELSEWHERE, _LONG, _long_field(size, size))
@@ -100,8 +105,9 @@ def _split_around(record: bytes, at: int) -> tuple[bytes, bytes]:
 
 
 def read_headers(blocks: Iterator[bytes]) -> Iterator[bytes]:
-    """Yield the headers of a file that arrives in blocks, piece by piece, and check the contents in between by their CRC-32.
-    Raises NotStored where one differs, or for a file that `stored` cannot have made."""
+    """Yield the headers of a file, piece by piece, and check the contents in between by their CRC-32. The file arrives in blocks.
+
+    Raises NotStored if a checksum differs, or if `stored_file` cannot have made the file."""
     file = _Pieces(blocks)
     while (mark := file.read_up_to(len(_MEMBER))) == _MEMBER:
         local = mark + file.read_exactly(_LOCAL.size - len(_MEMBER))
@@ -119,35 +125,35 @@ def read_headers(blocks: Iterator[bytes]) -> Iterator[bytes]:
 
 
 class _Pieces:
-    """Bytes that arrive in blocks, read in pieces of other lengths."""
+    """Reader of bytes that arrive in blocks, in pieces of other lengths."""
 
     def __init__(self, blocks: Iterator[bytes]) -> None:
         self._blocks = blocks
         self._left = memoryview(b"")
 
     def _read_next(self, most: int) -> memoryview:
-        """Return at least one and at most `most` of the next bytes; none at the end."""
+        """Return at least one and at most `most` of the next bytes. Empty at the end."""
         if not self._left:
             self._left = memoryview(next(self._blocks, b""))
         block, self._left = self._left[:most], self._left[most:]
         return block
 
     def read_up_to(self, count: int) -> bytes:
-        """The next bytes, so many where there are."""
+        """Return the next `count` bytes, or fewer if the file ends."""
         data = b""
         while len(data) < count and (piece := self._read_next(count - len(data))):
             data += piece
         return data
 
     def read_exactly(self, count: int) -> bytes:
-        """Return `count` bytes. Raises NotStored where there are fewer."""
+        """Return the next `count` bytes. Raises NotStored if fewer are left."""
         data = self.read_up_to(count)
         if len(data) < count:
             raise NotStored
         return data
 
     def read_crc(self, count: int) -> int:
-        """Return the CRC-32 of `count` bytes. Raises NotStored where there are fewer."""
+        """Return the CRC-32 of the next `count` bytes. Raises NotStored if fewer are left."""
         checksum = 0
         while count:
             piece = self._read_next(count)
@@ -157,13 +163,13 @@ class _Pieces:
         return checksum
 
     def rest(self) -> Iterator[bytes]:
-        """All that is left."""
+        """Yield all remaining bytes."""
         yield bytes(self._left)
         yield from self._blocks
 
 
 def _entry(form: MemberForm, check: bytes, at: int) -> bytes:
-    """Return the directory entry of a member that begins at an offset."""
+    """Return the directory entry of a member. `check`: the bytes of its CRC-32; `at`: the offset of the member."""
     if at <= LIMIT:
         prefix, suffix, rest = form.entry
         return prefix + check + suffix + at.to_bytes(4, "little") + rest
@@ -172,7 +178,7 @@ def _entry(form: MemberForm, check: bytes, at: int) -> bytes:
 
 
 def _central(words: bytes, flags: int, size: int, at: int) -> bytes:
-    """The same without the CRC-32."""
+    """Return the directory entry of a member at offset `at`, with the CRC-32 left 0."""
     longs = [size, size] if size > LIMIT else []
     size_field, place = (_ELSEWHERE if longs else size), at
     if at > LIMIT:
@@ -185,7 +191,7 @@ def _central(words: bytes, flags: int, size: int, at: int) -> bytes:
 
 
 def _end(count: int, size: int, at: int) -> bytes:
-    """Return the end record after the directory, which has `count` entries and `size` bytes and begins at an offset."""
+    """Return the end record of a zip file. `count`, `size`: entries and bytes of the directory; `at`: its offset."""
     records = b""
     if count > MOST or at > LIMIT or size > LIMIT:
         records = _LONG_END.pack(b"PK\6\6", 44, _LONG, _LONG, 0, 0, count, count, size, at)
@@ -195,5 +201,5 @@ def _end(count: int, size: int, at: int) -> bytes:
 
 
 def _long_field(*numbers: int) -> bytes:
-    """The extra field with numbers of eight bytes."""
+    """Return the extra field of a header, with numbers of eight bytes."""
     return Struct(f"<2H{len(numbers)}Q").pack(1, 8 * len(numbers), *numbers)

@@ -1,4 +1,5 @@
-"""What a cache is written as for other programs: by the ending of a file, in which forms, and of which agents."""
+"""Exports of a cache for other programs. The ending of the file selects the export, and options select its form and the
+agents."""
 
 from __future__ import annotations
 
@@ -28,11 +29,14 @@ _SUBJECTS = {each.name.partition(".")[0]: each.of for each in FRAME}  # by the f
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ExportFormat:
-    """Export to files with some `endings`. `forms`: by name, the functions that write frames of a cache into a file; the first is
-    the default. A form returns sentences on what was left out or changed.
+    """An export to files with some `endings`.
 
-    `each`: the forms that write one file per frame, with the frame's number before the suffix. `options`: by form, the dataclass
-    of its extra options. `barred`: strings with a special meaning for its libraries in file names."""
+    `forms`: by name, the functions that write frames of a cache into a file; the first is the default. They return sentences on
+        what
+    was left out or changed.
+    `each`: the forms that write one file per frame, with the frame number in the name.
+    `options`: by form, the dataclass of its additional options.
+    `barred`: strings that file names must not contain, because they have a special meaning for the export's libraries."""
 
     endings: tuple[str, ...]
     forms: Mapping[str, Callable[..., Sequence[str] | None]]
@@ -41,11 +45,11 @@ class ExportFormat:
     barred: tuple[str, ...] = ()
 
     def paths(self, form: str, path: Path, frames: list[int]) -> list[Path]:
-        """The files that a form writes."""
+        """Return the paths of the files that a form writes."""
         return [numbered_path(path, frame) for frame in frames] if form in self.each else [path]
 
     def option_names(self, form: str) -> frozenset[str]:
-        """Return the names of a form's options other than frames and path."""
+        """Return the names of a form's additional options."""
         return frozenset(each.name for each in fields(self.options[form])) if form in self.options else frozenset()
 
 
@@ -77,18 +81,18 @@ ALTERNATIVE_ADVICE = {
 
 
 def export_for(path: Path) -> ExportFormat | None:
-    """Return the export for a path, by its ending in any case; None if there is none."""
+    """Return the export for the ending of a path, in any case; None if there is none."""
     return next((export for export in EXPORT_FORMATS if path.suffix.lower() in export.endings), None)
 
 
 @dataclass(frozen=True, eq=False)
 class AgentSubset(Cache):
-    """Another cache, restricted to agents with some `ids`, in all species; everything else is unchanged."""
+    """A view of another cache that contains only the agents with some `ids`, in all species. Everything else is unchanged."""
 
     ids: frozenset[int] = frozenset()
 
     def frame(self, number: int, only: frozenset[str] | None = None) -> Arrays:
-        """The arrays of a frame, with the rows of the chosen agents."""
+        """Return the arrays of a frame, limited to the rows of the chosen agents. `only`: the names to return; None for all."""
         arrays = super().frame(number, None if only is None else only | IDENTITY | self._id_arrays(only))
         if "id" not in arrays:
             return arrays
@@ -103,11 +107,11 @@ class AgentSubset(Cache):
         return chosen_arrays
 
     def _id_arrays(self, only: frozenset[str]) -> set[str]:
-        """Return the names of the ids that some arrays belong to."""
+        """Return the names of the id arrays that arrays of pairs and events need."""
         return {f"{name.rpartition('.')[0]}.id" for name in only if _subject(name) in ("pair", "event")}
 
     def _rows(self, name: str, arrays: Arrays, by_species: dict[str, NDArray[np.bool_]]) -> NDArray[np.bool_] | None:
-        """Return the rows of the chosen agents in an array; None for an array that is not about agents."""
+        """Return which rows of an array belong to the chosen agents; None for an array that is not about agents."""
         if _subject(name) in ("pair", "event"):
             owners = arrays.get(f"{name.rpartition('.')[0]}.id")
             return None if owners is None else np.isin(np.asarray(owners), sorted(self.ids))

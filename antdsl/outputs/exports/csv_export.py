@@ -17,13 +17,12 @@ HEADER_LINE = "id,frame,tx,ty,tz,rx,ry,rz,sx,sy,sz,species"
 
 
 def export_csv(gallery: Gallery, frames: Iterable[int], path: Path) -> None:
-    """Write these frames as CSV, frame by frame, in the scene's units and axes, with positions from its zero point. The write is
-    atomic.
+    """Write these frames as CSV, atomically, in the scene's units and axes. Positions are relative to the scene's zero point.
 
-    Angles are degrees about x, then y, then z, without jumps between frames. Together with the scale (the body's length), they
-    place a body of length 1 along +x with +y up.
+    Angles are degrees about x, then y, then z, without jumps between frames. Angles and scale (the body's length) place a body of
+    length 1 along +x with +y up.
 
-    Raises CacheError for a damaged frame, OSError where nothing can be written."""
+    Raises CacheError for a damaged frame, OSError if writing fails."""
     row = "%d,%d" + f",{place_digits(gallery)}" * 3 + ",%.9g" * 6  # nine digits give a float32 back to the last bit
     angles = [EulerAngles() for _ in gallery.manifest.species]
     with atomic_file(path) as file:

@@ -31,9 +31,12 @@ _COLUMNS = (Column("frame", "derived", "i8"), *CONTACT[:4], Column("what", "deri
 
 @dataclass(frozen=True, slots=True, eq=False)
 class EventRows:
-    """Events of one kind and frame. `species` (by number) and `id` name the agents; `P` and `N` (k, 3) are positions and normals
-    in scene units. `what`: the number of the new state, the leg or the event, -1 for none. For contacts: the other agent and the
-    penetration depth `depth`."""
+    """Events of one kind in one frame.
+
+    `species`: the species number of each agent; `id`: its id.
+    `P`, `N` (k, 3): position in scene units, and normal.
+    `what`: the number of the new state, of the leg or of the event; -1 for none.
+    `other_species`, `other`, `depth`: for contacts, the other agent and the penetration depth."""
 
     kind: str
     species: NDArray[np.int64]
@@ -47,8 +50,9 @@ class EventRows:
 
 
 def export_csv_events(gallery: Gallery, frames: Iterable[int], path: Path) -> list[str]:
-    """Write events as a table, one row each; `what` is a word. Raises CacheError for a damaged frame, OSError where nothing can
-    be written."""
+    """Write events as a table with one row per event; `what` is a word. Return messages on missing events.
+
+    Raises CacheError for a damaged frame, OSError if writing fails."""
     frames = list(frames)
     names, digits = [entry.name for entry in gallery.manifest.species], place_digits(gallery)
     with atomic_file(path) as file:
@@ -68,8 +72,12 @@ def export_csv_events(gallery: Gallery, frames: Iterable[int], path: Path) -> li
 
 
 def export_npz_events(gallery: Gallery, frames: Iterable[int], path: Path) -> list[str]:
-    """Write events as arrays: `KIND.frame`, `KIND.species`, `KIND.id`, `KIND.P`, `KIND.N`, `KIND.what`, and for contacts
-    `other_species`, `other` and `depth`. `KIND.P` is relative to `origin` float64[3]."""
+    """Write events as arrays, and return messages on missing events. Raises CacheError for a damaged frame, OSError if writing
+    fails.
+
+    Each kind has the arrays `KIND.frame`, `.species`, `.id`, `.P`, `.N` and `.what`. Contacts also have `.other_species`,
+    `.other`
+    and `.depth`. `KIND.P` is relative to `origin` float64[3]."""
     frames = list(frames)
     events_by_kind: dict[str, list[tuple[int, EventRows]]] = {kind: [] for kind in EVENT_KINDS}
     for frame, each in _all_events(gallery, frames):
@@ -93,8 +101,9 @@ def _missing_notes(gallery: Gallery, frames: list[int]) -> list[str]:
 
 
 def _all_events(gallery: Gallery, frames: list[int]) -> Iterator[tuple[int, EventRows]]:
-    """Yield the events of frames, kind after kind. Those of the first frame come from a comparison with the frame before it, if
-    there is one."""
+    """Yield the events of frames, kind after kind, each with its frame.
+
+    Events of the first frame follow from the frame before it, if that exists."""
     previous: Arrays | None
     try:
         previous = gallery.cache.frame(frames[0] - 1)
@@ -112,7 +121,7 @@ def _all_events(gallery: Gallery, frames: list[int]) -> Iterator[tuple[int, Even
 
 
 def _compare_frames(gallery: Gallery, previous: Arrays, arrays: Arrays) -> Iterator[EventRows]:
-    """What two frames tell of."""
+    """Yield the events that follow from a comparison of two consecutive frames: births, deaths, state changes and footfalls."""
     was, now = agent_keys(previous), agent_keys(arrays)
     _, left, right = np.intersect1d(was, now, assume_unique=True, return_indices=True)
     yield _events("birth", arrays, np.flatnonzero(~np.isin(now, was)))
@@ -135,7 +144,9 @@ def _compare_frames(gallery: Gallery, previous: Arrays, arrays: Arrays) -> Itera
 def _events(
     kind: str, arrays: Arrays, rows: NDArray[np.intp], what: NDArray[Any] | None = None, place: NDArray[np.float64] | None = None
 ) -> EventRows:
-    """Return events of agents at rows of a frame, with their up, and their position unless `place` gives another."""
+    """Return events of the agents in some rows of a frame. `N` is the agents' up.
+
+    `place`: positions of the events; None for the positions of the agents."""
     none = np.full(len(rows), -1, np.int64)
     up = turned(np.asarray(arrays["orient"], np.float64)[rows], np.tile(_DEFAULT_UP, (len(rows), 1)))
     where = np.asarray(arrays["P"], np.float64)[rows] if place is None else place
@@ -145,7 +156,7 @@ def _events(
 
 
 def _stored_events(arrays: Arrays, known_pairs: set[tuple[int, ...]]) -> Iterator[EventRows]:
-    """Yield the events stored in a frame; contacts only if they are not in the frame before."""
+    """Yield the events stored in a frame. Contacts in `known_pairs`, those of the previous frame, are left out."""
     for kind in ("emit", "contact"):
         of = part_of(arrays, f"events.{kind}.")
         if "id" not in of:
@@ -161,13 +172,13 @@ def _stored_events(arrays: Arrays, known_pairs: set[tuple[int, ...]]) -> Iterato
 
 
 def _pairs(arrays: Arrays) -> list[tuple[int, ...]]:
-    """Return species and id of both agents of each contact."""
+    """Return the species and ids of both agents of each contact in a frame."""
     keys = [f"events.contact.{name}" for name in ("species", "id", "other_species", "other")]
     return list(zip(*(arrays[key].tolist() for key in keys), strict=True)) if keys[-1] in arrays else []
 
 
 def _event_words(gallery: Gallery, events: EventRows) -> list[str]:
-    """Return the descriptions of events: the state that begins, the leg that lands, the event that is emitted."""
+    """Return the words for `what`: the state that begins, the leg that lands, or the event that is emitted."""
     species, manifest = events.species.tolist(), gallery.manifest
     if events.kind == "state":
         return [manifest.species[s].machines[0].states[k].name for s, k in zip(species, events.what.tolist(), strict=True)]

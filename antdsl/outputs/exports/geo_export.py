@@ -1,9 +1,11 @@
-"""A cache as Houdini's ASCII geometry (.geo), one file per frame: one point per agent, with what it was built from at that point.
+"""A cache as Houdini's ASCII geometry (.geo), one file per frame with one point per agent.
 
-The format has no published description; its parts follow open readers (`hgeo.py` of cgdougm/HoudiniObj among them): a list of
-keys and values, with attributes as `tuples`, `arrays` and tables of `strings` with `indices`. Points have y up, as in Houdini.
-`orient` rotates +z, Houdini's forward axis for agents, to the heading. Points of a world far from the zero point are relative to
-the global attribute `origin`, in double precision."""
+The format has no published description. This writer follows open readers (`hgeo.py` of cgdougm/HoudiniObj among others). A file
+is
+a list of keys and values. Attributes are `tuples`, `arrays`, and tables of `strings` with `indices`.
+
+Points have y up, as in Houdini. `orient` rotates +z, Houdini's forward axis for agents, to the heading. In a world far from the
+zero point, points are relative to the global attribute `origin`, which is in double precision."""
 
 from __future__ import annotations
 
@@ -31,13 +33,13 @@ Slot = tuple[NDArray[np.int64], Floats, Floats]
 _SQRT_HALF = float(np.sqrt(0.5))
 _Z_TO_X_ROTATION = np.array([0.0, _SQRT_HALF, 0.0, _SQRT_HALF])  # turns +z to +x, about +y
 _Z_TO_Y_ROTATION = np.array([-_SQRT_HALF, 0.0, 0.0, _SQRT_HALF])  # turns +z to +y, about +x
-_COVERING_CLIP_WEIGHT = 1e6  # a clip that covers others wholly weighs so much more than they
+_COVERING_CLIP_WEIGHT = 1e6  # factor for the weight of a clip that replaces others completely
 
 
 def export_geo(gallery: Gallery, frames: Iterable[int], path: Path) -> None:
-    """Write a file of points for each frame. The frame number is inserted before the suffix of `path`.
+    """Write a file of points for each frame. The frame number is inserted into the name of `path`.
 
-    Raises CacheError for a damaged frame, OSError where nothing can be written. The files are not synced."""
+    Raises CacheError for a damaged frame, OSError if writing fails. The files are not synced to the disk."""
     for frame in frames:
         arrays = gallery.cache.frame(frame)
         text = json.dumps(_geometry(gallery, frame, arrays), separators=(",", ":"), allow_nan=False)
@@ -62,7 +64,7 @@ def _geometry(gallery: Gallery, frame: int, arrays: Arrays) -> list[Any]:
 
 
 def _point_attributes(gallery: Gallery, frame: int, arrays: Arrays) -> dict[str, tuple[NDArray[Any], str]]:
-    """Return the numeric attributes of agents, each with its kind of vector."""
+    """Return the numeric attributes of agents, each with Houdini's type of vector ("" for plain numbers)."""
     z_up = gallery.manifest.up == "z"
     turn = unit_quaternion(np.asarray(arrays["orient"], np.float64))
     attributes = {"P": (_to_y_up(arrays["P"], z_up), "point")}
@@ -86,7 +88,7 @@ def _point_attributes(gallery: Gallery, frame: int, arrays: Arrays) -> dict[str,
 
 
 def _text_attributes(gallery: Gallery, arrays: Arrays) -> dict[str, tuple[list[str], NDArray[np.int64]]]:
-    """Return the text attributes of agents: a table of texts, and the index of each agent's, -1 for none."""
+    """Return the text attributes of agents, each as a table of texts and the index of each agent's text. -1 means no text."""
     manifest, count = gallery.manifest, len(arrays["P"])
     which = species_numbers(arrays)
     species = [entry.name for entry in manifest.species]
@@ -104,7 +106,7 @@ def _text_attributes(gallery: Gallery, arrays: Arrays) -> dict[str, tuple[list[s
 
 
 def _clip_numbers(gallery: Gallery, arrays: Arrays) -> dict[str, tuple[NDArray[Any], str]]:
-    """Return `clipN_time` in seconds and `clipN_weight` of the clips that each agent plays."""
+    """Return the attributes `clipN_time` (seconds) and `clipN_weight` of the clips that each agent plays."""
     attributes: dict[str, tuple[NDArray[Any], str]] = {}
     for number, entry, rows, slot, (clip, turns, weight) in _played_clips(gallery, arrays):
         for name, values in (("time", turns * _seconds(gallery, number, entry)[clip]), ("weight", weight)):
@@ -114,7 +116,7 @@ def _clip_numbers(gallery: Gallery, arrays: Arrays) -> dict[str, tuple[NDArray[A
 
 
 def _clip_names(gallery: Gallery, arrays: Arrays) -> dict[str, tuple[list[str], NDArray[np.int64]]]:
-    """`clipN`, the name of a clip, and `clipN_group`, the transform group that it moves."""
+    """Return the attributes `clipN` (the name of a clip) and `clipN_group` (the transform group that it moves)."""
     attributes: dict[str, tuple[list[str], NDArray[np.int64]]] = {}
     for _, entry, rows, slot, (clip, _, _) in _played_clips(gallery, arrays):
         for name, texts in (("", [each.name for each in entry.clips]), ("_group", [each.on for each in entry.clips])):
@@ -125,7 +127,8 @@ def _clip_names(gallery: Gallery, arrays: Arrays) -> dict[str, tuple[list[str], 
 
 
 def _played_clips(gallery: Gallery, arrays: Arrays) -> Iterator[tuple[int, SpeciesEntry, NDArray[np.intp], int, Slot]]:
-    """Yield the clips of species that play some: number, entry and rows of the species, and the clips in a slot."""
+    """Yield the clips of each species that plays clips: species number, entry, rows of its agents, slot number, clips in the
+    slot."""
     for number, entry in enumerate(gallery.manifest.species):
         rows = species_rows(arrays, number)
         machines = machines_of(entry, arrays, len(rows))
@@ -135,10 +138,11 @@ def _played_clips(gallery: Gallery, arrays: Arrays) -> Iterator[tuple[int, Speci
 
 
 def _slots(machines: Iterable[MachineClips], count: int) -> list[Slot]:
-    """Return two slots per machine, the outgoing clip and the current one: number, turns, weight.
+    """Return two slots per machine, for the outgoing and the current clip: clip number, turns, weight.
 
-    Houdini normalises weights at each joint. There, a machine's clips replace the clips below them by their total weight; this is
-    exact for up to two machines."""
+    Houdini normalises the weights at each joint. In antdsl, a machine's clips replace the clips of earlier machines by their
+    total
+    weight. The returned weights give the same result for up to two machines."""
     slots, below = [], np.zeros(count)
     for machine in machines:
         fade = np.clip(machine.fade, 0, 1).astype(np.float64)
@@ -157,15 +161,17 @@ def _slots(machines: Iterable[MachineClips], count: int) -> list[Slot]:
 
 
 def _seconds(gallery: Gallery, number: int, entry: SpeciesEntry) -> Floats:
-    """Return the duration of each clip of a species, 1 where no body gives one; the last entry is 0, for no clip."""
+    """Return the duration in seconds of each clip of a species; 1 for clips that its body lacks. A last entry 0 stands for no
+    clip."""
     body = gallery.body(number)
     clips = {} if body is None else body.definition.clips
     return np.array([*(clips[each.name].duration if each.name in clips else 1.0 for each in entry.clips), 0.0])
 
 
 def _angular_velocity(gallery: Gallery, frame: int, arrays: Arrays, turn: Floats) -> Floats:
-    """Return angular velocities (n, 3), radians per second: the rotation of each agent to the next frame, or from the frame
-    before."""
+    """Return angular velocities (n, 3) in radians per second, from the rotation of each agent to the next frame.
+
+    Without a next frame, the rotation from the previous frame is used."""
     for other, sign in ((frame + 1, 1.0), (frame - 1, -1.0)):
         try:
             other_arrays = gallery.cache.frame(other, IDENTITY | {"orient"})
@@ -190,7 +196,7 @@ def _to_y_up(vectors: NDArray[Any], z_up: bool) -> Floats:
 
 
 def _numbers(name: str, values: NDArray[Any], kind: str = "", storage: str = "fpreal32") -> list[Any]:
-    """A numeric attribute of (n,) or (n, k) values."""
+    """Return a numeric attribute of (n,) or (n, k) values, as the format's list of keys and values."""
     is_integer = values.dtype.kind == "i"
     storage = "int64" if is_integer else storage
     size = 1 if values.ndim == 1 else values.shape[1]
@@ -206,7 +212,7 @@ def _numbers(name: str, values: NDArray[Any], kind: str = "", storage: str = "fp
 
 
 def _strings(name: str, table: list[str], indices: NDArray[np.int64]) -> list[Any]:
-    """Return a text attribute, with its values as indices of a table."""
+    """Return a text attribute with values that are indices of a table, as the format's list of keys and values."""
     return [
         ["scope", "public", "type", "string", "name", name, "options", {}],
         ["size", 1, "storage", "int32", "strings", table,

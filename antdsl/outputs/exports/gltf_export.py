@@ -1,7 +1,7 @@
-"""A cache as one glTF 2.0 file: each agent is a node with animated joints; meshes and skins are shared per definition.
+"""A cache as one glTF 2.0 file. Each agent is a node with animated joints. Agents with equal definitions share meshes.
 
 Khronos Group, glTF 2.0 Specification, 2021. A node `World` converts the scene to glTF's axes and metres, and moves it by its
-origin. Meshes with a skin are beside it, since their own transform is ignored."""
+origin. Meshes with a skin are not below this node, since glTF ignores their own transform."""
 
 from __future__ import annotations
 
@@ -26,17 +26,16 @@ from antdsl.outputs.pictures.light import decode_srgb
 from antdsl.outputs.pictures.model import Crowd
 from antdsl.whole import write_atomically
 
-_MAX_FILE_AGENTS, _MAX_FILE_BYTES = 1000, 1 << 28  # the most that one file is good for
+_MAX_FILE_AGENTS, _MAX_FILE_BYTES = 1000, 1 << 28  # limits of one file
 _MAX_IGNORED_SHEAR = 1e-4
 
 Floats = NDArray[np.float64]
 
 
 def export_gltf(gallery: Gallery, frames: Iterable[int], path: Path) -> list[str]:
-    """Write agents with their joints, meshes, items and the camera, animated over these frames. Return sentences on what glTF
-    cannot represent.
+    """Write agents with joints, meshes, items and the camera, animated over these frames. Return sentences on what glTF lacks.
 
-    Raises NoExport beyond the limits of glTF, CacheError for a damaged frame, OSError where nothing can be written."""
+    Raises ExportUnavailable beyond the limits of one glTF file, CacheError for a damaged frame, OSError if writing fails."""
     frames = list(frames)
     crowd = _BodyCollector.gather(gallery, frames)
     stage = GltfStage(gallery, frames)
@@ -51,9 +50,13 @@ def export_gltf(gallery: Gallery, frames: Iterable[int], path: Path) -> list[str
 
 @dataclass(slots=True, eq=False)
 class _BodyRecord:
-    """Animation of the agents with one body. `arrays` of its frames: the `id` of each row, its `frame` number (from 0), `place`
-    float64[4, 4], `local` float32[J, 4, 4] and `channels` float32[C]. `colour` has display values of each id at its first
-    frame."""
+    """The animation of all agents with one body.
+
+    `arrays`: arrays by frame and name, with one row per agent.
+    `id` int64, `frame` (numbers from 0): agent and frame of the row.
+    `place` float64[4, 4]: from the body's space to the scene.
+    `local` float32[J, 4, 4], `channels` float32[C]: joints and channels.
+    `colour`: by agent id, the display colour in its first frame."""
 
     worn: PosedBody
     arrays: dict[str, list[NDArray[Any]]] = field(default_factory=dict)
@@ -62,7 +65,7 @@ class _BodyRecord:
 
 @dataclass(slots=True, eq=False)
 class _BodyCollector:
-    """The agents of a cache by species and body."""
+    """Collector of the agents of a cache, by species and body."""
 
     bodies: dict[BodyKey, _BodyRecord]
     turned: set[str] = field(default_factory=set)  # species with colour changes
@@ -113,7 +116,7 @@ class _BodyCollector:
 
 
 def _write_agents(stage: GltfStage, body: _BodyRecord, colours: dict[int, tuple[float, ...]], species: str) -> None:
-    """The nodes, skins and animation of all agents with one body."""
+    """Write the nodes, skins and animation of all agents with one body."""
     worn = body.worn
     rig, writer = worn.definition.rig, stage.writer
     ids, frame, place, local, channels = map(np.concatenate, body.arrays.values())
@@ -151,7 +154,7 @@ def _shape(writer: GltfWriter, worn: PosedBody, name: str) -> ShapeParts:
 
 
 def _materials(stage: GltfStage, worn: PosedBody, colour: tuple[float, ...]) -> dict[str, int]:
-    """Return the numbers of a body's materials. Triangles without a material have the agent's state colour."""
+    """Return the numbers of a body's materials, by name. Triangles without a material get the agent's state colour."""
     state = tuple(float(part) for part in decode_srgb(np.array(colour)))
     own: dict[str, Any] = dict(worn.definition.materials)
     used = (material for binding in worn.bindings for material in worn.definition.shapes[binding.shape].materials)

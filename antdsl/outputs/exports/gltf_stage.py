@@ -1,4 +1,4 @@
-"""The scene of a glTF file under construction: nodes with keys over time, meshes of the world, items, the camera."""
+"""The scene of a glTF file under construction: animated nodes, meshes of the world, items and the camera."""
 
 from __future__ import annotations
 
@@ -21,14 +21,14 @@ from antdsl.scene.model import UNIT_MM
 
 _SENSOR_WIDTH_MM, _DEFAULT_ASPECT = 36.0, 16 / 9
 _SQRT_HALF = float(np.sqrt(0.5))
-_RIGID_TOLERANCE = 1e-4  # of its size, by which the points of a mesh may be off a rigid movement
+_RIGID_TOLERANCE = 1e-4  # largest deviation from a rigid motion, as a share of the mesh's size
 
 Floats = NDArray[np.float64]
 
 
 @dataclass(slots=True, eq=False)
 class _MovingNode:
-    """A mesh or an item: its node and its animation."""
+    """The node of a mesh or an item, and its animation."""
 
     node: int
     frames: list[int] = field(default_factory=list)
@@ -38,8 +38,9 @@ class _MovingNode:
 
 
 class GltfStage:
-    """The scene of a glTF file. Frames are counted from 0 in the order of `frames`; a frame missing from the cache still takes
-    its time."""
+    """The scene of a glTF file. Its methods count frames from 0 in the order of `frames`.
+
+    A frame missing in `frames` still takes its time in the animation."""
 
     def __init__(self, gallery: Gallery, frames: list[int]) -> None:
         self.gallery, self.frames = gallery, frames
@@ -64,7 +65,7 @@ class GltfStage:
         self._camera()
 
     def add_note(self, sentence: str) -> None:
-        """Note what is left out, once."""
+        """Add a sentence on what is left out, unless it was added before."""
         if sentence not in self.notes:
             self.notes.append(sentence)
 
@@ -79,7 +80,7 @@ class GltfStage:
         return number
 
     def agent(self, name: str, frames: NDArray[np.int64], move: Floats, turn: Floats, size: Floats) -> int:
-        """Return the node of an agent, with its transforms in some frames. In other frames its scale is 0."""
+        """Add the node of an agent, with its transforms in some frames, and return its number. In other frames its scale is 0."""
         node = self._node(self._world, {"name": name})
         self._keys(node, frames, move, turn, None)
         is_present = np.zeros(len(self.frames), np.bool_)
@@ -93,17 +94,17 @@ class GltfStage:
         return node
 
     def joint(self, above: int, name: str, frames: NDArray[np.int64], move: Floats, turn: Floats, size: Floats) -> int:
-        """Return the node of a joint, with keys for the components that change."""
+        """Add the node of a joint, with keys for the components that change, and return its number."""
         node = self._node(above, {"name": name})
         self._keys(node, frames, move, turn, size)
         return node
 
     def body(self, above: int | None, name: str, mesh: int, skin: int | None) -> int:
-        """Return the node of a mesh. With a skin, the node is placed beside the world's."""
+        """Add a node with a mesh and return its number. `above`: the parent, None for a root. Nodes with a skin must be roots."""
         return self._node(above, {"name": name, "mesh": mesh} | ({} if skin is None else {"skin": skin}))
 
     def weights(self, node: int, frames: NDArray[np.int64], values: NDArray[np.float32]) -> None:
-        """The weights (n, targets) of morph targets over frames."""
+        """Write the weights (n, targets) of a node's morph targets over frames."""
         mesh = self.writer.entry("nodes", node)["mesh"]
         self.writer.entry("meshes", mesh).setdefault("weights", [0.0] * values.shape[1])
         self.writer.entry("nodes", node)["weights"] = values[0].tolist()
@@ -111,7 +112,7 @@ class GltfStage:
             self._channel(node, "weights", frames, values, "LINEAR")
 
     def _keys(self, node: int, frames: NDArray[np.int64], move: Floats | None, turn: Floats | None, size: Floats | None) -> None:
-        """Write constant components as values of the node, others as keys."""
+        """Write translation, rotation and scale of a node. Constant components become values of the node, others become keys."""
         entry = self.writer.entry("nodes", node)
         turn = None if turn is None else align_signs(turn)
         for path, values, still in (
@@ -126,7 +127,7 @@ class GltfStage:
                 self._channel(node, path, frames, samples, "LINEAR")
 
     def _channel(self, node: int, path: str, frames: NDArray[np.int64], values: NDArray[Any], kind: str) -> None:
-        """Write keys of a node, without those inside a constant stretch."""
+        """Write keys for one property (`path`) of a node. Keys between equal neighbours are left out."""
         is_key = np.ones(len(frames), np.bool_)
         if kind == "LINEAR" and len(frames) > 2:
             same = (values[1:] == values[:-1]).all(axis=1)
@@ -141,7 +142,7 @@ class GltfStage:
         self._samplers.append(sampler)
 
     def material(self, name: str, colour: tuple[float, ...], *, vertex: bool = False) -> int:
-        """The number of a material of a base colour (linear)."""
+        """Return the number of the material with this name and base colour (linear). It is added at its first use."""
         key = (name, tuple(round(part, 6) for part in colour))
         if key not in self._materials:
             pbr = {"baseColorFactor": [*key[1], 1.0], "metallicFactor": 0.0, "roughnessFactor": 0.55 if not vertex else 0.9}
@@ -151,7 +152,7 @@ class GltfStage:
     # ---- the world
 
     def add_picture(self, picture: Picture) -> None:
-        """Add what stands in a frame beside agents."""
+        """Add the meshes and items of a frame, everything except agents."""
         frame = self.frames.index(picture.frame) if picture.frame is not None else 0
         dug = {mesh.name for mesh in self.gallery.manifest.meshes if mesh.row.is_dug}
         for solid in picture.solids:
@@ -205,7 +206,7 @@ class GltfStage:
         )
 
     def finish(self) -> None:
-        """Write what was noted over time."""
+        """Write the collected motion of meshes and items, dug solids, and the animation."""
         for moving, _ in self._solids.values():
             if moving.frames:
                 self._keys(moving.node, np.array(moving.frames), np.array(moving.moves), np.array(moving.turns), None)
@@ -248,8 +249,8 @@ class GltfStage:
 
 
 def _fit_rigid(first: Floats, then: Floats) -> tuple[Floats, Floats, float]:
-    """Return the rotation (x y z w) and translation that best map points from their first to their later positions, and the
-    largest error (Kabsch, 1976)."""
+    """Return the rotation (x y z w) and the translation that best map the points `first` to `then`, and the largest error
+    (Kabsch, 1976)."""
     if np.array_equal(first, then):
         return np.array([0.0, 0.0, 0.0, 1.0]), np.zeros(3), 0.0
     a, b = first.mean(axis=0), then.mean(axis=0)

@@ -1,4 +1,4 @@
-"""Posed meshes of agents, as a sequence with the same points in every frame: for cloth, and for programs without joints."""
+"""Posed meshes of agents as a sequence with the same points in every frame, for cloth and for programs without joints."""
 
 from __future__ import annotations
 
@@ -26,12 +26,14 @@ _AGENTS_PER_BATCH = 64  # agents that are posed at once
 
 
 def export_meshes(gallery: Gallery, frames: Iterable[int], path: Path) -> list[str]:
-    """Write the posed bodies of agents as one mesh a frame, in scene units. Agents are in order of species and id. The n-th point
-    is the same point of the same agent in each frame. Agents that are not in all frames are left out; returns messages about
-    them.
+    """Write the posed bodies of agents as one mesh per frame, in scene units. Return messages about agents that are left out.
 
-    Raises NoExport if no agent is in all frames or there are too many points, CacheError for a damaged frame, OSError if writing
-    fails."""
+    Agents are in order of species and id. The n-th point is the same point of the same agent in each frame. Agents that are not
+    in
+    all frames are left out.
+
+    Raises ExportUnavailable if no agent is in all frames, or if there are too many points. Raises CacheError for a damaged frame,
+    OSError if writing fails."""
     frames = list(frames)
     common_ids, notes = _common_agents(gallery, frames)
     for frame in frames:
@@ -40,8 +42,10 @@ def export_meshes(gallery: Gallery, frames: Iterable[int], path: Path) -> list[s
 
 
 def export_usd_meshes(gallery: Gallery, frames: Iterable[int], path: Path) -> list[str]:
-    """Write the meshes as USD: one mesh per agent, `/World/SPECIES/agent_ID`, with points and normals over time. Raises UsdError
-    without usd-core."""
+    """Write the posed bodies of agents as USD, one mesh per agent, with points and normals over time. Return messages as
+    `export_meshes`.
+
+    The meshes are `/World/SPECIES/agent_ID`. Raises UsdError without usd-core."""
     frames = list(frames)
     common_ids, notes = _common_agents(gallery, frames)
     usd, geom = pxr("Usd"), pxr("UsdGeom")
@@ -81,7 +85,8 @@ def _usd_mesh(out: StageOutput, part: MeshPart) -> tuple[ValueSamples, ...]:
 
 
 def _common_agents(gallery: Gallery, frames: list[int]) -> tuple[dict[BodyKey, set[int]], list[str]]:
-    """Return the ids of agents that are in all frames in the same layers, by species and layers, and messages."""
+    """Return, by species and layers, the ids of agents that are in all frames with the same layers; and messages about the
+    others."""
     common_ids: dict[BodyKey, set[int]] = {}
     all_ids: dict[BodyKey, set[int]] = {}
     for k, frame in enumerate(frames):
@@ -102,7 +107,7 @@ def _common_agents(gallery: Gallery, frames: list[int]) -> tuple[dict[BodyKey, s
 
 
 def _posed_meshes(gallery: Gallery, frame: int, common_ids: dict[BodyKey, set[int]]) -> Iterator[MeshPart]:
-    """The posed mesh of each agent, by species and id."""
+    """Yield the posed mesh of each agent in `common_ids`, by species and id."""
     parts: list[tuple[str, int, MeshPart]] = []
     total = 0
     for key, crowd, worn in worn_crowds(gallery.picture(frame)):

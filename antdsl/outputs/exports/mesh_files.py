@@ -18,8 +18,11 @@ _LINES_PER_BLOCK = 1 << 16  # lines that are made at once
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MeshPart:
-    """A mesh of a file: `points` (n, 3), `faces` (m, 3), unit `normals` (n, 3) and display (sRGB) `colours` (n, 3) from 0 to 1,
-    or None."""
+    """A mesh of a file.
+
+    `points` (n, 3), `faces` (m, 3).
+    `normals` (n, 3): unit vectors, or None.
+    `colours` (n, 3): sRGB display values from 0 to 1, or None."""
 
     name: str
     points: NDArray[np.floating]
@@ -29,11 +32,10 @@ class MeshPart:
 
 
 def write_mesh(path: Path, parts: Sequence[MeshPart], origin: NDArray[np.float64]) -> None:
-    """Write meshes into one file, one after the other. The suffix selects the format: `.ply`, or `.obj` with one named object per
-    mesh.
+    """Write meshes into one file, one after the other. The suffix selects the format: `.ply`, or `.obj` with one object per mesh.
 
-    Normals and colours are written where all parts have them (colours: PLY only). `origin`: the point that positions are relative
-    to; with one, they are written in double precision. The file is not synced."""
+    Normals and colours are written if all parts have them (colours only in PLY). The file is not synced to the disk.
+    `origin`: the point that positions are relative to. If it is not 0, positions are written in double precision."""
     starts = np.cumsum([0, *(len(part.points) for part in parts)])
     points: Floats = np.concatenate([np.zeros((0, 3)), *(part.points for part in parts)]).astype(np.float32)
     if origin.any():
@@ -73,7 +75,7 @@ def _write_ply(
 def _write_obj(
     file: IO[bytes], parts: Sequence[MeshPart], starts: NDArray[np.int64], points: Floats, normals: NDArray[np.float32] | None
 ) -> None:
-    """Write an OBJ file. Point numbers continue from object to object, as the format requires."""
+    """Write an OBJ file. Point numbers continue from one object to the next, as the format requires."""
     vertex = "v %.15g %.15g %.15g\n" if points.dtype == np.float64 else "v %.9g %.9g %.9g\n"
     for part, start in zip(parts, starts, strict=False):
         rows = slice(start, start + len(part.points))

@@ -1,10 +1,11 @@
-"""A cache as one NPZ file: each array of its frames, concatenated, with the start of each frame.
+"""A cache as one NPZ file. Each array of the frames is concatenated, with the start of each frame.
 
-frames          int64[F]: their numbers
+frames          int64[F]: the frame numbers
 rows            int64[F + 1]: the agents of frame k are the rows `rows[k]:rows[k + 1]` of `P`, `id` and all arrays of agents
-NAME            any other array of a frame, concatenated, and NAME.rows int64[F + 1] as its `rows`
-about           uint8: a JSON text: units, up, origin (the point that positions are relative to), fps, species with their
-                states, clips and machines, arrays of agents"""
+NAME            any other array of the frames, concatenated
+NAME.rows       int64[F + 1]: frame k has the rows `NAME.rows[k]:NAME.rows[k + 1]` of NAME
+about           uint8, a JSON text: units, up, origin (the point that positions are relative to), fps, the names of arrays of
+                agents, and the species with their states, clips and machines"""
 
 from __future__ import annotations
 
@@ -27,9 +28,9 @@ Arrays = dict[str, NDArray[Any]]
 
 
 def export_arrays(gallery: Gallery, frames: Iterable[int], path: Path) -> None:
-    """Write all arrays of these frames into one NPZ file, array by array, so that memory holds one array of one frame at a time.
+    """Write all arrays of these frames into one NPZ file. Memory holds one array of one frame at a time.
 
-    Raises CacheError for a damaged frame, OSError where nothing can be written."""
+    Raises CacheError for a damaged frame, OSError if writing fails."""
     cache, frames = gallery.cache, list(frames)
     shapes: dict[str, tuple[np.dtype[Any], tuple[int, ...]]] = {}
     counts: dict[str, NDArray[np.int64]] = {}
@@ -54,7 +55,7 @@ def _starts(counts: NDArray[np.int64]) -> NDArray[np.int64]:
 
 
 def _parts(cache: Cache, frames: list[int], name: str, counts: NDArray[np.int64]) -> Iterator[NDArray[Any]]:
-    """An array of each frame that has it."""
+    """Yield the array `name` of each frame that has it."""
     for frame, count in zip(frames, counts, strict=True):
         if count:
             yield cache.frame(frame, frozenset([name]))[name]

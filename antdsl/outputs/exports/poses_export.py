@@ -1,13 +1,18 @@
-"""Joints and channels of agents as NPZ: the local and world transforms of each agent in each frame, and its channel values.
+"""Joints and channels of agents as NPZ: local and world transforms of each agent in each frame, and its channel values.
 
 For each species K:
 
-    K.id int64[r], K.rows int64[F + 1]   agent of each row; frame k has the rows `rows[k]:rows[k + 1]`
-    K.place float64[r, 4, 4]             from the space of the body to the scene, from its zero point
-    K.world, K.local float32[r, J, 4, 4] of each joint, in the space of the body and in that of its parent
-    K.channels float32[r, C]
-    frames int64[F]
-    about uint8                          a JSON text: of each body its joints, their parents, its channels"""
+    K.id int64[r]                        the agent of each row
+    K.rows int64[F + 1]                  frame k has the rows `rows[k]:rows[k + 1]`
+    K.place float64[r, 4, 4]             from the space of the body to the scene, relative to the scene's zero point
+    K.world float32[r, J, 4, 4]          of each joint, in the space of the body
+    K.local float32[r, J, 4, 4]          of each joint, in the space of its parent
+    K.channels float32[r, C]             channel values
+
+For all species:
+
+    frames int64[F]                      the frame numbers
+    about uint8                          a JSON text: the joints, their parents and the channels of each body"""
 
 from __future__ import annotations
 
@@ -37,7 +42,7 @@ FEWER_AGENTS_ADVICE = "choose fewer with `--ids 0..20` or `--frames A..B`"
 
 @dataclass(slots=True)
 class _PoseRows:
-    """The data of one body so far; `counts` is by frame."""
+    """The collected data of one body. `counts`: the number of rows by frame."""
 
     body: Definition
     counts: list[int] = field(default_factory=list)
@@ -50,7 +55,7 @@ NO_AGENTS_MESSAGE = "no agent is there in these frames"
 def export_poses(gallery: Gallery, frames: Iterable[int], path: Path) -> list[str]:
     """Write the transforms of all joints and the values of all channels of each agent, as posed in pictures.
 
-    Raises NoExport where the data exceeds the memory, CacheError for a damaged frame, OSError where nothing can be written."""
+    Raises ExportUnavailable if the data exceeds the memory limit, CacheError for a damaged frame, OSError if writing fails."""
     frames = list(frames)
     rows_by_species: dict[str, _PoseRows] = {}
     size = 0
@@ -89,12 +94,12 @@ BodyKey = tuple[str, tuple[str, ...]]  # a species, and the layers that agents o
 
 
 def worn_crowds(picture: Picture) -> list[tuple[BodyKey, Crowd, PosedBody]]:
-    """Return the non-empty crowds of a picture, each with its species and layers."""
+    """Return the crowds of a picture that have agents, each with its key (species and layers) and its body."""
     return [((crowd.species, crowd.worn.layers), crowd, crowd.worn) for crowd in picture.crowds if len(crowd.position)]
 
 
 def placement_matrices(crowd: Crowd, body: Definition) -> NDArray[np.float64]:
-    """Return matrices float64[n, 4, 4] from the space of a definition to the scene (relative to its origin), one per agent."""
+    """Return matrices float64[n, 4, 4] from the space of the body to the scene (relative to its origin), one per agent."""
     matrices = np.tile(np.eye(4), (len(crowd.position), 1, 1))
     matrices[:, :3, :3] = rotation_matrices(np.asarray(crowd.orient, np.float64)) * np.asarray(crowd.scale)[:, None, None]
     matrices[:, :3] = matrices[:, :3] @ body.base_matrix()
@@ -103,7 +108,8 @@ def placement_matrices(crowd: Crowd, body: Definition) -> NDArray[np.float64]:
 
 
 def posed_rows(crowd: Crowd) -> dict[str, NDArray[Any]]:
-    """Return the ids of agents, their placements and the transforms of their joints and channels, by name."""
+    """Return, by name, the ids of a crowd's agents, their placement matrices, the transforms of their joints, and their
+    channels."""
     poses = crowd.poses(local=True)
     assert poses.local is not None and crowd.ids is not None
     return {

@@ -1,4 +1,4 @@
-"""Solids that agents dig, as they are in each frame: meshes, and volumes of signed distances."""
+"""Solids that agents dig, as dug in each frame: meshes, and volumes of signed distances."""
 
 from __future__ import annotations
 
@@ -22,10 +22,10 @@ _NO_SOLIDS_ERROR = ExportUnavailable("the scene has no solid that agents can dig
 
 
 def export_solids(gallery: Gallery, frames: Iterable[int], path: Path) -> None:
-    """Write the surfaces of all solids as one mesh per frame, in scene units. The frame number is inserted before the suffix of
+    """Write the surfaces of all solids as one mesh per frame, in scene units. The frame number is inserted into the name of
     `path`.
 
-    Raises NoExport without solids, CacheError for a damaged frame, OSError where nothing can be written."""
+    Raises ExportUnavailable without solids, CacheError for a damaged frame, OSError if writing fails."""
     dug = DugSolids(gallery.cache, gallery.static)
     for frame in frames:
         solids = dug.at(frame)
@@ -37,14 +37,17 @@ def export_solids(gallery: Gallery, frames: Iterable[int], path: Path) -> None:
 
 
 def export_volumes(gallery: Gallery, frames: Iterable[int], path: Path) -> list[str]:
-    """Write the solids at the last of the frames as dense volumes, in scene units.
+    """Write the solids in the last of the frames as dense volumes, in scene units. Return a message that names this frame.
 
-    `NAME.distance` float32[x, y, z] is the signed distance to the surface at lattice points (below 0 in the solid, limited to the
-    `band`). `NAME.origin` float64[3] is the position of the first point, `NAME.cell` float64 the spacing, `NAME.band` float64[2]
-    the band.
+    `NAME.distance` float32[x, y, z]: signed distances to the surface at lattice points; below 0 in the solid, limited to the
+        band.
+    `NAME.origin` float64[3]: the position of the first lattice point.
+    `NAME.cell` float64: the spacing.
+    `NAME.band` float64[2]: the least and the greatest distance.
 
-    Raises NoExport without solids or where a volume is too large, CacheError for a damaged frame, OSError where nothing can be
-    written."""
+    Raises ExportUnavailable without solids, or if a volume is too large. Raises CacheError for a damaged frame, OSError if
+    writing
+    fails."""
     last = list(frames)[-1]
     dug = DugSolids(gallery.cache, gallery.static)
     if not dug.at(last):

@@ -1,4 +1,4 @@
-"""Everything that moves, as one ray scene: each agent's posed body and each item at its size, in this frame."""
+"""Everything that moves in a frame, as one ray scene: the posed body of each agent, and each item at its size."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -22,19 +22,22 @@ Array = NDArray[np.float64]
 
 CLOSE_BODY_PIXELS = 60.0  # pixels of body length from which the close-up body is worth its triangles
 DISTANT_BODY_PIXELS = 18.0  # pixels below which a few triangles are enough
-MAX_CLOSE_BODIES = 1200  # bodies at most that are drawn so, the largest first
+MAX_CLOSE_BODIES = 1200  # most bodies drawn as close-ups, the largest first
 MAX_SHUTTER_TIMES = 12
 METAL_GLOSS, LIGHT_GLOSS = 1.5, -1.0  # in place of gloss
 MAX_CLOSE_TRIANGLES = 1_000_000  # of close-up bodies of a species' own
 _SHADOW_MAP_CELLS = 2048  # along each side of the map of shadows
-_TINY_BODY_PIXELS = 4.0  # pixels below which a body may lie between their middles
+_TINY_BODY_PIXELS = 4.0  # pixels below which a body may be missed by rays through pixel centres
 _STEEP_SLOPE_SHARE = 0.8  # of a pile's slope: what is steeper beside it is a stone or a wall
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ActorMesh:
-    """One kind of object many times: vertices and normals (n, 3), faces, linear colour (n, 3) and gloss (n,). Gloss: 0 dull to 1,
-    METAL above, and LIGHT below for what emits light."""
+    """One or more bodies at one time, as one mesh.
+
+    `vertices` (n, 3), `faces` (m, 3).
+    `normal` (n, 3), `colour` (n, 3) in linear values.
+    `gloss` (n,): 0 (dull) to 1. METAL_GLOSS, above 1, means metal. LIGHT_GLOSS, below 0, means a light source."""
 
     vertices: Array
     faces: NDArray[np.int32]
@@ -45,8 +48,12 @@ class ActorMesh:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BodyMesh:
-    """A number b of bodies of one shape: rotated vertices float32 (b, v, 3) and positions (b, 3), at the picture's frame and at
-    the next (None for static bodies). Faces are shared; normal, colour and gloss are per vertex."""
+    """A number b of bodies of one shape with v vertices each.
+
+    `local` float32 (b, v, 3): rotated vertices, relative to the position, at the picture's frame.
+    `place` (b, 3): positions.
+    `then`: `local` and `place` at the next frame; None for static bodies.
+    `faces`: those of all bodies; `normal`, `colour`, `gloss`: per vertex."""
 
     local: Floats
     place: Array
@@ -57,7 +64,7 @@ class BodyMesh:
     gloss: Floats
 
     def at(self, time_offset: float) -> Array:
-        """Return vertices (b, v, 3), `time_offset` frames later: each moves in a straight line."""
+        """Return vertices (b, v, 3) at `time_offset` frames later. Each vertex moves in a straight line."""
         if self.then is None or time_offset == 0:
             return self.local + self.place[:, None]
         local = self.local + (self.then[0] - self.local) * np.float32(time_offset)
@@ -66,12 +73,16 @@ class BodyMesh:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SceneActors:
-    """Everything that moves. `rays`: at one moment, or at several while the shutter is open; `mesh` is at the middle one.
-    `boxes`: lowest and highest corners (b, 3) of the bodies while the shutter is open.
+    """Everything that moves in a frame.
 
-    `near` bool (h · w,): pixels where any of it may be visible. `tiny`: pixels where it may be so small that rays through pixel
-    centres miss it. `tall`: the maximum distance over which its shadow is searched. `throw`: the distance within which the
-    shadow's edge is soft. `size`: how far around a body the ground is in its shade."""
+    `rays`: the ray scenes at one or more times while the shutter is open.
+    `mesh`: the bodies at the middle of these times.
+    `near` bool (h · w,): pixels in which a body may be visible.
+    `tiny` bool (h · w,): pixels with a body so small that rays through pixel centres may miss it.
+    `tall`: the greatest distance at which shadows are searched.
+    `size`: the distance around a body within which it darkens the ground.
+    `throw`: the greatest distance for which the softness of shadow edges is computed.
+    `boxes`: lowest and highest corners (b, 3) of the bodies while the shutter is open."""
 
     rays: tuple[PictureRays, ...]
     mesh: ActorMesh
@@ -83,8 +94,9 @@ class SceneActors:
     boxes: tuple[Array, Array]
 
     def may_be_shaded(self, points: Floats, sun: SunLight, reaches: Sequence[float]) -> list[NDArray[np.bool_]]:
-        """Return, for each of `reaches`, which points (n, 3) may be in the shadow of a box enlarged by that length on all sides.
-        Points and boxes are projected along the sun's direction onto a map perpendicular to it."""
+        """Return, for each of `reaches`, whether each point (n, 3) may be in the shadow of a box.
+
+        The box is enlarged by the reach on all sides. Points and boxes are projected along the sun's direction onto a map."""
         low, high = self.boxes
         if not len(low):
             return [np.zeros(len(points), np.bool_) for _ in reaches]
@@ -92,7 +104,7 @@ class SceneActors:
         middle, half = (low + high) / 2 @ across, (high - low) / 2 @ np.abs(across)
         widest = half + max(reaches)
         least, most = (middle - widest).min(axis=0), (middle + widest).max(axis=0)
-        # A column more at each end, for float32.
+        # One more column at each end, because of float32 rounding.
         cell = np.maximum((most - least) / (_SHADOW_MAP_CELLS - 4), 1e-12)
         coordinates = []
         for axis in range(2):
@@ -119,11 +131,12 @@ def make_actors(
     blur: float = 0.0,
     enlarged: float = 3.0,
 ) -> SceneActors:
-    """Return the moving part of `picture`. Large agents in `view` use close-up bodies, agents of a few pixels use few triangles,
-    and invisible ones are left out.
+    """Return the moving part of `picture`, without invisible agents.
 
-    Loose soil follows `ground`. The shutter is open for the fraction `blur` of a frame. Bodies shorter than `least` pixels are
-    enlarged to that length, by a factor of at most `enlarged`."""
+    Large agents in `view` use close-up bodies, and agents of a few pixels use few triangles.
+    `least`: shorter bodies are enlarged to this length in pixels, by a factor of at most `enlarged`.
+    `ground`: loose soil is fitted to it.
+    `blur`: the share of a frame for which the shutter is open."""
     parts: list[BodyMesh] = []
     longest = 0.0
     for crowd in picture.crowds:
@@ -148,8 +161,9 @@ def make_actors(
 
 
 def _shutter_times(parts: list[BodyMesh], view: CameraView, blur: float) -> list[float]:
-    """Return the sample times of the open shutter, in frames after the picture's own: about one per pixel of the longest
-    motion."""
+    """Return the times at which the open shutter is sampled, in frames after the picture's frame.
+
+    There is about one time per 1.5 pixels of the longest motion."""
     if blur <= 0:
         return [0.0]
     longest = 0.0
@@ -192,8 +206,9 @@ def _boxes(parts: list[BodyMesh], blur: float) -> tuple[Array, Array]:
 
 
 def _covered_pixels(boxes: tuple[Array, Array], view: CameraView) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-    """Return the pixels (h · w,) where a box is visible, and those with a box of a few pixels, which rays through pixel centres
-    may miss."""
+    """Return the pixels (h · w,) in which a box may be visible.
+
+    The second result has only the boxes of a few pixels, which rays through pixel centres may miss."""
     high, wide = view.height, view.width
     corners = np.stack([[boxes[bit >> axis & 1][:, axis] for axis in range(3)] for bit in range(8)])  # (8, 3, b)
     pixels, ahead = view.project(np.moveaxis(corners, 2, 0).reshape(-1, 3))
@@ -214,7 +229,9 @@ def _covered_pixels(boxes: tuple[Array, Array], view: CameraView) -> tuple[NDArr
 
 
 def _cells_in_rectangles(first: NDArray[np.int64], last: NDArray[np.int64], wide: int, high: int) -> NDArray[np.bool_]:
-    """Which cells (high, wide) of a grid lie in any of some rectangles, from columns and rows `first` (n, 2) to before `last`."""
+    """Return whether each cell (high, wide) of a grid lies in one of n rectangles.
+
+    `first`, `last` (n, 2): column and row of the first cell, and of the cell after the last one."""
     count = np.zeros((high + 1, wide + 1), np.int32)
     for x, y, sign in ((first, first, 1), (last, last, 1), (first, last, -1), (last, first, -1)):
         np.add.at(count, (y[:, 1], x[:, 0]), sign)
@@ -245,8 +262,10 @@ def _crowd(crowd: Crowd, view: CameraView, least: float, enlarged: float) -> lis
 
 
 def _pose_bodies(crowd: Crowd, body: PosedBody, rows: NDArray[np.int64], size: Array, plain: Array) -> BodyMesh:
-    """Return the bodies of some agents, each posed by what it plays. For all agents of the crowd, `size` (n,) is their length.
-    `plain` (n,) is how much coloured parts take the agent's colour too."""
+    """Return the bodies of some agents (`rows`), posed by the clips that they play.
+
+    `size` (n,): the drawn length of each agent of the crowd.
+    `plain` (n,): the share by which coloured parts also take the agent's colour."""
     turn, long = _turn(crowd, rows), size[rows].astype(np.float32)[:, None, None]
     local, normal = crowd.posed(body, rows)
     then = None
@@ -262,7 +281,7 @@ def _pose_bodies(crowd: Crowd, body: PosedBody, rows: NDArray[np.int64], size: A
 
 
 def _turn(crowd: Crowd, rows: NDArray[np.int64]) -> Floats:
-    """Return matrices (n, 3, 3) that rotate rows of vertices as agents are rotated."""
+    """Return matrices (n, 3, 3) that rotate vertices, as row vectors, to the agents' orientations."""
     return np.swapaxes(rotation_matrices(np.asarray(crowd.orient, np.float64)[rows]).astype(np.float32), 1, 2)
 
 
@@ -305,7 +324,7 @@ def item_mesh(item: Item, up: tuple[float, float, float], ground: StaticSetting 
 
 
 def _item_material(item: Item, colour: Floats) -> tuple[Floats, float]:
-    """Return linear colours (n, 3) and gloss of an item, by its material."""
+    """Return linear colours (n, 3) and the gloss of an item, by its look."""
     if item.look is None:
         return colour, 0.0 if item.shape == "mound" else 0.5
     plain, gloss = {
@@ -318,8 +337,10 @@ def _item_material(item: Item, colour: Floats) -> tuple[Floats, float]:
 
 
 def _slump(points: Array, foot: Array, up: Array, size: float, ground: StaticSetting) -> Array:
-    """Return the ground's height below each point (n,), relative to `foot`, where loose soil lies; 0 beyond the distance
-    `size`."""
+    """Return the height (n,) of the ground below each point, relative to `foot`, limited in slope. So a mound follows uneven
+    ground.
+
+    Ground on which no soil can lie counts as height 0, and so does ground further below than `size`."""
     away = points - foot
     level = points - (away @ up)[:, None] * up
     start = level + size * up

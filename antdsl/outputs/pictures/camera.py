@@ -1,4 +1,4 @@
-"""A camera's rays and its projection."""
+"""A camera with its rays and its projection."""
 
 from dataclasses import dataclass
 from math import radians, tan
@@ -16,8 +16,13 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CameraView:
-    """A prepared camera: `eye` (3,) and the unit axes `right`, `above`, `ahead`. `half`: the tangents of half the width and
-    height; with `parallel` rays, half the width and height in world units."""
+    """A camera, prepared for a picture of one size.
+
+    `eye` (3,): its position.
+    `right`, `above`, `ahead`: unit axes.
+    `half`: the tangents of half the angle of view across width and height. With `parallel` rays: half the width and height in
+        world
+    units."""
 
     eye: Array
     right: Array
@@ -29,8 +34,9 @@ class CameraView:
     parallel: bool = False
 
     def rays(self, pixels: NDArray[np.int64], across: float = 0.5, down: float = 0.5) -> tuple[Array, Floats]:
-        """Return ray origins, (n, 3) or (3,), and unit directions float32 (n, 3), through pixels (n,) counted row by row.
-        `across` and `down` are the position in a pixel, as shares from its upper left corner."""
+        """Return ray origins, (n, 3) or (3,), and unit directions float32 (n, 3), for pixels (n,) counted row by row.
+
+        `across`, `down`: the position in a pixel, as shares from its upper left corner."""
         row, column = np.divmod(pixels, self.width)
         x = ((column + across) / self.width * 2 - 1) * self.half[0]
         y = (1 - (row + down) / self.height * 2) * self.half[1]
@@ -44,8 +50,8 @@ class CameraView:
         return self.eye, towards
 
     def project(self, points: Array) -> tuple[Array, Array]:
-        """Return pixel positions (n, 2) and distances ahead (n,) of world points. A distance ≤ 0 means not in front of the
-        camera."""
+        """Return pixel positions (n, 2) and distances ahead (n,) of world points. Points with a distance ≤ 0 are not in front of
+        the camera."""
         offset = np.asarray(points, np.float64) - self.eye
         depth = offset @ self.ahead
         safe = 1.0 if self.parallel else np.where(depth > 1e-9, depth, 1.0)
@@ -54,17 +60,18 @@ class CameraView:
         return np.stack([(x + 1) * 0.5 * self.width, (1 - y) * 0.5 * self.height], axis=1), depth
 
     def distance(self, points: Array) -> Array:
-        """How far along its ray each point (n, 3) is."""
+        """Return the distance of each point (n, 3) along its ray."""
         offset = np.asarray(points, np.float64) - self.eye
         return np.asarray(offset @ self.ahead if self.parallel else np.linalg.norm(offset, axis=1))
 
     def pixel_size(self, depth: Any) -> Any:
-        """Return the edge length of a pixel in world units at distances ahead, one or an array."""
+        """Return the edge length of a pixel, in world units, at a distance ahead or an array of distances."""
         return (0.0 * depth + 1.0 if self.parallel else depth) * (2 * self.half[0] / self.width)
 
 
 def make_view(camera: Camera, width: int, height: int, up: tuple[float, float, float]) -> CameraView:
-    """Return `camera` prepared for a picture of `width` × `height` pixels. A camera aimed at its own position looks along x."""
+    """Return `camera` prepared for a picture of `width` × `height` pixels. If it is aimed at its own position, it looks along
+    x."""
     eye = np.asarray(camera.at, np.float64)
     ahead = unit_or(np.asarray(camera.look_at, np.float64) - eye, np.array([1.0, 0.0, 0.0]))
     upward = unit_or(np.asarray(camera.up or up, np.float64), np.array([0.0, 1.0, 0.0]))

@@ -1,4 +1,4 @@
-"""Default cameras: one over the complete scene, one at the eye level of an agent with others nearby."""
+"""Default cameras: one that shows the complete scene, and one at the eye level of an agent with others nearby."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,13 +17,13 @@ _MAX_TRIED_AGENTS = 24  # agents looked at for an eye-level camera
 
 
 def camera_over(picture: Picture, *, aspect: float = 16 / 9, focal: float = 35.0, slant: float = 38.0) -> Camera:
-    """A camera that looks down by `slant` degrees and holds every solid, agent and item of the picture."""
+    """Return a camera that looks down by `slant` degrees and shows every solid, agent and item of the picture."""
     up = np.asarray(picture.up, np.float64) / np.linalg.norm(picture.up)
     return camera_holding(_all_points(picture, up), up, aspect=aspect, focal=focal, slant=slant)
 
 
 def camera_on_top(picture: Picture, *, aspect: float = 16 / 9) -> Camera:
-    """A camera straight above with parallel rays, that holds everything at one scale; the picture's right is +x."""
+    """Return a camera straight above with parallel rays that shows everything. The right of the picture is +x."""
     up = np.asarray(picture.up, np.float64) / np.linalg.norm(picture.up)
     points = _all_points(picture, up)
     north = np.array([0.0, 0.0, -1.0]) if abs(up[2]) < 0.5 else np.array([0.0, 1.0, 0.0])
@@ -36,7 +36,7 @@ def camera_on_top(picture: Picture, *, aspect: float = 16 / 9) -> Camera:
 
 
 def camera_holding(points: Array, up: Array, *, aspect: float = 16 / 9, focal: float = 35.0, slant: float = 38.0) -> Camera:
-    """A camera that looks down by `slant` degrees and holds points (n, 3) as large as it can; `up` is a unit vector."""
+    """Return a camera that looks down by `slant` degrees and shows points (n, 3) as large as possible. `up`: a unit vector."""
     if not len(points):
         points = np.array([[-1.0, -1.0, -1.0], [1.0, 1.0, 1.0]])
     first = np.roll(up, 1) - up * float(np.roll(up, 1) @ up)
@@ -72,8 +72,9 @@ def _all_points(picture: Picture, up: Array) -> Array:
 
 
 def _picture_coordinates(at: Array, aim: Array, points: Array, up: Array, focal: float, aspect: float) -> tuple[Array, Array]:
-    """Return the horizontal and vertical positions of points in the picture, within 0..1 where they are visible, and their
-    distances ahead."""
+    """Return the horizontal and vertical positions (n, 2) of points in the picture, and their distances ahead (n,).
+
+    Positions are within 0..1 where points are visible."""
     camera_view = make_view(Camera(three(at), three(aim), focal=focal, up=three(up)), round(1000 * aspect), 1000, three(up))
     pixels, ahead = camera_view.project(points)
     return pixels / np.array([camera_view.width, camera_view.height]), ahead
@@ -87,7 +88,7 @@ def _holds(at: Array, aim: Array, points: Array, up: Array, focal: float, aspect
 
 
 def _centre_camera(at: Array, aim: Array, points: Array, up: Array, focal: float, aspect: float) -> tuple[Array, Array]:
-    """Return the camera moved sideways, so that the points are in the picture's centre."""
+    """Return the camera's position and aim, moved sideways so that the points are in the centre of the picture."""
     for _ in range(4):
         shares, _ = _picture_coordinates(at, aim, points, up, focal, aspect)
         off = (shares.max(axis=0) + shares.min(axis=0)) / 2 - 0.5
@@ -101,11 +102,11 @@ def _centre_camera(at: Array, aim: Array, points: Array, up: Array, focal: float
 def camera_at_eye_level(
     picture: Picture, agent: int | None = None, *, species: str | None = None, focal: float = 26.0, close: bool = False
 ) -> Camera | None:
-    """Return a camera a few body lengths from an agent, at the height of its back. It has a free view, and much to see behind the
-    agent. With `close`, the agent fills the picture.
+    """Return a camera a few body lengths from an agent, at the height of its back. None if there is no such agent.
 
-    `agent`: an id of `species` (by default, of the first that has it); None chooses one with others nearby. The result is None
-    when there is no such agent."""
+    The view is free, with many agents behind the chosen one. With `close`, the agent fills the picture.
+    `agent`: an id; None chooses an agent with others nearby.
+    `species`: the agent's species; by default, the first that has the id."""
     crowds = [crowd for crowd in picture.crowds if len(crowd.position) and species in (None, crowd.species)]
     if not crowds:
         return None
@@ -131,7 +132,7 @@ def camera_at_eye_level(
 
 
 def _crowded_rows(crowd: Crowd) -> NDArray[np.int64]:
-    """Return rows of agents with many others within twelve body lengths, not all at one position."""
+    """Return the rows of agents with many others within twelve body lengths. Not all of these rows are at one position."""
     from scipy.spatial import cKDTree
 
     points = np.where(np.isfinite(crowd.position), crowd.position, 1e12)
@@ -143,7 +144,7 @@ def _crowded_rows(crowd: Crowd) -> NDArray[np.int64]:
 
 
 def _candidate_cameras(crowd: Crowd, row: int, focal: float, upright: Array, close: bool) -> list[Camera]:
-    """Return camera positions around one agent; those behind its shoulder and in front of it come first."""
+    """Return camera positions around one agent. Positions behind its shoulder and in front of it come first."""
     scale = float(crowd.scale[row])
     orient = np.asarray(crowd.orient, np.float64)[row : row + 1]
     ahead, up, side = (turned(orient, np.array([axis]))[0] for axis in ((1.0, 0, 0), (0, 1.0, 0), (0, 0, 1.0)))
@@ -161,7 +162,7 @@ def _candidate_cameras(crowd: Crowd, row: int, focal: float, upright: Array, clo
 
 
 def _score(crowd: Crowd, row: int, camera: Camera, rays: RayScene) -> float:
-    """Return a score for how much of the crowd a camera shows; far below zero where ground or stone blocks the view."""
+    """Return a score for how much of the crowd a camera shows. It is far below zero where ground or stone blocks the view."""
     camera_view = make_view(camera, 160, 90, camera.up or (0.0, 1.0, 0.0))
     scale = float(crowd.scale[row])
     target = np.asarray(crowd.position, np.float64)[row] + scale * 0.2 * np.asarray(camera.up)

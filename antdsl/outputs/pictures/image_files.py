@@ -1,4 +1,4 @@
-"""Output of pictures: PNG stills, and films where the extra `[video]` is installed."""
+"""Output of pictures: PNG stills, and films if the extra `[video]` is installed."""
 
 import errno
 import io
@@ -17,7 +17,7 @@ Image = NDArray[np.uint8]
 
 
 def still(image: Image, path: Path) -> None:
-    """Write a PNG atomically. Raises OSError where that fails."""
+    """Write a picture as PNG, atomically. Raises OSError if writing fails."""
     from PIL import Image as PillowImage
 
     data = io.BytesIO()
@@ -26,7 +26,7 @@ def still(image: Image, path: Path) -> None:
 
 
 def check_film_support() -> Report:
-    """Return an empty report if films can be written, else one error that names the extra. Call it before frames are drawn."""
+    """Return an empty report if films can be written, else one error that names the extra. Call it before drawing frames."""
     report = Report()
     try:
         import imageio_ffmpeg
@@ -41,7 +41,7 @@ def check_film_support() -> Report:
 def write_film(images: Iterable[Image], path: Path, fps: float) -> Report:
     """Write pictures (h, w, 3) of one size as an H.264 film. An odd last row or column is left out, as the format requires.
 
-    The report has an error without the extra `[video]`, without pictures, and where the file cannot be written."""
+    The report has an error without the extra `[video]`, without pictures, or if the file cannot be written."""
     report = check_film_support()
     if not report.ok:
         return report
@@ -75,7 +75,7 @@ def write_film(images: Iterable[Image], path: Path, fps: float) -> Report:
 
 
 def _demand_frames(path: Path, count: int) -> None:
-    """Raise OSError where a film has fewer frames than were drawn, or is truncated. The encoder does not report a full disk."""
+    """Raise OSError if a film has fewer frames than were drawn, or is truncated. The encoder does not report a full disk."""
     import imageio_ffmpeg
 
     try:
@@ -88,7 +88,7 @@ def _demand_frames(path: Path, count: int) -> None:
 
 
 def _is_complete(path: Path) -> bool:
-    """Whether the boxes of an MP4 file (ISO/IEC 14496-12) end where the file ends."""
+    """Return whether the boxes of an MP4 file (ISO/IEC 14496-12) end exactly at the end of the file."""
     with open_bounded(path, 1 << 62) as file:
         end, place = os.fstat(file.fileno()).st_size, 0
         while place < end:

@@ -1,5 +1,8 @@
-"""What is around pictures: the strip beside one, with the frame's number, states by species with their colours and counts,
-fields with a scale of numbers; and sheets of many pictures, equal tiles with a line of text below each."""
+"""The legend beside a picture, and sheets of several pictures.
+
+The legend has the frame number, the states of each species with colours and counts, and fields with a scale of numbers. A sheet
+has
+equal tiles with a line of text below each."""
 
 from collections.abc import Sequence
 from itertools import groupby
@@ -24,13 +27,13 @@ _TICK_SHARES = (1.0, 0.1, 0.01, 0.001)  # of the strongest
 
 
 def strip_width(picture: Picture, width: int, show: tuple[str, ...]) -> int:
-    """Return the width in pixels of the legend on a sheet `width` wide; 0 where there is nothing to show."""
+    """Return the width in pixels of the legend in an image `width` wide; 0 if there is nothing to show."""
     has_content = picture.legend or (picture.trails and "trail" in show)
     return min(max(round(_LEGEND_WIDTH_SHARE * width), 120), width // 2) if has_content else 0
 
 
 def with_strip(image: Image, picture: Picture, wide: int, show: tuple[str, ...]) -> Image:
-    """`image` (h, w, 3) with a strip of `wide` pixels at its right."""
+    """Return `image` (h, w, 3) with a legend `wide` pixels wide at its right."""
     if wide <= 0:
         return image
     high = image.shape[0]
@@ -88,7 +91,7 @@ def _draw_line(draw: ImageDraw.ImageDraw, name: str, count: str, place: tuple[in
 def _draw_scale(
     strip_image: PillowImage.Image, draw: ImageDraw.ImageDraw, trail: Trail, place: tuple[int, int], right: int, size: int
 ) -> None:
-    """Draw a bar in the colours of the field on level soil, labelled with the corresponding strengths."""
+    """Draw a bar in the colours that the field has on level soil, labelled with the corresponding strengths."""
     left, top = place
     full = full_strength(trail)
     draw.text((left, top), trail.name, font=font(size), fill=_INK_COLOUR)
@@ -115,8 +118,9 @@ def _draw_scale(
 
 
 def contact_sheet(images: Sequence[Image], labels: Sequence[str], *, columns: int | None = None, width: int = 1920) -> Image:
-    """Return a sheet `width` pixels wide of pictures (h, w, 3), each with a label. Raises ValueError without pictures, or when
-    the number of labels differs."""
+    """Return a sheet `width` pixels wide with pictures (h, w, 3), each with a label.
+
+    Raises ValueError without pictures, or if the numbers of pictures and labels differ."""
     if not images or len(images) != len(labels):
         raise ValueError("a contact sheet needs at least one picture and one label for each")
     across = max(1, min(columns or round(len(images) ** 0.5 + 0.3), len(images)))

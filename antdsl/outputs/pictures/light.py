@@ -20,7 +20,7 @@ SUN_HALF_ANGLE_TANGENT = 0.03  # tangent of the half angle: wider than the real 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SunLight:
-    """`towards`: unit direction to the sun; `a`, `b`: unit axes across it; `up`: the world's."""
+    """The sun. `towards`: unit direction to it; `a`, `b`: unit axes perpendicular to `towards`; `up`: the world's up."""
 
     towards: Floats
     a: Floats
@@ -28,7 +28,7 @@ class SunLight:
     up: Floats
 
     def spots(self, count: int) -> Floats:
-        """Return directions (count, 3) to points that cover the sun's disc evenly; consecutive ones are far from each other."""
+        """Return directions (count, 3) to points that cover the sun's disc evenly. Consecutive points are far from each other."""
         k = np.arange(count)
         angle = k * (np.pi * (3 - np.sqrt(5)))
         radius = np.sqrt((k + 0.5) / count) * SUN_HALF_ANGLE_TANGENT
@@ -56,7 +56,7 @@ def ambient(upness: Floats) -> Floats:
 
 
 def sky(direction: Floats, sun: SunLight) -> Floats:
-    """What a ray (n, 3) that meets nothing sees."""
+    """Return the light (n, 3) of the sky in directions (n, 3)."""
     high = direction @ sun.up
     share = np.sqrt(np.clip(high, 0.0, 1.0))[:, None]
     glow = np.clip(direction @ sun.towards, 0.0, 1.0)[:, None]
@@ -65,7 +65,7 @@ def sky(direction: Floats, sun: SunLight) -> Floats:
 
 
 def environment_light(direction: Floats, sun: SunLight) -> Floats:
-    """What a mirror sees in directions (n, 3): the sky, and ground below the horizon."""
+    """Return the light (n, 3) that a mirror reflects from directions (n, 3): sky above the horizon, ground below it."""
     high = (direction @ sun.up)[:, None]
     share = np.sqrt(np.clip(high, 0.0, 1.0))
     above = HORIZON_COLOUR * (1 - share) + ZENITH_COLOUR * share
@@ -73,8 +73,9 @@ def environment_light(direction: Floats, sun: SunLight) -> Floats:
 
 
 def apply_haze(colour: Floats, far: Floats, direction: Floats, sun: SunLight, reach: float) -> Floats:
-    """Return `colour` seen through `far` of air that hides half at about 0.7 `reach`; there is little haze in downward
-    directions."""
+    """Return `colour` (n, 3) seen through the distance `far` (n,) of haze. There is little haze in downward directions.
+
+    Haze hides half of the colour at about 0.7 `reach`."""
     level = 1 - np.clip(-(direction @ sun.up), 0.0, 1.0)
     amount = (1 - np.exp(-far / np.float32(reach))) * level * level * level
     through: Floats = colour + (HORIZON_COLOUR - colour) * amount[:, None]
@@ -90,7 +91,7 @@ def tone_map(light: Floats) -> Floats:
 
 
 def encode_srgb(linear: Floats) -> NDArray[np.uint8]:
-    """Display-linear values as sRGB bytes."""
+    """Return sRGB bytes of display-linear values."""
     return _srgb_table().take((np.clip(linear, 0, 1) * np.float32(_SRGB_TABLE_STEPS) + np.float32(0.5)).astype(np.int32))
 
 
@@ -102,6 +103,6 @@ def _srgb_table() -> NDArray[np.uint8]:
 
 
 def decode_srgb(display: NDArray[np.floating] | tuple[float, ...]) -> Floats:
-    """Linear values of sRGB display values 0..1."""
+    """Return linear values of sRGB display values 0..1."""
     value = np.asarray(display, np.float32)
     return np.where(value <= 0.04045, value / 12.92, ((value + 0.055) / 1.055) ** 2.4).astype(np.float32)

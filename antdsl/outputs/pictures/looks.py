@@ -1,5 +1,6 @@
-"""Colour and grain of what stands still: soil, rock, the cut edge of the ground, the table it stands on. Soil and stone are of
-solid noise from small tables: smooth values with their gradient, and packed grains."""
+"""Colour and grain of static surfaces: soil, rock, the cut edge of the ground, and the table below it.
+
+Soil and stone are made of solid noise from small tables: smooth values with their gradient, and packed grains."""
 
 from dataclasses import dataclass
 from functools import lru_cache
@@ -48,13 +49,13 @@ STEEL_COLOUR, LEAF_COLOUR, LIGHT_COLOUR = (
 )
 _LEAF_VEIN_COLOUR = decode_srgb((0.52, 0.64, 0.30))
 _QUARTZ_COLOUR, _BASALT_COLOUR = decode_srgb((0.86, 0.82, 0.74)), decode_srgb((0.40, 0.36, 0.32))
-_GRAINY_KINDS = (GROUND_KIND, HILL_KIND, EDGE_KIND)  # what is of grains
+_GRAINY_KINDS = (GROUND_KIND, HILL_KIND, EDGE_KIND)  # kinds of surfaces made of grains
 LIGHT_BRIGHTNESS = 2.6  # of a light: several times what the sun makes of white
 
 
 @dataclass(frozen=True, slots=True)
 class PictureScales:
-    """Reference lengths of the looks, in world units: the `extent` of the complete set, the `grain` of about one body length."""
+    """Reference lengths in world units. `extent`: the diagonal of the complete set; `grain`: about one body length."""
 
     extent: float
     grain: float
@@ -62,7 +63,7 @@ class PictureScales:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SurfaceMaterial:
-    """Samples of static things: linear `albedo` (n, 3) and the `normal` (n, 3) including grain."""
+    """The material of n samples of static surfaces: linear `albedo` (n, 3), and the `normal` (n, 3) including grain."""
 
     albedo: Floats
     normal: Floats
@@ -71,9 +72,12 @@ class SurfaceMaterial:
 def surface_look(
     kind: NDArray[np.uint8], points: Floats, normal: Floats, up: Floats, pixel: Floats, scales: PictureScales, painted: Floats
 ) -> SurfaceMaterial:
-    """Look of samples: `kind` (n,) of KINDS, `points`, smooth `normal` (n, 3), `pixel` (n,) the width of a pixel there.
+    """Return the material of n samples.
 
-    `painted` (n, 4): a colour of the mesh's own and whether it holds (0 or 1)."""
+    `kind` (n,): index in SURFACE_KINDS.
+    `points`, `normal` (n, 3): positions and smooth normals.
+    `pixel` (n,): width of a pixel at the sample, in world units.
+    `painted` (n, 4): the mesh's own colour, and its weight (0 or 1)."""
     upness = normal @ up
     large, _ = value_noise(points, scales.extent / 9, 1)
     patch, _ = value_noise(points, scales.extent / 34, 2)
@@ -87,14 +91,14 @@ def surface_look(
 
 
 def soil_look(albedo: Floats, normal: Floats, points: Floats, pixel: Floats, scales: PictureScales) -> SurfaceMaterial:
-    """Return the look of loose soil with a given colour (n, 3), with its grain."""
+    """Return the material of loose soil with the colour `albedo` (n, 3), including its grain."""
     return _add_grain(albedo, normal, np.full(len(points), HILL_KIND, np.uint8), points, pixel, scales)
 
 
 def _add_grain(
     albedo: Floats, normal: Floats, kind: NDArray[np.uint8], points: Floats, pixel: Floats, scales: PictureScales
 ) -> SurfaceMaterial:
-    """Bumps and specks, each size only where a pixel is small enough to show it."""
+    """Add bumps and specks to a surface. Each size is added only where pixels are small enough to show it."""
     rough = np.array([1.0, 0.8, 0.9, 1.2, 0.0, 0.9, 0.8, 0.45, 0.05, 0.25, 0.0], np.float32)[kind]
     for wavelength, height, speck, seed in (
         (2.4, 0.30, 0.10, 5),
@@ -120,7 +124,7 @@ def _add_grain(
 def _add_sand(
     albedo: Floats, normal: Floats, kind: NDArray[np.uint8], points: Floats, pixel: Floats, scales: PictureScales
 ) -> None:
-    """Add grains of sand to soil, coarse ones in patches, each size only where pixels resolve single grains."""
+    """Add grains of sand to soil, coarse ones in patches. Each size is added only where pixels resolve single grains."""
     loose = np.flatnonzero(np.isin(kind, _GRAINY_KINDS))
     for size, share, seed in ((0.11, 0.16, 21), (0.042, 0.42, 22), (0.016, 0.85, 23), (0.006, 1.0, 24)):
         length = size * scales.grain
@@ -211,8 +215,9 @@ _COLOUR_FUNCTIONS = (_ground, _stone, _boulder, _hill, _table, _edge, _grain, _f
 
 
 def glow(kind: NDArray[np.uint8], look: SurfaceMaterial, direction: Floats, sun: SunLight) -> Floats:
-    """Return the light (n, 3) of samples seen along `direction` in addition to scattered light: reflections of metal and leaves,
-    and emission."""
+    """Return the light (n, 3) that samples send to the eye in addition to scattered light, for rays along `direction`.
+
+    It consists of reflections of metal and leaves, and of emission."""
     light = np.zeros((len(kind), 3), np.float32)
     for code, colour, least in ((METAL_KIND, STEEL_COLOUR, 0.75), (LEAF_KIND, np.ones(3, np.float32), 0.04)):
         rows = np.flatnonzero(kind == code)
@@ -224,19 +229,21 @@ def glow(kind: NDArray[np.uint8], look: SurfaceMaterial, direction: Floats, sun:
 
 
 def reflected_light(normal: Floats, direction: Floats, sun: SunLight) -> Floats:
-    """Return the reflections (n, 3) of sky and ground for rays with directions `direction` (n, 3)."""
+    """Return the reflections (n, 3) of sky and ground at surfaces with `normal` (n, 3), for rays along `direction` (n, 3)."""
     back = np.clip(-dots(normal, direction), 0, 1)
     return environment_light(direction + normal * (2 * back)[:, None], sun)
 
 
 def schlick(normal: Floats, direction: Floats, least: float) -> Floats:
-    """Return the reflected share (n,) of light: `least` for perpendicular rays, all at a grazing angle (Schlick, Computer
-    Graphics Forum 13(3), 1994)."""
+    """Return the reflected share (n,) of light: `least` for perpendicular rays, 1 at a grazing angle.
+
+    Schlick, Computer Graphics Forum 13(3), 1994."""
     return np.asarray(least + (1 - least) * (1 - np.clip(-dots(normal, direction), 0, 1)) ** 5, np.float32)
 
 
 def _rotate_rows(rows: Floats, matrix: Floats) -> Floats:
-    """Return rows (n, 3) times a matrix, written out: BLAS would wake threads, which cost more than the product."""
+    """Return rows (n, 3) times a matrix. The product is written out: BLAS would wake threads, which cost more than the
+    product."""
     turned = np.empty_like(rows)
     for k in range(3):
         turned[:, k] = rows[:, 0] * matrix[0, k] + rows[:, 1] * matrix[1, k] + rows[:, 2] * matrix[2, k]
@@ -251,7 +258,9 @@ def _noise_table(seed: int) -> Floats:
 
 
 def value_noise(points: Floats, wavelength: float, seed: int) -> tuple[Floats, Floats]:
-    """Value (n,) within −1..1 and gradient (n, 3), per world unit, at `points` (n, 3); smooth, about one bump a `wavelength`."""
+    """Return smooth noise at `points` (n, 3): values (n,) within −1..1 and their gradient (n, 3) per world unit.
+
+    There is about one bump per `wavelength` (world units)."""
     table = _noise_table(seed)
     scaled = _rotate_rows(points, _PATTERN_ROTATION * np.float32(1.0 / wavelength))
     lattice = np.floor(scaled)
@@ -277,7 +286,7 @@ def value_noise(points: Floats, wavelength: float, seed: int) -> tuple[Floats, F
 
 @lru_cache(maxsize=4)
 def _grains(seed: int) -> Floats:
-    """Return, for each lattice cell, the position of a grain in it, and its tone."""
+    """Return, for each lattice cell, three coordinates of its grain and the grain's tone, within −1..1."""
     draw = np.random.Generator(np.random.Philox(seed)).uniform(-1.0, 1.0, (_PATTERN_PERIOD**3, 4)).astype(np.float32)
     draw.setflags(write=False)
     return draw
@@ -286,8 +295,10 @@ def _grains(seed: int) -> Floats:
 def grain_noise(points: Floats, size: float, seed: int) -> tuple[Floats, Floats, Floats]:
     """Return packed grains at `points` (n, 3), about one per `size` (Worley, SIGGRAPH 1996).
 
-    The results are the distance from the grain's centre (n,), 0..1; the vector from there (n, 3), of length about 1 at the rim;
-    and the grain's tone (n,) within −1..1."""
+    The results are, for the grain nearest to each point:
+    the distance from its centre (n,), within 0..1;
+    the vector from its centre (n, 3), of length about 1 at the rim;
+    its tone (n,), within −1..1."""
     table = _grains(seed)
     scaled = _rotate_rows(points, _PATTERN_ROTATION * np.float32(1.0 / size))
     low = np.floor(scaled - np.float32(0.5))

@@ -1,4 +1,4 @@
-"""The content of a picture: solids, crowds, items, trails, flows, a camera. Plain values; nothing here draws."""
+"""The content of a picture: solids, crowds, items, trails, flows, a camera. They are plain values; nothing is drawn here."""
 
 from dataclasses import dataclass, field, replace
 from functools import cache
@@ -26,8 +26,9 @@ ItemShapeName = Literal["apple", "ring", "crumb", "cube", "mound", "sphere", "no
 class Solid:
     """A mesh that is static between frames: `vertices` (n, 3) in world units, `faces` (m, 3).
 
-    `colour`: display (sRGB) values 0..1, one (3,) or one per vertex (n, 3). None, or NaN for a vertex, means the look of its
-    `kind`."""
+    `colour`: sRGB display values 0..1, one colour (3,) or one per vertex (n, 3). None, or NaN for a vertex, selects the look of
+        the
+    solid's `kind`."""
 
     name: str
     vertices: Array
@@ -38,8 +39,10 @@ class Solid:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class AgentPathLines:
-    """Positions of agents over consecutive frames: `positions` (n, frames, 3), NaN where an agent is missing. `now` is the index
-    of the picture's own frame."""
+    """Positions of n agents over consecutive frames.
+
+    `positions` (n, frames, 3): NaN where an agent is missing.
+    `now`: the index of the picture's own frame."""
 
     positions: Array
     now: int
@@ -52,13 +55,18 @@ def _default_body() -> PosedBody:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Crowd:
-    """Agents of one species. `position` (n, 3). `orient` (n, 4): quaternions x, y, z, w that turn +x to the heading and +y to up.
-    `scale` (n,): body lengths in world units. `colour` (n, 3): display values 0..1.
+    """Agents of one species. A species with agents in different layers is several crowds.
 
-    `worn` is their body (an ant by default), posed by the clips that agents play; `plays` is what each of their machines does.
-    `driven` is what else their states display, and `feet` is where they stand, if known. A species with agents in different
-    layers is several crowds. `next_crowd`: the same agents, row by row, in the next frame, for motion blur. `ids`, `velocity` (n,
-    3), `feelers` (k, 2, 3: starts and ends) and `paths` are needed only where they are displayed."""
+    `position` (n, 3): in world units.
+    `orient` (n, 4): quaternions x, y, z, w that rotate +x to the heading and +y to up.
+    `scale` (n,): body lengths in world units.
+    `colour` (n, 3): display values 0..1.
+    `worn`: the body (by default an ant).
+    `plays`: the clips that each machine plays.
+    `driven`: channels and looks that states set.
+    `feet`: positions of the feet; None if unknown.
+    `next_crowd`: the same agents, row by row, in the next frame, for motion blur.
+    `ids`, `velocity` (n, 3), `feelers` (k, 2, 3: starts and ends), `paths`: needed only if they are displayed."""
 
     species: str
     position: Array
@@ -81,12 +89,13 @@ class Crowd:
         return self.worn.poses(self.plays, count, self.feet_beside(np.arange(count)), driven=self.driven, local=local)
 
     def posed(self, body: PosedBody, rows: NDArray[np.intp]) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-        """Return vertices and unit normals float32[n, v, 3] of some agents, in body lengths along their own axes. `body` is their
-        body or its `fine` or `coarse` form."""
+        """Return vertices and unit normals float32[n, v, 3] of some agents, in body lengths along the axes of their body.
+
+        `body`: the crowd's body, or its `fine` or `coarse` form."""
         return body.posed(take_rows(self.plays, rows), len(rows), self.feet_beside(rows), driven=take_rows(self.driven, rows))
 
     def feet_beside(self, rows: NDArray[np.intp] | NDArray[np.bool_]) -> BodySpaceFeet | None:
-        """Return the feet of some agents as `PosedBody.posed` expects them; None where none are known."""
+        """Return the feet of some agents as `PosedBody.posed` expects them. Return None if the feet are unknown."""
         if self.feet is None:
             return None
         return take_rows(self.feet, rows).relative_to(
@@ -94,14 +103,16 @@ class Crowd:
         )
 
     def rows(self, chosen: NDArray[np.bool_] | NDArray[np.intp]) -> "Crowd":
-        """Return selected agents of the crowd. Feelers are dropped, since they have no rows of agents."""
+        """Return the crowd with only the chosen agents. Feelers are dropped, since their rows are not agents."""
         return take_rows(replace(self, feelers=None), chosen)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Item:
-    """Food, a nest or another placed object. `left` is the remaining share, 0..1; the body shrinks with it. A `look` replaces the
-    material of its shape."""
+    """Food, a nest or another placed object.
+
+    `left`: the remaining share, 0..1; the drawn body shrinks with it.
+    `look`: replaces the material of the item's shape."""
 
     name: str
     position: tuple[float, float, float]
@@ -113,10 +124,11 @@ class Item:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Trail:
-    """A field on the ground: all its cells, at `position` (n, 3) on the surface, with edge `cell` and `strength` (n,).
+    """A field on the ground, with all its cells.
 
-    Cells without scent have strength 0; scent fades towards them. `full` is the strength drawn strongest (None: 70 % of the scent
-    lies in cells of at least that strength)."""
+    `position` (n, 3): the cells' positions on the surface; `cell`: their edge.
+    `strength` (n,): 0 for cells without scent, so that scent fades towards them.
+    `full`: the strength drawn strongest. None chooses a strength: cells of at least this strength contain 70 % of the scent."""
 
     name: str
     position: Array
@@ -128,7 +140,7 @@ class Trail:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FlowArrows:
-    """A flow on the ground: arrows from `position` (n, 3) to `position + way`; `colour` is one colour in display values
+    """A flow on the ground: arrows from `position` (n, 3) to `position + displacement`. `colour`: one colour, display values
     0..255."""
 
     name: str
@@ -139,8 +151,11 @@ class FlowArrows:
 
 @dataclass(frozen=True, slots=True)
 class Camera:
-    """A pinhole camera with a 36 mm wide sensor: `focal` in millimetres, or `fov` (degrees across the width) if set. With `wide`,
-    rays are parallel, and the picture has that width in world units."""
+    """A pinhole camera with a sensor 36 mm wide.
+
+    `focal`: focal length in mm.
+    `fov`: angle of view across the width in degrees; if set, it overrides `focal`.
+    `wide`: if set, rays are parallel, and the picture is this wide in world units."""
 
     at: tuple[float, float, float]
     look_at: tuple[float, float, float]
@@ -152,7 +167,7 @@ class Camera:
 
 @dataclass(frozen=True, slots=True)
 class LegendRow:
-    """A state's name, colour (display values 0..255) and how many agents of its species are in it."""
+    """One state in the legend: its name, its colour (display values 0..255), and the number of agents in it."""
 
     name: str
     colour: tuple[int, int, int]
@@ -162,8 +177,10 @@ class LegendRow:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Picture:
-    """One frame, ready to draw. `up` is the world's up; `legend`, `frame` and the scales of trails are written beside it.
+    """One frame, ready to draw.
 
+    `up`: the world's up.
+    `legend`, `frame`: written beside the picture, with the scales of the trails.
     `grain`: the reference length of the ground's grain and pebbles; None means the body length of the first crowd."""
 
     solids: tuple[Solid, ...] = ()

@@ -1,4 +1,4 @@
-"""Overlays on a drawn picture: agents as marks, paths, velocity and feelers as lines, ids."""
+"""Overlays on a drawn picture: agents as marks; paths, velocity and feelers as lines; ids as text."""
 
 from functools import cache
 
@@ -16,7 +16,7 @@ Image = NDArray[np.uint8]
 
 _VELOCITY_COLOUR, _FEELER_COLOUR = (255, 250, 235), (255, 96, 64)
 _ARROW_HEAD_LENGTH, _ARROW_HEAD_ANGLE = 0.34, 0.45  # of an arrow: how long its head is, and how wide (radians)
-_VELOCITY_LINE_SECONDS = 0.25  # seconds of way that a velocity line shows
+_VELOCITY_LINE_SECONDS = 0.25  # seconds of motion that a velocity line shows
 _MAX_DRAWN_IDS = 2000
 _PAST_PATH_COLOUR, _FUTURE_PATH_COLOUR = (20, 24, 30), (255, 236, 120)  # of paths
 _PATH_ALPHA_RANGE, _PATH_ALPHA_STEPS = (40, 235), 8  # at the far ends and at the agent; steps between them
@@ -24,17 +24,17 @@ _PATH_ALPHA_RANGE, _PATH_ALPHA_STEPS = (40, 235), 8  # at the far ends and at th
 
 @cache
 def font(size: int) -> ImageFont.FreeTypeFont | ImageFont.ImageFont:
-    """Pillow's own typeface at `size` pixels."""
+    """Return Pillow's own typeface at `size` pixels."""
     return ImageFont.load_default(size)
 
 
 def draw_overlay(
     image: Image, picture: Picture, view: CameraView, far: NDArray[np.float32], show: tuple[str, ...], marks: float
 ) -> Image:
-    """Return `image` with the lines and ids in `show`, and discs of `marks` pixels for agents. Parts behind the ground are left
-    out.
+    """Return `image` with the overlays in `show`. Parts behind the ground are left out.
 
-    `far` (h, w): distance of the static things."""
+    `far` (h, w): distance of static surfaces.
+    `marks`: diameter in pixels of the discs that stand for agents; 0 for none."""
     lines = [word for word in ("flow", "velocity", "paths", "feelers", "ids") if word in show]
     if not lines and marks <= 0:
         return image
@@ -76,7 +76,7 @@ def _visible_agents(crowd: Crowd, view: CameraView, depth: NDArray[np.float32]) 
 
 
 def _is_unhidden(points: Array, view: CameraView, depth: NDArray[np.float32]) -> NDArray[np.bool_]:
-    """Return whether each point is in the picture and not hidden by a static thing."""
+    """Return whether each point is in the picture and not hidden by a static surface."""
     pixels, ahead = view.project(points)
     inside = (ahead > 0) & (pixels >= 0).all(axis=1) & (pixels[:, 0] < view.width) & (pixels[:, 1] < view.height)
     column, row = np.where(inside[:, None], pixels, 0).astype(np.int64).T
@@ -86,7 +86,7 @@ def _is_unhidden(points: Array, view: CameraView, depth: NDArray[np.float32]) ->
 
 
 def _draw_lines(draw: ImageDraw.ImageDraw, view: CameraView, ends: Array, colour: tuple[int, int, int]) -> None:
-    """Draw lines between end points (n, 2, 3) that are both in front of the camera."""
+    """Draw lines with end points (n, 2, 3). Lines with an end that is not in front of the camera are left out."""
     if not len(ends):
         return
     pixels, ahead = view.project(ends.reshape(-1, 3))
@@ -98,9 +98,9 @@ def _draw_lines(draw: ImageDraw.ImageDraw, view: CameraView, ends: Array, colour
 
 
 def _draw_paths(draw: ImageDraw.ImageDraw, view: CameraView, paths: AgentPathLines, depth: NDArray[np.float32]) -> None:
-    """Draw past paths dark and future paths bright, position by position, fainter towards their ends.
+    """Draw past paths dark and future paths bright, fainter towards their ends.
 
-    Segments with a hidden or missing end are left out. The segments nearest to the current frame are on top."""
+    Segments with a hidden or missing end are left out. The segments nearest to the current frame are drawn last."""
     count, frames = paths.positions.shape[:2]
     points = paths.positions.reshape(-1, 3)
     is_present = np.isfinite(points).all(axis=1)
@@ -156,8 +156,9 @@ def _draw_ids(draw: ImageDraw.ImageDraw, view: CameraView, crowd: Crowd, rows: N
 
 
 def _draw_marks(canvas: PillowImage.Image, picture: Picture, view: CameraView, far: NDArray[np.float32], wide: float) -> None:
-    """Draw a disc `wide` pixels across for each visible agent, in its colour, near ones over far ones. Discs are drawn enlarged
-    and scaled down, for soft edges."""
+    """Draw a disc `wide` pixels across for each visible agent, in its colour. Near discs cover far ones.
+
+    For soft edges, discs are drawn enlarged and then scaled down."""
     times = 4 if view.width * view.height <= 1 << 20 else 2
     sheet = PillowImage.new("RGBA", (view.width * times, view.height * times))
     draw = ImageDraw.Draw(sheet)

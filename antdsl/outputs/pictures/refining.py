@@ -25,11 +25,13 @@ _MIN_REFINED_SAMPLES, _MEAN_SAMPLES_PER_PIXEL = (
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FirstPass:
-    """Samples at pixel centres: display-linear `light` (h · w, 3), the same without moving things, `behind`, and the unoccluded
-    share `opened` of the surroundings.
+    """Samples at pixel centres.
 
-    `front`: whether something that moves is in front. `swept`: whether that is so at one of several moments, or something tiny
-    may be there."""
+    `light` (h · w, 3): display-linear light.
+    `behind` (h · w, 3): the same without moving bodies.
+    `opened` (h · w,): the unoccluded share of the surroundings.
+    `front` (h · w,): whether a moving body is in front.
+    `swept` (h · w,): whether a moving body is in front at any shutter time, or a tiny one may be there."""
 
     light: Floats
     behind: Floats
@@ -39,7 +41,7 @@ class FirstPass:
 
 
 def sample_middles(still: StaticStage, lighting: PictureLighting, dyes: FieldDyes) -> FirstPass:
-    """The light of all pixels by their middles."""
+    """Return the first pass: the light of all pixels, sampled at their centres."""
     samples, cast, threads = still.middle, lighting.cast, lighting.threads
     visible, opened = np.ones(len(samples), np.float32), still.shade
     if cast.size > 0:
@@ -81,7 +83,9 @@ def sample_middles(still: StaticStage, lighting: PictureLighting, dyes: FieldDye
 def find_moving(
     still: StaticStage, lighting: PictureLighting, pixels: Rows, far: Floats, place: tuple[float, float], time_index: int
 ) -> tuple[Rows, PictureHits]:
-    """Return which rays through one position in some pixels hit a moving thing nearer than `far` at a moment, and the hits."""
+    """Return the rows of the rays that hit a moving body nearer than `far` at one shutter time, and these hits.
+
+    `place`: the position of the rays in their pixels."""
     start, direction = still.view.rays(pixels, *place)
     hits = lighting.cast.rays[time_index].cast(start, direction, lighting.threads)
     rows = np.flatnonzero(hits.t < far)
@@ -93,7 +97,7 @@ def _select_hits(hits: PictureHits, rows: Rows | slice) -> PictureHits:
 
 
 def refine(still: StaticStage, lighting: PictureLighting, dyes: FieldDyes, first: FirstPass, most: int) -> Floats:
-    """Display-linear light (h · w, 3): where one sample is not enough the mean of several, `most` at most."""
+    """Return display-linear light (h · w, 3). Pixels with edges or motion are means of several samples, at most `most`."""
     light = first.light.copy()
     pixels = _unsettled_pixels(still, first)
     if most == 1 or not len(pixels):
@@ -105,12 +109,12 @@ def refine(still: StaticStage, lighting: PictureLighting, dyes: FieldDyes, first
     at_edge = still.grid.edge[pixels]
     edges, others = np.flatnonzero(at_edge), np.flatnonzero(~at_edge)
     total = np.zeros((len(pixels), 3), np.float32)
-    # The order of moments is not that of places in the pixel.
+    # Shutter times are in another order than positions in the pixel.
     order = np.argsort(np.arange(count) * 0.6180339887498949 % 1.0, kind="stable") * moments // count
     for number, time_index in enumerate(order.tolist()):
         one = _EdgeSample(still, lighting, pixel_offset(number, count), time_index, spots[number])
         total[edges] += one.light_samples(dyes, first, still.edge_samples(number, count, lighting.threads))
-        # Where the surface goes on, what stands still is as it is in the pixel's middle.
+        # Where the surface continues, the static light is that of the pixel's centre.
         total[others] += one.add_moving(pixels[others], still.middle.far[pixels[others]], first.behind[pixels[others]])
     light[pixels] = total / count
     return light
@@ -118,7 +122,7 @@ def refine(still: StaticStage, lighting: PictureLighting, dyes: FieldDyes, first
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _EdgeSample:
-    """One sample of pixels: its position in the pixel, its moment, and its point on the sun's disc."""
+    """One sample of several pixels: its position in the pixel, its shutter time, and its point on the sun's disc."""
 
     still: StaticStage
     lighting: PictureLighting
@@ -127,7 +131,7 @@ class _EdgeSample:
     sunspot: Floats
 
     def light_samples(self, dyes: FieldDyes, first: FirstPass, samples: SurfaceSamples) -> Floats:
-        """Return display-linear light (n, 3) of samples of static things, and of moving things in front of them."""
+        """Return display-linear light (n, 3) of samples of static surfaces, and of moving bodies in front of them."""
         visible = sun_visibility(self.lighting, samples, self.time_index, self.sunspot)
         light = still_light(
             self.lighting, samples, slice(None), dyes.colour_samples(samples), visible, first.opened[samples.pixel]
@@ -135,7 +139,7 @@ class _EdgeSample:
         return self.add_moving(samples.pixel, samples.far, tone_map(light))
 
     def add_moving(self, pixels: Rows, far: Floats, light: Floats) -> Floats:
-        """Return `light` of pixels, replaced where a moving thing is nearer than the static distance `far`."""
+        """Return `light` of pixels, replaced where a moving body is nearer than the static distance `far`."""
         near = np.flatnonzero(self.lighting.cast.near[pixels])
         rows, hits = find_moving(self.still, self.lighting, pixels[near], far[near], self.place, self.time_index)
         if len(rows):
@@ -147,7 +151,8 @@ class _EdgeSample:
 
 
 def _unsettled_pixels(still: StaticStage, first: FirstPass) -> Rows:
-    """Return pixels where surfaces meet, something moves, or a moving thing differs from its neighbour pixels."""
+    """Return the pixels that need more samples: where surfaces meet or a body moves, and where a body differs from its
+    neighbours."""
     high, wide = still.view.height, still.view.width
     unsettled = first.swept.copy().reshape(high, wide)
     front = first.front.reshape(high, wide)

@@ -1,6 +1,6 @@
-"""Rendering of a `Picture` from a `Camera`: rays for visibility, sun and open sky for light. Static things are cached.
+"""Rendering of a `Picture` from a `Camera`. Rays determine visibility, sunlight and light from the open sky.
 
-Use one `Renderer` for a film, `render_frame` for a single picture."""
+Samples of static surfaces are cached. Use one `Renderer` for a film, `render_frame` for a single picture."""
 
 from __future__ import annotations
 
@@ -30,20 +30,20 @@ DISPLAY_OPTIONS = ("trail", "flow", "feelers", "velocity", "paths", "ids")
 
 @dataclass(slots=True)
 class _CameraCache:
-    """Samples of static things for one camera, and the colours of fields on them."""
+    """Samples of static surfaces for one camera, and the colours of fields on them."""
 
     stage: StaticStage
     dyes: FieldDyes
 
 
 class Renderer:
-    """Renderer of pictures of one size. While solids and camera stay the same objects and values, rays for them are not cast
-    again.
+    """Renderer of pictures of one size. Rays to static surfaces are cast again only if the solids or the camera change.
 
-    Each pixel is one ray through its centre; a pixel with an edge or motion is the mean of 2 · `samples`² or more. `threads`: for
-    the rays; the result does not depend on it. `least`: bodies shorter than this many pixels are drawn that long, up to
-    `enlarged` times their size. `marks`: if set, bodies are discs of this width in pixels instead. `blur`: the share of a frame
-    for which the shutter is open."""
+    Each pixel is one ray through its centre. A pixel with an edge or motion is the mean of 2 · `samples`² or more rays.
+    `threads`: number of threads for rays; the result does not depend on it.
+    `least`: shorter bodies are enlarged to this length in pixels, by a factor of at most `enlarged`.
+    `marks`: if not 0, bodies are discs of this diameter in pixels.
+    `blur`: the share of a frame for which the shutter is open."""
 
     def __init__(
         self,
@@ -67,7 +67,9 @@ class Renderer:
         self._kept: dict[tuple[object, ...], _CameraCache] = {}
 
     def draw(self, picture: Picture, camera: Camera, *, show: Iterable[str] = ("trail",)) -> Image:
-        """The picture as bytes (height, width, 3), sRGB. `show`: any of SHOWN. Raises ValueError for another word."""
+        """Return the picture as sRGB bytes (height, width, 3).
+
+        `show`: words of DISPLAY_OPTIONS. Raises ValueError for another word."""
         options = tuple(show)
         wrong = [word for word in options if word not in DISPLAY_OPTIONS]
         if wrong:
@@ -87,7 +89,9 @@ class Renderer:
         )
 
     def _setting(self, picture: Picture, up: Array) -> StaticSetting:
-        """Return the ray scene of the solids. It is cached with the solids themselves, so that no other solid gets their ids."""
+        """Return the ray scene of the solids.
+
+        The cache holds the solids as well. So their ids, which are its keys, cannot be reused."""
         key = tuple(id(solid.vertices) for solid in picture.solids) + tuple(hash(float(v)) for v in up)
         for known, still_setting, _ in self._settings:
             if known == key:
@@ -108,7 +112,7 @@ class Renderer:
         key = (id(still), camera, picture.up, scales)
         if key not in self._kept:
             new_stage = stage(still, camera_view, sun, scales, self.threads)
-            # Two cameras in turn (from above, at eye level) keep what they saw.
+            # The samples of two cameras stay cached, for films that alternate between them.
             self._kept = dict([*self._kept.items()][-1:])
             self._kept[key] = _CameraCache(new_stage, FieldDyes(new_stage.middle))
         else:
@@ -133,13 +137,16 @@ def render_frame(
     show: Iterable[str] = ("trail",),
     threads: int = 1,
 ) -> Image:
-    """One picture, bytes (height, width, 3) in sRGB; a film of many is drawn faster by one `Renderer`."""
+    """Return one picture as sRGB bytes (height, width, 3). For a film, one `Renderer` is faster."""
     return Renderer(width, height, samples=samples, threads=threads).draw(picture, camera, show=show)
 
 
 def _grain(picture: Picture, extent: float) -> float:
-    """Return the reference length of grain and shade: the picture's own, else the rounded body length of the first crowd, so that
-    growth does not invalidate the stage. It is limited to values that suit the extent."""
+    """Return the reference length of grain and shade, in world units, limited to values that suit the extent.
+
+    It is the picture's own, else the body length of the first crowd. This length is rounded, so that growth does not invalidate
+    the
+    stage."""
     if picture.grain is not None and picture.grain > 0:
         return float(min(max(picture.grain, extent / 2000), extent / 20))
     lengths = [float(np.median(crowd.scale)) for crowd in picture.crowds if len(crowd.scale)]

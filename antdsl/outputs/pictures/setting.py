@@ -1,7 +1,7 @@
-"""All that stands still, as one ray scene: the solids, the cut edge below open ground, and the table under it all.
+"""All static surfaces as one ray scene: the solids, the cut edge below open ground, and the table under them.
 
-Near a close camera there are grains and pebbles on the ground: a sense of scale. They are in pictures only; nothing walks
-round them."""
+Near a close camera there are grains and pebbles on the ground, for a sense of scale. They exist in pictures only; agents do not
+avoid them."""
 
 from dataclasses import dataclass
 from functools import cache
@@ -31,12 +31,12 @@ Array = NDArray[np.float64]
 TABLE_DEPTH_SHARE = (
     0.03  # how far the table lies below the lowest point, as a share of the extent: room for the cut edge of a floor
 )
-_TABLE_DEPTH_SHARE_WITHOUT_FLOOR = 0.001  # the same where there is no floor: things stand on the table
+_TABLE_DEPTH_SHARE_WITHOUT_FLOOR = 0.001  # the same without a floor: things stand on the table
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SettingPart:
-    """A mesh of one `kind` (its index in KINDS), `painted` (n, 4) if it has its own colours."""
+    """A mesh of one `kind` (an index in SURFACE_KINDS). `painted` (n, 4): its own colours, if it has any."""
 
     vertices: Array
     faces: NDArray[np.int32]
@@ -46,8 +46,14 @@ class SettingPart:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class StaticSetting:
-    """`rays` over `faces` (m, 3); per vertex a smooth `normal` (n, 3) and `painted` (n, 4: linear colour, whether it holds);
-    per face its `kind`. `middle` and `extent` (diagonal) of the solids, `base` the height of the table along `up`."""
+    """The ray scene of all static surfaces.
+
+    `rays`: the ray scene of `faces` (m, 3).
+    `normal` (n, 3): smooth normals per vertex.
+    `painted` (n, 4): linear colour per vertex, and its weight (0 or 1).
+    `kind` (m,): per face.
+    `middle`, `extent`: centre and diagonal of the solids.
+    `base`: the height of the table along `up`."""
 
     rays: PictureRays
     faces: NDArray[np.int32]
@@ -62,7 +68,7 @@ class StaticSetting:
 
 
 def make_setting(solids: tuple[Solid, ...], up: Array) -> StaticSetting:
-    """Return the ray scene of the solids; without solids, only the table."""
+    """Return the ray scene of the solids. Without solids, it has only the table."""
     parts: list[SettingPart] = []
     everything = np.concatenate([solid.vertices for solid in solids if len(solid.vertices)] or [np.zeros((1, 3))])
     low, high = everything.min(axis=0), everything.max(axis=0)
@@ -88,7 +94,7 @@ def make_setting(solids: tuple[Solid, ...], up: Array) -> StaticSetting:
 
 
 def with_pebbles(still: StaticSetting, view: CameraView, scales: PictureScales) -> StaticSetting:
-    """Return the setting with pebbles on its grounds where `view` is near enough to show them, else unchanged."""
+    """Return the setting with pebbles on its ground if `view` is near enough to show them, else unchanged."""
     up = still.up.astype(np.float64)
     pebbles = [
         scatter_pebbles(part.vertices, part.faces, up, view, scales) for part in still.parts if part.kind == looks.GROUND_KIND
@@ -119,7 +125,7 @@ def is_floor(vertices: Array, faces: NDArray[np.int32], up: Array) -> bool:
 
 
 def _edge_walls(vertices: Array, faces: NDArray[np.int32], up: Array, base: float) -> list[SettingPart]:
-    """Walls from the open border of a floor down to the table."""
+    """Return walls from the open border of a floor down to the table."""
     pairs = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]).astype(np.int64)
     key = np.minimum(pairs[:, 0], pairs[:, 1]) * len(vertices) + np.maximum(pairs[:, 0], pairs[:, 1])
     _, first, count = np.unique(key, return_index=True, return_counts=True)
@@ -146,7 +152,7 @@ def _table(middle: Array, up: Array, base: float, reach: float) -> SettingPart:
 
 @cache
 def _shapes(detail: int) -> tuple[Array, NDArray[np.int32]]:
-    """Unit pebbles (k, n, 3) that share their faces."""
+    """Return unit pebbles (k, n, 3) and the faces that they share."""
     stones = [stone(70 + k, (1.0, 0.62, 0.8), detail=detail, roughness=0.2) for k in range(_PEBBLE_SHAPES)]
     return np.stack([vertices for vertices, _ in stones]), stones[0][1]
 
@@ -154,7 +160,7 @@ def _shapes(detail: int) -> tuple[Array, NDArray[np.int32]]:
 def scatter_pebbles(
     vertices: Array, faces: NDArray[np.int32], up: Array, view: CameraView, scales: PictureScales
 ) -> tuple[Array, NDArray[np.int32]] | None:
-    """Return pebbles on the ground near the camera, as one mesh; None where none would be larger than a speck.
+    """Return pebbles on the ground near the camera, as one mesh. Return None if no pebble would be larger than a speck.
 
     The pebbles of a triangle do not depend on the camera."""
     corners = vertices[faces]
@@ -193,7 +199,7 @@ def scatter_pebbles(
 
 
 def _random_numbers(face: NDArray[np.int64], rank: NDArray[np.int64]) -> Array:
-    """Return five numbers within 0..1 for each pebble, which depend on its triangle and its rank there only."""
+    """Return five random numbers within 0..1 for each pebble. They depend only on the pebble's triangle and on its rank there."""
     own = (face * _MAX_PEBBLES_PER_FACE + rank).astype(np.uint64)[:, None]
     key: NDArray[np.uint64] = np.add(own * np.uint64(5), np.arange(5, dtype=np.uint64), dtype=np.uint64)
     # The finaliser of SplitMix64 (Steele et al., Fast Splittable Pseudorandom Number Generators, OOPSLA 2014).

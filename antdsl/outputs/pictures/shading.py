@@ -1,4 +1,4 @@
-"""The light of samples: static things with the shadows of moving ones, moving things, sky and haze."""
+"""The light of samples: static surfaces with the shadows of moving bodies, moving bodies, sky and haze."""
 
 from dataclasses import dataclass
 
@@ -23,7 +23,7 @@ _RAY_OFFSET_EXTENTS = 2e-5  # extents that rays begin off a surface
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PictureLighting:
-    """The lighting inputs of a frame: `cast` has the moving things, `ground` the static ones."""
+    """The inputs for the light of a frame. `cast`: the moving bodies; `ground`: the static surfaces."""
 
     cast: SceneActors
     ground: PictureRays
@@ -36,8 +36,9 @@ class PictureLighting:
 def still_light(
     lighting: PictureLighting, samples: SurfaceSamples, own: slice, albedo: Floats, visible: Floats, opened: Floats
 ) -> Floats:
-    """Return light (n, 3) of some samples of static things. The sun reaches them by the share `visible` (n,), the sky by `opened`
-    (n,)."""
+    """Return the light (n, 3) of the samples `own` of static surfaces.
+
+    `visible` (n,): the share of the sun that reaches the samples; `opened` (n,): the share of the sky."""
     sun, extent = lighting.sun, lighting.scales.extent
     far, direction = samples.far[own], samples.direction[own]
     direct = samples.sun[own] * visible
@@ -57,14 +58,14 @@ def still_light(
 
 
 def lamp_light(facing: Floats, direct: Floats, opened: Floats) -> Floats:
-    """Return light (n, 3) of a lamp beside the camera, where neither sun nor sky reach, so that tunnels and chambers are
+    """Return the light (n, 3) of a lamp beside the camera, where neither sun nor sky reach. It makes tunnels and chambers
     visible."""
     dark = np.clip(1.15 - 1.5 * opened, 0, 1) * np.clip(1 - 3 * direct, 0, 1)
     return np.asarray(LAMP_LIGHT * (dark * (0.25 + 0.75 * np.clip(facing, 0, 1)))[:, None])
 
 
 def sun_visibility(lighting: PictureLighting, samples: SurfaceSamples, time_index: int, spot: Floats) -> Floats:
-    """Return 1 (n,) where no moving thing is between a sample and a point on the sun's disc at a moment, else 0."""
+    """Return (n,) 1, or 0 where a moving body is between a sample and the point `spot` of the sun's disc, at one shutter time."""
     visible = np.ones(len(samples), np.float32)
     if lighting.cast.size > 0:
         lit = np.flatnonzero(samples.sun > 0)
@@ -78,9 +79,9 @@ def sun_visibility(lighting: PictureLighting, samples: SurfaceSamples, time_inde
 def moving_light(
     lighting: PictureLighting, hits: PictureHits, start: Floats, direction: Floats, time_index: int, spot: Floats
 ) -> Floats:
-    """Return light (n, 3) along rays from `start` in direction `direction` (n, 3) that hit a moving thing.
+    """Return the light (n, 3) along rays from `start` in `direction` (n, 3) that hit a moving body, at one shutter time.
 
-    The material is a matt body with a coat that reflects sky, ground and sun; metal, which reflects more; or a light source."""
+    Materials are: a matt body with a coat that reflects sky, ground and sun; metal, which reflects more; or a light source."""
     mesh, sun = lighting.cast.mesh, lighting.sun
     corners = mesh.faces[hits.face]
     normal = units(interpolate_vertices(mesh.normal, corners, hits.u, hits.v))
@@ -117,7 +118,7 @@ def moving_light(
 
 
 def _apply_shadow(lighting: PictureLighting, facing: Floats, where: Floats, time_index: int, spot: Floats) -> None:
-    """Remove the sun from points (n, 3) where something hides it."""
+    """Set the sunlight `facing` to 0 at points (n, 3) that a body or surface hides from the sun."""
     cast, threads = lighting.cast, lighting.threads
     lit = np.flatnonzero(facing > 0)
     aim = np.broadcast_to(spot, (len(lit), 3))

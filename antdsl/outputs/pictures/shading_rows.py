@@ -1,5 +1,6 @@
-"""What shading does by the million: operations on rows of float32 vectors, and work in pieces that a core's cache holds, on
-several threads where there are."""
+"""Operations on rows of float32 vectors, for millions of rows. Work is split into pieces that fit into a core's cache.
+
+Pieces run on several threads."""
 
 from collections.abc import Callable, Iterable
 from concurrent.futures import ThreadPoolExecutor
@@ -14,7 +15,7 @@ Floats = NDArray[Any]
 
 
 def dots(a: Floats, b: Floats) -> Floats:
-    """Dot products (n,) of rows (n, 3); several times faster than a sum over the short axis."""
+    """Return the dot products (n,) of rows (n, 3). This is several times faster than a sum over the short axis."""
     result: Floats = np.einsum("nc,nc->n", a, b)
     return result
 
@@ -25,8 +26,10 @@ def units(a: Floats) -> Floats:
 
 
 def interpolate_vertices(table: Floats, corners: NDArray[np.int32], u: Floats, v: Floats) -> Floats:
-    """Return interpolated values (n, c) of a per-vertex `table` within faces with these `corners` (n, 3). `u` and `v` are the
-    weights of the second and third corner."""
+    """Return values (n, c) of a per-vertex `table`, interpolated within faces.
+
+    `corners` (n, 3): the vertices of each face.
+    `u`, `v` (n,): the weights of the second and third corner."""
     total = table.take(corners[:, 0], axis=0)
     total *= (1 - u - v)[:, None]
     total += table.take(corners[:, 1], axis=0) * u[:, None]
@@ -35,12 +38,12 @@ def interpolate_vertices(table: Floats, corners: NDArray[np.int32], u: Floats, v
 
 
 def pieces(count: int) -> list[slice]:
-    """`count` rows cut into pieces."""
+    """Return slices that cut `count` rows into pieces."""
     return [slice(start, min(start + SAMPLES_PER_CHUNK, count)) for start in range(0, count, SAMPLES_PER_CHUNK)]
 
 
 def each(work: Callable[[Any], None], parts: Iterable[Any], threads: int) -> None:
-    """Run every part of a job; each part writes to separate positions."""
+    """Call `work` for every part, on several threads. Each part must write to separate positions."""
     if threads == 1:
         for part in parts:
             work(part)

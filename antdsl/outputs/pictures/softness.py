@@ -1,8 +1,7 @@
-"""Soft edges of shadows and of shade without noise: neighbouring pixels use different directions, and share results where the
-surface continues.
+"""Soft edges of shadows and of shade, without noise.
 
-Interleaved sampling (Keller and Heidrich, Eurographics Workshop on Rendering, 2001); the weights of its filters cancel the
-pattern."""
+Neighbouring pixels use different directions, and share their results where the surface continues. This is interleaved sampling
+(Keller and Heidrich, Eurographics Workshop on Rendering, 2001). The weights of its filters cancel the pattern."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -26,8 +25,12 @@ _WIDE_TAPS, _NARROW_TAPS = np.array([1, 2, 2, 2, 1], np.float32) / 8, np.array([
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PixelGrid:
-    """Static samples at pixel centres: `point`, `normal` float32 (h · w, 3). `solid` bool (h · w,): whether there is something;
-    `edge`: whether the surface ends at a neighbour pixel. `hair`: offset (world units) of ray origins from the surface."""
+    """Static samples at pixel centres.
+
+    `point`, `normal` float32 (h · w, 3).
+    `solid` bool (h · w,): whether the ray hits a surface.
+    `edge` bool (h · w,): whether the surface ends at a neighbour pixel.
+    `hair`: the offset of ray origins from the surface, in world units."""
 
     view: CameraView
     point: Floats
@@ -37,21 +40,21 @@ class PixelGrid:
     hair: float
 
     def halve(self) -> "PixelGrid":
-        """Every second pixel of every second row."""
+        """Return the grid of every second pixel of every second row."""
         high, wide = self.view.height, self.view.width
         taken = (np.arange(0, high, 2)[:, None] * wide + np.arange(0, wide, 2)).reshape(-1)
         edge = self._near_edge_mask(1)[::2, ::2].reshape(-1)
         return PixelGrid(_half_view(self.view), self.point[taken], self.normal[taken], self.solid[taken], edge, self.hair)
 
     def _near_edge_mask(self, reach: int) -> NDArray[np.bool_]:
-        """Pixels (h, w) with an edge, or the sky, within `reach` pixels."""
+        """Return whether each pixel (h, w) has an edge or the sky within `reach` pixels."""
         from scipy.ndimage import maximum_filter
 
         broken = (self.edge | ~self.solid).reshape(self.view.height, self.view.width)
         return np.asarray(maximum_filter(broken, 2 * reach + 1))
 
     def is_near_edge(self, pixels: NDArray[np.int64], reach: int) -> NDArray[np.bool_]:
-        """Which pixels (n,) are near an edge."""
+        """Return whether each of `pixels` (n,) has an edge or the sky within `reach` pixels."""
         return np.asarray(self._near_edge_mask(reach).reshape(-1)[pixels])
 
 
@@ -69,10 +72,12 @@ def sun_share(
     threads: int,
     within: NDArray[np.bool_] | None = None,
 ) -> Floats:
-    """Return the share (h · w,) of the sun that pixels see; 1 where they face away from it, `facing` (h · w,) ≤ 0.
+    """Return the share (h · w,) of the sun that is visible from each pixel's surface; 1 for surfaces that face away from it.
 
-    `casts`: the occluders, at several moments; pixels are distributed over them. `far`: the maximum distance of occluders.
-    `within` (h · w,): the pixels that may be occluded; others are not."""
+    `facing` (h · w,): cosine of the angle to the sun; surfaces face away where it is ≤ 0.
+    `casts`: ray scenes of the occluders at several times; pixels are distributed over them.
+    `far`: the greatest distance of occluders.
+    `within` (h · w,): the pixels that may be occluded; None for all."""
     high, wide = grid.view.height, grid.view.width
     lit = grid.solid & (facing > 0)
     pixels = np.flatnonzero(lit if within is None else lit & within)
@@ -116,7 +121,7 @@ def _find_occluded(
 
 
 def _partly_hidden(hidden: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Return pixels with both hidden and visible pixels nearby."""
+    """Return whether each pixel (h, w) has both hidden and visible pixels nearby."""
     from scipy.ndimage import maximum_filter, minimum_filter
 
     values = hidden.astype(np.uint8)
@@ -127,8 +132,9 @@ def _partly_hidden(hidden: NDArray[np.bool_]) -> NDArray[np.bool_]:
 def _filter(
     values: Floats, pixels: NDArray[np.int64], grid: PixelGrid, taps: Floats, counted: NDArray[np.bool_] | None = None
 ) -> Floats:
-    """Return weighted means (n,) around pixels (n,) of `values` (h, w), over pixels where the surface continues and that are
-    `counted`."""
+    """Return weighted means (n,) of `values` (h, w) around `pixels` (n,), where the surface continues.
+
+    `counted`: the pixels that count in the means; None for all."""
     from scipy.ndimage import convolve1d
 
     even = convolve1d(convolve1d(values, taps, axis=0, mode="nearest"), taps, axis=1, mode="nearest")
@@ -141,7 +147,7 @@ def _filter(
 def _filter_at_edges(
     values: Floats, pixels: NDArray[np.int64], grid: PixelGrid, taps: Floats, counted: NDArray[np.bool_] | None
 ) -> Floats:
-    """The same where the surface may end."""
+    """Return the means of `_filter` for pixels near which the surface may end."""
     high, wide = values.shape
     row, column = np.divmod(pixels, wide)
     normal, point = grid.normal[pixels], grid.point[pixels]
@@ -164,7 +170,7 @@ def _filter_at_edges(
 
 
 def _plane_tolerance(grid: PixelGrid, point: Floats) -> Floats:
-    """How far off the plane through a point its neighbours may lie: some pixels' widths there."""
+    """Return how far neighbours of each point may be from the plane through it: the width of some pixels, in world units."""
     depth = np.maximum((point - grid.view.eye.astype(np.float32)) @ grid.view.ahead.astype(np.float32), 0)
     return np.asarray(6 * grid.view.pixel_size(depth), np.float32)
 
@@ -180,10 +186,10 @@ def _is_same_surface(
 def open_share(
     grid: PixelGrid, rays: PictureRays, reach: float, count: int, threads: int, within: NDArray[np.bool_] | None = None
 ) -> Floats:
-    """Return the share (h · w,) of directions above each pixel's surface without an obstacle within `reach` (world units).
+    """Return the share (h · w,) of directions above each pixel's surface that have no obstacle within `reach` (world units).
 
-    `count` rays are cast at every second pixel of every second row; values between are interpolated along surfaces. `within` (h ·
-    w,): the pixels that may have something near; others do not."""
+    `count` rays are cast at every second pixel of every second row. Values between are interpolated along surfaces.
+    `within` (h · w,): the pixels that may have an obstacle nearby; None for all."""
     high, wide = grid.view.height, grid.view.width
     small = grid.halve()
     small_mask = None if within is None else within.reshape(high, wide)[::2, ::2].reshape(-1)
@@ -229,7 +235,8 @@ def _fill_shade(
     threads: int,
     within: NDArray[np.bool_] | None = None,
 ) -> Floats:
-    """Return the shade of all pixels from every second one; by separate rays where no neighbour is on the same surface."""
+    """Return the shade of all pixels from that of every second pixel. Where no neighbour is on the same surface, rays are
+    cast."""
     high, wide = grid.view.height, grid.view.width
     full = _upsample(shade.reshape(small.view.height, small.view.width), high, wide)
     full[~grid.solid] = 1
@@ -262,7 +269,7 @@ def _fill_shade(
 
 
 def _upsample(small: Floats, high: int, wide: int) -> Floats:
-    """Return values (h · w,) by linear interpolation from those of every second pixel."""
+    """Return values (h · w,), interpolated linearly from those of every second pixel."""
     rows = np.empty((2 * small.shape[0], small.shape[1]), np.float32)
     rows[::2] = small
     rows[1::2] = (small + np.concatenate([small[1:], small[-1:]])) / 2
@@ -273,8 +280,9 @@ def _upsample(small: Floats, high: int, wide: int) -> Floats:
 
 
 def _hemisphere_directions(count: int) -> Floats:
-    """Return directions (count · 16, 3) over the upper hemisphere, denser towards its pole; each 16 consecutive ones differ as
-    much as possible."""
+    """Return directions (count · 16, 3) over the upper hemisphere, denser towards its pole.
+
+    Each 16 consecutive directions differ as much as possible."""
     k = np.arange(count * 16)
     order = (k % 16) * count + k // 16
     turn = 2 * np.pi * np.mod(k * 0.6180339887498949, 1.0)
@@ -284,7 +292,8 @@ def _hemisphere_directions(count: int) -> Floats:
 
 
 def _tangent_axes(normal: Floats) -> tuple[Floats, Floats]:
-    """Two unit axes across each normal (Duff et al., Building an Orthonormal Basis, Revisited, JCGT 6(1), 2017)."""
+    """Return two unit axes perpendicular to each normal (Duff et al., Building an Orthonormal Basis, Revisited, JCGT 6(1),
+    2017)."""
     x, y, z = normal.T
     sign = np.where(z >= 0, np.float32(1), np.float32(-1))
     a = -1 / (sign + z)

@@ -1,5 +1,6 @@
-"""What a camera sees of a setting, cached from frame to frame while neither moves: the middle of each pixel, and several samples
-of pixels in which one surface ends before another."""
+"""Samples of static surfaces for one camera, cached from frame to frame while neither surfaces nor camera move.
+
+There is one sample at the centre of each pixel, and several samples for pixels in which one surface ends before another."""
 
 from dataclasses import dataclass, field
 
@@ -23,9 +24,15 @@ _EDGE_STEP_PIXELS = 4.0  # pixels' widths off its plane from which on a neighbou
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SurfaceSamples:
-    """n samples of static objects. `pixel` int64; unit `direction` (n, 3) and distance `far` of each ray (inf: sky); `point`,
-    smooth `normal` and `albedo` (n, 3). `sun`: the cosine of its height over the surface, 0 in shadow. `upness` and `facing`:
-    cosines of the normal with up and with the direction back. `kind`; emitted light `glow` (n, 3), where any."""
+    """n samples of static surfaces, one per ray.
+
+    `pixel` int64: the pixel of the ray.
+    `direction` (n, 3), `far`: unit direction and length of the ray (inf: sky).
+    `point`, `normal`, `albedo` (n, 3): position, smooth normal and colour.
+    `sun`: cosine of the angle between the sun and the normal; 0 in shadow.
+    `upness`, `facing`: cosines of the normal with up, and with the direction back to the camera.
+    `kind`: index in SURFACE_KINDS.
+    `glow` (n, 3): emitted and reflected light."""
 
     pixel: NDArray[np.int64]
     direction: Floats
@@ -44,17 +51,19 @@ class SurfaceSamples:
 
     @property
     def trail_rows(self) -> NDArray[np.int64]:
-        """Samples on which a field's colour may lie."""
+        """Return the samples on which a field's colour may lie."""
         return np.flatnonzero(np.isfinite(self.far) & np.isin(self.kind, looks.TRAIL_KINDS))
 
 
 @dataclass(slots=True, eq=False)
 class StaticStage:
-    """Static samples for one camera. `middle`: one sample per pixel. `edges` (e,): pixels with several surfaces; `fine`: by
-    sample number, the samples of all edges.
+    """Samples of static surfaces for one camera.
 
-    `shade` (h · w,): the unoccluded share of each pixel's surroundings. With `stays`, the stage is used for further frames and
-    caches its samples."""
+    `middle`: one sample per pixel.
+    `edges` (e,): pixels with several surfaces.
+    `fine`: by sample number and count, the samples of all edges.
+    `shade` (h · w,): the unoccluded share of each pixel's surroundings.
+    `stays`: whether the stage is used for several frames; then samples are cached."""
 
     setting: StaticSetting
     view: CameraView
@@ -68,7 +77,7 @@ class StaticStage:
     stays: bool = False
 
     def edge_samples(self, number: int, count: int, threads: int) -> SurfaceSamples:
-        """Sample `number` of `count` of all pixels at edges."""
+        """Return sample `number` of `count` of all pixels at edges."""
         key = (number, count)
         sample_set = self.fine.get(key) or self.sample_pixels(self.edges, number, count, threads)
         if self.stays and key not in self.fine:
@@ -76,7 +85,7 @@ class StaticStage:
         return sample_set
 
     def sample_pixels(self, pixels: NDArray[np.int64], number: int, count: int, threads: int) -> SurfaceSamples:
-        """Return sample `number` of `count` of some pixels, with a separate ray to the sun."""
+        """Return sample `number` of `count` of some pixels, each with its own ray to the sun."""
         across, down = pixel_offset(number, count)
         samples = _sample_at(self.setting, self.view, pixels, (across, down), self.sun, self.scales, threads)
         lit = np.flatnonzero(samples.sun > 0)
@@ -87,13 +96,14 @@ class StaticStage:
 
 
 def pixel_offset(number: int, count: int) -> tuple[float, float]:
-    """Return the position of sample `number` of `count` in a pixel: the lattice of Roberts' sequence R2, which is even for any
-    count."""
+    """Return the position of sample `number` of `count` in a pixel.
+
+    The positions are the lattice of Roberts' sequence R2, which is even for any count."""
     return (0.5 + (number + 1) * 0.7548776662466927) % 1.0, (0.5 + (number + 1) * 0.5698402909980532) % 1.0
 
 
 def stage(setting: StaticSetting, view: CameraView, sun: SunLight, scales: PictureScales, threads: int) -> StaticStage:
-    """Cast and colour everything static."""
+    """Return the samples of everything static, with colours."""
     setting = with_pebbles(setting, view, scales)
     middle = _sample_at(setting, view, np.arange(view.width * view.height), (0.5, 0.5), sun, scales, threads)
     solid = np.isfinite(middle.far)
@@ -113,7 +123,7 @@ def _sample_at(
     scales: PictureScales,
     threads: int,
 ) -> SurfaceSamples:
-    """Return samples of `pixels` at one position in each, before shadows."""
+    """Return samples of `pixels` at the position `place` in each, before shadows."""
     n = len(pixels)
     three = [np.zeros((n, 3), np.float32) for _ in range(5)]
     direction, point, normal, albedo, glow = three
@@ -150,7 +160,7 @@ def _surfaces(
     hit_rows: NDArray[np.int64],
     scales: PictureScales,
 ) -> tuple[looks.SurfaceMaterial, Floats]:
-    """The look of the samples that meet something, and the smooth normal without grain."""
+    """Return the material of the samples that hit a surface, and the smooth normals without grain."""
     face = hits.face[hit_rows]
     corners = setting.faces[face]
     flat, u, v = hits.normal[hit_rows], hits.u[hit_rows], hits.v[hit_rows]
@@ -165,7 +175,7 @@ def _surfaces(
 
 
 def _edges(view: CameraView, middle: SurfaceSamples, solid: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Return whether another surface begins next to a pixel (h · w,), on either side."""
+    """Return whether another surface begins next to each pixel (h · w,), on either side."""
     high, wide = view.height, view.width
     edges = np.zeros((high, wide), np.bool_)
     normal, point = middle.normal.reshape(high, wide, 3), middle.point.reshape(high, wide, 3)

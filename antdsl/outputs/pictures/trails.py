@@ -1,4 +1,4 @@
-"""Ground colours from fields: cells, smoothed along the surface."""
+"""Ground colours from fields. The values of cells are smoothed along the surface."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,7 +18,7 @@ _GRAIN_BRIGHTNESS_RANGE = (0.5, 1.6)  # times the light of soil
 
 
 class TrailVoxels:
-    """The voxels of a trail's cells, between the corners `low` and `high` (3,): created once per camera, coloured in each
+    """The voxels that hold a trail between the corners `low` and `high` (3,). They are created once per camera and filled in each
     frame."""
 
     def __init__(self, low: Array, high: Array, cell: float) -> None:
@@ -39,7 +39,7 @@ class TrailVoxels:
         self._scent = self._spread.spread(ground_cover(trail))
 
     def share(self, points: Floats) -> Floats:
-        """Return the share of the ground (n,) that the trail covers at points (n, 3), 0..1; near cells have more weight."""
+        """Return the share of the ground (n,), 0..1, that the trail covers at points (n, 3). Near cells have more weight."""
         scaled = (points - self.low.astype(np.float32)) * np.float32(1 / self.cell) - np.float32(0.5)
         corner = np.clip(np.floor(scaled), 0, np.asarray(self.shape, np.float32) - 2)
         part = np.clip(scaled - corner, 0, 1)
@@ -49,7 +49,8 @@ class TrailVoxels:
         return self._between(self._scent, first, part) / np.maximum(self._between(self._weight, first, part), 1e-6)
 
     def _between(self, voxels: Floats, first: NDArray[np.int32], part: Floats) -> Floats:
-        """Trilinear values of voxels."""
+        """Return trilinear values of voxels. `first`: the lowest voxel around each point; `part` (n, 3): the position between
+        voxels."""
         _, b, c = self.shape
         x, y, z = part.T
         rows = []
@@ -61,7 +62,7 @@ class TrailVoxels:
 
 
 class FieldDyes:
-    """The colours of fields on everything that one camera sees. All points lie approximately where its `middle` samples are."""
+    """The colours of fields on everything that one camera shows. All coloured points must be near the points of `middle`."""
 
     def __init__(self, middle: SurfaceSamples) -> None:
         self._own, self._kept = middle, middle.trail_rows
@@ -72,14 +73,14 @@ class FieldDyes:
         self._trails: list[Trail] = []
 
     def set_trails(self, trails: tuple[Trail, ...]) -> None:
-        """Takes the trails of a frame."""
+        """Set the trails of a frame."""
         self._trails = [each for each in trails if len(self._kept) and len(each.position) and (each.strength > 0).any()]
         for trail in self._trails:
             cloth = self._cloths.setdefault((trail.name, trail.cell), TrailVoxels(self._low, self._high, trail.cell))
             cloth.spread_trail(trail)
 
     def colour_samples(self, samples: SurfaceSamples) -> Floats:
-        """Colours (n, 3) of samples with the trails on them."""
+        """Return the colours (n, 3) of samples with the trails on them."""
         if not self._trails:
             return samples.albedo
         rows = self._kept if samples is self._own else samples.trail_rows
@@ -94,7 +95,7 @@ class FieldDyes:
 
 
 class _TrilinearSpread:
-    """The positions of cells at `position` (n, 3) in the voxel grid, and the weights of the eight voxels around each."""
+    """The positions of cells at `position` (n, 3) in the voxel grid, and the weights of the eight voxels around each cell."""
 
     def __init__(self, position: Array, low: Array, cell: float, shape: tuple[int, ...]) -> None:
         scaled = (np.asarray(position, np.float64) - low) / cell - 0.5
@@ -109,7 +110,7 @@ class _TrilinearSpread:
         self.weights = [(sides[0][i] * sides[1][j] * sides[2][k]) for i in (0, 1) for j in (0, 1) for k in (0, 1)]
 
     def spread(self, values: Floats) -> Floats:
-        """The voxels, each the weighted sum of the values (n,) near it."""
+        """Return the voxels, each the weighted sum of the `values` (n,) of the cells near it."""
         voxels = np.zeros(self.size, np.float32)
         for step, weight in zip(self.steps, self.weights, strict=True):
             np.add.at(voxels, self.first + step, (weight * values[self.kept]).astype(np.float32))
@@ -117,34 +118,37 @@ class _TrilinearSpread:
 
 
 def robust_full_strength(strength: Array) -> float:
-    """Return the strength to draw strongest: 70 % of all scent lies in cells of at least this strength, whatever the extent of
-    faint scent; 0 without scent."""
+    """Return the strength to draw strongest; 0 without scent. Cells of at least this strength contain 70 % of all scent.
+
+    So the extent of faint scent has little effect on it."""
     held = np.sort(np.asarray(strength, np.float64)[np.asarray(strength) > 0])
     return float(held[np.searchsorted(np.cumsum(held), 0.3 * held.sum())]) if len(held) else 0.0
 
 
 def full_strength(trail: Trail) -> float:
-    """The strength that is drawn strongest."""
+    """Return the strength of a trail that is drawn strongest."""
     return trail.full if trail.full is not None else robust_full_strength(trail.strength)
 
 
 def ground_cover(trail: Trail) -> Floats:
-    """Share of the ground (n,) that each cell's scent covers."""
+    """Return the share of the ground (n,) that the scent of each cell covers."""
     return cover_of_strengths(trail.strength, full_strength(trail))
 
 
 def cover_of_strengths(strength: Array, full: float) -> Floats:
-    """Return the shares (n,) of the ground that strengths (n,) cover.
+    """Return the shares (n,) of the ground that strengths (n,) cover. `full`: the strength drawn strongest.
 
-    Scent spans many powers of ten, and agents follow faint scent too. The exponent 0.4 shows a thousandth of the strongest as a
+    Scent spans many powers of ten, and agents also follow faint scent. With the exponent 0.4, a thousandth of the strongest
+    covers a
     sixteenth."""
     share = np.clip(np.asarray(strength, np.float64) / max(full, 1e-30), 0.0, 1.0) ** 0.4
     return np.asarray(share, np.float32)
 
 
 def dye_ground(albedo: Floats, share: Floats, trail: Trail) -> Floats:
-    """Return linear ground colours (n, 3) with the trail on them. Its strongest part covers two thirds of the ground's colour,
-    and follows the brightness of the grains below it."""
+    """Return linear ground colours (n, 3) with the trail on them. `share` (n,): the share of the ground that the trail covers.
+
+    The strongest part replaces two thirds of the ground's colour. The trail follows the brightness of the grains below it."""
     light = np.clip((albedo @ _LUMINANCE_WEIGHTS) / np.float32(SOIL_COLOUR @ _LUMINANCE_WEIGHTS), *_GRAIN_BRIGHTNESS_RANGE)
     return np.asarray(
         albedo + (decode_srgb(trail.colour) * light[:, None] - albedo) * (_MAX_GROUND_COVER * share)[:, None], np.float32

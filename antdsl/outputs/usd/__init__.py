@@ -1,7 +1,10 @@
 """A cache as a USD stage, in the scene's units and axes.
 
-`moments` reads agents by id at any time, also between frames, with velocities that lead to the next frame. `instancers` writes a
-species as a point instancer with a bank of poses (`bank`) as prototypes, `skeletons` as an instance of one UsdSkel definition
-(`definitions`) for each agent, `xforms` as keyframes of objects. `world` writes meshes, items, fields and the camera, `materials`
-their materials. `stage` combines them frame by frame, so that memory does not grow with the shot, and spreads the samples over
-files. USD has its own conventions: matrices for row vectors, linear colours, focal lengths in tenths of a unit."""
+`moments`: agents by id at any time, also between frames, with velocities that lead to the next frame.
+`instancers`: a species as a point instancer, with a bank of poses (`bank`) as prototypes.
+`skeletons`: a species as one instance of a UsdSkel definition (`definitions`) per agent.
+`xforms`: a species as keyframes of one object per agent.
+`world`: meshes, items, fields and the camera; `materials`: their materials.
+`stage`: the complete stage, frame by frame. Memory does not grow with the shot, and samples may be spread over files.
+
+USD has other conventions than antdsl: matrices for row vectors, linear colours, focal lengths in tenths of a unit."""

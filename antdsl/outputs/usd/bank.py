@@ -1,8 +1,9 @@
 """A bank of poses: for each species, the prototypes of its agents' instances, created at first use.
 
-A pose is the topmost clip on the agent's complete body plus the clip on each part, each at the nearest of some moments. A clip
-counts if it has most of its machine's weight. An agent that walks on its feet but plays no walking clip gets one, by its speed,
-at the phase of its gait. A prototype is a pose in a state's colour."""
+A pose consists of the topmost clip on the complete body and the clip on each transform group. Each clip is at the nearest of a
+few
+moments. A clip counts if it has most of its machine's weight. An agent that walks on its feet but plays no walking clip gets one.
+This clip is chosen by the agent's speed, at the phase of its gait. A prototype is a pose in the colour of a state."""
 
 from __future__ import annotations
 
@@ -32,7 +33,7 @@ _MAX_FINE_TRIANGLES = 1500  # triangles above which the coarse body is taken
 
 
 class PrototypeBank:
-    """The poses of one species, as classes, and its prototypes, below the path of its instancer."""
+    """The poses of one species (as class prims), and its prototypes below the path of its instancer."""
 
     def __init__(self, out: StageOutput, species: SpeciesEntry, close: bool = False) -> None:
         self._stage, self._name, self._close = out.stage, out.name("species", species.name), close
@@ -46,14 +47,14 @@ class PrototypeBank:
         self._states = [identifier(state.name) for state in states]
 
     def prototype_numbers(self, agents: SpeciesSample) -> NDArray[np.int32]:
-        """Return the prototype of each agent, int32[n]: an index of `paths`."""
+        """Return the prototype of each agent as an index of `paths`, int32[n]."""
         found = np.zeros(len(agents.ids), np.int32)
         for rows, keys, which in self._keys(agents):
             found[rows] = np.array([self._prototype(*key) for key in keys], np.int32)[which]
         return found
 
     def poses_of(self, agents: SpeciesSample) -> list[str]:
-        """The paths of the poses that agents are in."""
+        """Return the path of each agent's pose."""
         pose_paths = [""] * len(agents.ids)
         for rows, keys, which in self._keys(agents):
             paths = [self._pose(body, *played) for body, _, *played in keys]
@@ -62,8 +63,9 @@ class PrototypeBank:
         return pose_paths
 
     def _keys(self, agents: SpeciesSample) -> Iterator[tuple[NDArray[np.intp], list[tuple[int, ...]], NDArray[np.intp]]]:
-        """Yield for each worn body the rows of its agents, the distinct keys (body, state, clip of each machine), and each
-        agent's key index."""
+        """Yield, for each worn body: the rows of its agents, the distinct keys, and the index of each agent's key.
+
+        A key consists of the body, the state, and the codes of the played clips."""
         state = np.full(len(agents.ids), -1) if agents.state is None else agents.state
         for crowd, rows in agents.parts:
             if crowd.worn is None:
@@ -84,7 +86,7 @@ class PrototypeBank:
         return len(self._bodies) - 1
 
     def _pose(self, body: int, *played: int) -> str:
-        """The mesh of what machines play."""
+        """Return the path of the mesh for a body with these clip codes. It is written at its first use."""
         key = (body, *played)
         if key not in self._poses:
             self._poses[key], reach = self._bodies[body][1].write(len(self._poses), list(played))
@@ -92,7 +94,7 @@ class PrototypeBank:
         return self._poses[key]
 
     def _prototype(self, body: int, state: int, *played: int) -> int:
-        """The pose in the colour of a state."""
+        """Return the index of the prototype of a pose in the colour of a state. It is written at its first use."""
         key = (body, state, *played)
         if key not in self._numbers:
             self._numbers[key] = len(self.paths)
@@ -105,14 +107,16 @@ class PrototypeBank:
 
 
 def add_coloured_mesh(stage: Any, path: str, pose: str) -> Any:
-    """Return a mesh that shows a pose and is loaded where it is drawn. Materials of states use its primvar displayColor."""
+    """Add a mesh that shows a pose, and return its primvar displayColor, which the materials of states use.
+
+    The mesh is a payload, so it is loaded only where it is drawn."""
     prim = stage.DefinePrim(path, "Mesh")
     prim.GetPayloads().AddInternalPayload(pose)
     return pxr("UsdGeom").PrimvarsAPI(prim).CreatePrimvar("displayColor", pxr("Sdf").ValueTypeNames.Color3fArray, "constant")
 
 
 class _PoseBody:
-    """A body that poses are written of."""
+    """A body from which poses are written."""
 
     def __init__(self, stage: Any, name: str, worn: PosedBody, close: bool) -> None:
         self._stage, self._path = stage, f"{BODIES_PATH}/{name}"
@@ -136,19 +140,21 @@ class _PoseBody:
 
 
 def bank_clips(worn: PosedBody) -> list[PlayedClip]:
-    """Return the clips for poses of a bank: those that the species plays, the idle clip, and the walking clips."""
+    """Return the clips for the poses of a bank: the clips that the species plays, the idle clip, and the walking clips."""
     clips = worn.definition.clips
     strides = [PlayedClip(name) for name, clip in clips.items() if clip.loop and clip.stride > 0 and clip.duration > 0]
     return [*(PlayedClip(*each) for each in worn.clips), PlayedClip(worn.definition.idle), *strides]
 
 
 def played_codes(worn: PosedBody, crowd: Crowd, speed: NDArray[np.float64] | None) -> list[NDArray[np.int64]]:
-    """Return what the bodies of a crowd play, int64[n] each: first the topmost clip on the whole body, then for each machine the
-    clip on a transform group.
+    """Return codes int64[n] of the clips that the bodies of a crowd play.
 
-    0 is nothing, else (clip + 1) · (SAMPLES + 1) + the nearest of SAMPLES moments; clips are those of `bank_clips`. An agent that
-    moves, but plays no moving clip, gets the clip with a speed nearest to its `speed` [n] (body lengths a second). Its phase is
-    that of the feet."""
+    The first array is the topmost clip on the complete body. The others are, by machine, the clip on a transform group.
+    A code is 0 for no clip, else (clip + 1) · (POSES_PER_CLIP + 1) + the nearest moment. `clip` is an index of `bank_clips`.
+
+    `speed` [n]: body lengths per second, or None. An agent that moves, but plays no walking clip, gets the walking clip nearest
+        to its
+    speed. The phase is that of its feet."""
     clips = [worn.definition.clips.get(each.clip) for each in bank_clips(worn)]
     loops = np.array([clip is not None and clip.loop for clip in clips] + [False])
     groups = np.array([bool(each.on) for each in bank_clips(worn)] + [False])
@@ -174,7 +180,7 @@ def played_codes(worn: PosedBody, crowd: Crowd, speed: NDArray[np.float64] | Non
 
 
 def _code(clip: NDArray[np.int64], turns: NDArray[np.float64], loops: Array, steps: Array) -> NDArray[np.int64]:
-    """Return one number for a clip and the nearest of its moments."""
+    """Return one number for each clip and the nearest of its moments."""
     part = np.where(loops[clip], turns - np.floor(turns), np.clip(turns, 0.0, 1.0))
     step = np.rint(part * steps[clip]).astype(np.int64)
     step = np.where(loops[clip], step % steps[clip], step) * (POSES_PER_CLIP // steps[clip])
@@ -189,7 +195,7 @@ def _with_walking_clips(
     phase: NDArray[np.float64],
     speed: NDArray[np.float64],
 ) -> NDArray[np.int64]:
-    """Return the clips of bodies, with a walking clip for bodies that move and play none."""
+    """Return the codes of the bodies, with a walking clip for bodies that move but play none."""
     first = len(worn.clips) + 1
     speeds = np.array([clip.stride / clip.duration / worn.definition.length for clip in clips[first:] if clip is not None])
     clip = body_codes // (POSES_PER_CLIP + 1) - 1

@@ -1,7 +1,8 @@
-"""An agent definition as UsdSkel: a skeleton and the shapes of a layer, bound to it, with their materials.
+"""An agent definition as UsdSkel: a skeleton, and the shapes of a layer bound to it, with their materials.
 
-A shape is static if all its points follow its joint. UsdSkel has one bind pose a skeleton: shapes captured in a different pose
-get a separate skeleton of the same joints. UsdSkel blends shapes first and skins then, linearly or by dual quaternions; other
+A shape is static if all its points follow its joint. UsdSkel has one bind pose per skeleton. So shapes captured in a different
+pose
+get a separate skeleton with the same joints. UsdSkel first blends shapes, then skins them, linearly or by dual quaternions. Other
 features of a definition are left out and reported."""
 
 from __future__ import annotations
@@ -23,11 +24,14 @@ _SAME_POSE_TOLERANCE = 1e-5  # body lengths by which bind poses may differ and b
 
 @dataclass(slots=True)
 class SkelDefinition:
-    """A written body: `path` of the prim that agents are instances of, `joints` by their paths in the rig's order, names of
-    `channels` that blend.
+    """A written body.
 
-    `tinted`: meshes below it in the colour of the agent. `notes`: what UsdSkel cannot represent. `number`: its index among the
-    bodies of its species, from 1."""
+    `path`: the prim that agents are instances of.
+    `joints`: paths of the joints, in the rig's order.
+    `channels`: the channels that weight blend shapes.
+    `tinted`: meshes below `path` in the colour of the agent.
+    `notes`: sentences on what UsdSkel cannot represent.
+    `number`: the index of the body among those of its species, from 1."""
 
     path: str
     joints: tuple[str, ...]
@@ -38,8 +42,10 @@ class SkelDefinition:
 
 
 def write_definition(stage: Any, path: str, body: PosedBody, looks: MaterialBinder, close: bool = False) -> SkelDefinition:
-    """Write a body as a SkelRoot at a path, in agents' own space: length 1 along +x, up +y; `looks` are its
-    materials. One with a layer for close-ups has the variants `crowd` and `close` of its set `detail`; `close` chooses."""
+    """Write a body as a SkelRoot at `path`, in the space of agents: length 1 along +x, up +y.
+
+    `looks`: the body's materials. A body with a close-up form has a variant set `detail` with the variants `crowd` and `close`.
+    `close`: selects the variant `close`."""
     skel, definition = pxr("UsdSkel"), body.shaded
     root = skel.Root.Define(stage, path)
     joints = joint_paths(definition)
@@ -71,7 +77,7 @@ def write_definition(stage: Any, path: str, body: PosedBody, looks: MaterialBind
 
 
 def _add_variants(prim: Any, names: list[str], chosen: str) -> None:
-    """Add variants, each of which hides the others."""
+    """Add a variant set `detail`. Each variant hides the others."""
     variants = prim.GetVariantSets().AddVariantSet("detail")
     for name in names:
         variants.AddVariant(name)
@@ -84,7 +90,7 @@ def _add_variants(prim: Any, names: list[str], chosen: str) -> None:
 
 
 def joint_paths(definition: Definition) -> tuple[str, ...]:
-    """Return the joints of a rig as paths from its roots, with names valid in USD; equal names get numbers."""
+    """Return the joints of a rig as paths from its roots, with names valid in USD. Equal names get numbers."""
     paths: list[str] = []
     taken: set[str] = set()
     for name, parent in zip(definition.rig.names, definition.rig.parents.tolist(), strict=True):
@@ -94,7 +100,7 @@ def joint_paths(definition: Definition) -> tuple[str, ...]:
 
 
 def rest_world(definition: Definition) -> Array:
-    """World matrices float64[J, 4, 4] of the rest pose."""
+    """Return the world matrices float64[J, 4, 4] of the joints in the rest pose."""
     world = np.array(definition.rig.rest, np.float64)
     for joint, parent in enumerate(definition.rig.parents.tolist()):
         if parent >= 0:
@@ -103,14 +109,17 @@ def rest_world(definition: Definition) -> Array:
 
 
 class _SkeletonTable:
-    """The skeletons of a definition, one for each bind pose that its shapes were captured in."""
+    """The skeletons of a definition: one for each bind pose in which shapes were captured."""
 
     def __init__(self, stage: Any, path: str, definition: Definition, joints: tuple[str, ...]) -> None:
         self._stage, self._path, self._definition, self._joints = stage, path, definition, joints
         self._rest, self._made = rest_world(definition), list[tuple[str, Array, Array, Any]]()
 
     def find_or_add(self, shape: Shape) -> str:
-        """Return the path of a skeleton with the bind pose of a shape; make it, or fill it in, if there is none yet."""
+        """Return the path of a skeleton with the bind pose of a shape.
+
+        If no existing skeleton fits, add one. Joints of an existing skeleton that had no bind pose yet get the pose of this
+        shape."""
         capture = shape.capture
         numbers = [self._definition.rig.joint(name) for name in capture.names] if capture else []
         target = np.linalg.inv(capture.inverse) if capture else np.zeros((0, 4, 4))
@@ -132,7 +141,7 @@ class _SkeletonTable:
         return path
 
     def bind_of(self, path: str, joint: int) -> Array:
-        """Return the bind pose of a joint, which is fixed from then on."""
+        """Return the bind pose of a joint. It does not change afterwards."""
         _, bind, known, _ = next(each for each in self._made if each[0] == path)
         known[joint] = True
         pose: Array = bind[joint]
@@ -173,7 +182,7 @@ def _write_shape(
 
 
 def _note_differences(skel_definition: SkelDefinition, binding: Binding, shape: Shape, steps: list[str]) -> None:
-    """Note, once for a binding, what UsdSkel does differently."""
+    """Add notes on what UsdSkel does differently from a binding."""
     if "dualquatblendskinning" in steps:
         skel_definition.notes.append(
             f"`{shape.name}` blends linear and dual quaternion skinning: UsdSkel has one of them, dual quaternions"
@@ -199,7 +208,7 @@ def _write_capture(api: Any, definition: Definition, shape: Shape) -> None:
 
 
 def _write_blends(stage: Any, path: str, api: Any, definition: Definition, shape: Shape) -> None:
-    """Write the inputs of a blend shape, each as a BlendShape that is weighted by the channel of its name."""
+    """Write the inputs of a blend shape, each as a BlendShape weighted by the channel of the same name."""
     blend, skel = shape.blend, pxr("UsdSkel")
     assert blend is not None
     targets: list[Any] = []
@@ -226,7 +235,7 @@ def _write_blends(stage: Any, path: str, api: Any, definition: Definition, shape
 
 
 def _offsets(base: Shape, target: Shape, name: str, rows: Array, other: Array, blended: tuple[str, ...]) -> Array:
-    """Return the offsets float32[P, 3] from the points of the base to those of another shape."""
+    """Return the differences float32[P, 3] of an attribute (`name`) between the points of `base` and those of `target`."""
     offsets = np.zeros((len(base.points), 3), np.float32)
     if name in blended and values_of(base, name) is not None and values_of(target, name) is not None:
         offsets[rows] = attribute_difference(base, target, name, rows, other).T

@@ -1,7 +1,8 @@
-"""A crowd as a point instancer: poses of its bodies as prototypes, agents as instances.
+"""A crowd as a point instancer. Poses of its bodies are prototypes, agents are instances.
 
-An array that changes has a sample at each time of the positions; velocities and angular velocities always have one. Readers use
-these only at the times of positions and orientations. The signs of quaternions follow the previous sample."""
+Positions, orientations, velocities and angular velocities have a sample at every time. Readers use velocities only at the times
+of
+positions and orientations. Other arrays have samples when they change. The signs of quaternions follow the previous sample."""
 
 from __future__ import annotations
 
@@ -21,7 +22,7 @@ from antdsl.scene.geometry.usd import pxr
 
 
 class InstancerWriter:
-    """One species: its agents as instances of a bank of poses."""
+    """Writer of one species: its agents are instances from a bank of poses."""
 
     notes: tuple[str, ...] = ()
 
@@ -47,7 +48,7 @@ class InstancerWriter:
         }
 
     def sample(self, time_sample: TimeSample) -> None:
-        """The agents at a time, by their ids."""
+        """Write the agents at a time, by their ids."""
         agents, time = time_sample.agents(self._number), time_sample.time
         prototypes = self._prototypes(agents, time_sample.shutter_agents[self._number])
         self._set(time, "positions", agents.position)
@@ -72,7 +73,7 @@ class InstancerWriter:
             self._targets = len(self._bank.paths)
 
     def _prototypes(self, agents: SpeciesSample, shutter_agents: SpeciesSample) -> NDArray[np.int32]:
-        """Return the prototype of each agent, constant while the shutter of a frame is open, since motion blur needs the same
+        """Return the prototype of each agent. It is constant while the shutter of a frame is open, since motion blur needs one
         mesh."""
         prototypes = self._bank.prototype_numbers(agents)
         if agents.ids is not shutter_agents.ids:
@@ -81,7 +82,7 @@ class InstancerWriter:
         return prototypes
 
     def _align_signs(self, agents: SpeciesSample) -> NDArray[np.float64]:
-        """Return orientations with the signs of the previous sample."""
+        """Return orientations as quaternions, with the signs of the previous sample."""
         turn = agents.orient.copy()
         at, is_matched = match_ids(agents.ids, self._signs[0])
         if is_matched.any():
@@ -106,7 +107,7 @@ class InstancerWriter:
         self._samples[name].set(time, values)
 
     def _primvar(self, time: float, name: str, values: Any) -> None:
-        """Write a value of each agent; states are indices of their names."""
+        """Write one value per agent as a primvar. States are written as indices of their names."""
         if name not in self._samples:
             types, vt = pxr("Sdf").ValueTypeNames, pxr("Vt")
             is_integer = np.asarray(values).dtype.kind in "iu"

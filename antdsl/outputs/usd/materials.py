@@ -1,5 +1,6 @@
-"""Materials as UsdPreviewSurface: colours of their own, and one that takes the colour of what it is on; and the mesh of a
-posed body with what they need: which of them each triangle has, normals and texture coordinates."""
+"""Materials as UsdPreviewSurface. Each has one colour, or takes the colour of the prim that it is bound to.
+
+`DrawnBody` is the mesh of a posed body with its materials by triangle, normals and texture coordinates."""
 
 from __future__ import annotations
 
@@ -23,7 +24,7 @@ _DEFAULT_COLOUR = (0.35, 0.35, 0.35)  # where nothing says a colour
 
 
 class MaterialBinder:
-    """Materials below one prim, each created at its first use."""
+    """The materials below one prim. Each is created at its first use."""
 
     def __init__(self, stage: Any, path: str, colours: Mapping[str, tuple[float, float, float]]) -> None:
         self._stage, self._path, self._colours = stage, path, colours
@@ -32,8 +33,8 @@ class MaterialBinder:
         self._made: dict[str, Any] = {}
 
     def bind(self, prim: Any, name: str) -> bool:
-        """Bind a material by its name. One without a colour, such as `state`, takes the primvar displayColor; returns True
-        then."""
+        """Bind the material `name` to a prim. Return whether it takes the primvar displayColor, as materials without a colour
+        do."""
         own = name in self._colours and name != STATE_MATERIAL
         known = name if own else STATE_MATERIAL
         if known not in self._made:
@@ -43,8 +44,9 @@ class MaterialBinder:
         return not own
 
     def bind_faces(self, mesh: Any, names: tuple[str, ...], material: Array) -> bool:
-        """Bind materials to the faces of a mesh: `material` int[m] are indices of `names`; a single one is bound to the complete
-        mesh. Return whether some use the primvar displayColor."""
+        """Bind materials to the faces of a mesh. Return whether one of them takes the primvar displayColor.
+
+        `material` int[m]: indices of `names`. If all faces have the same material, it is bound to the mesh itself."""
         used = np.unique(material).tolist() if len(material) else [0]
         if len(used) == 1:
             return self.bind(mesh.GetPrim(), names[used[0]])
@@ -58,7 +60,7 @@ class MaterialBinder:
 
 
 def _surface(stage: Any, path: str, colour: tuple[float, float, float] | None) -> Any:
-    """Return a material of one colour (linear), or of the colour in the primvar displayColor."""
+    """Return a material of one colour (linear). If `colour` is None, it takes the colour of the primvar displayColor."""
     shade, types, gf = pxr("UsdShade"), pxr("Sdf").ValueTypeNames, pxr("Gf")
     material = shade.Material.Define(stage, path)
     surface = shade.Shader.Define(stage, f"{path}/surface")
@@ -78,8 +80,11 @@ def _surface(stage: Any, path: str, colour: tuple[float, float, float] | None) -
 
 
 class DrawnBody:
-    """A mesh with materials: `faces` int32[m, 3]; `material` int64[m] are indices of `names`; `uvs` float32[v, 2], or None where
-    no shape has texture coordinates."""
+    """The mesh of a body with materials.
+
+    `faces` int32[m, 3].
+    `material` int64[m]: indices of `names`.
+    `uvs` float32[v, 2]: texture coordinates; None if no shape has any."""
 
     def __init__(self, body: PosedBody) -> None:
         self.body = body
@@ -115,7 +120,7 @@ class DrawnBody:
 
 
 def single_clip(clip: NDArray[np.integer], turns: NDArray[np.floating]) -> MachineClips:
-    """Return agents that play one clip each (-1 for none), with full weight and no fade."""
+    """Return the clips of agents that play one clip each (-1 for none), with full weight and no fade."""
     chosen = np.asarray(clip, np.int16)
     none, one = np.zeros(len(clip), np.float32), np.ones(len(clip), np.float32)
     return MachineClips(chosen, np.asarray(turns, np.float32), one, np.full(len(clip), -1, np.int16), none, none, none)

@@ -1,8 +1,9 @@
-"""Agents of a species at any time of a cache: in a frame or between two frames, each by its id.
+"""Agents of a species at any time of a cache, by id: in a frame or between two frames.
 
-Between two frames, positions and scales are interpolated linearly, and orientations rotate at a constant rate by the shorter
-direction. This matches the velocities and angular velocities, which lead from a frame to the next. An agent missing from the next
-frame continues at its own velocity."""
+Between two frames, positions and scales are interpolated linearly. Orientations rotate at a constant rate by the smaller angle.
+This
+matches the velocities and angular velocities, which lead from a frame to the next. An agent missing from the next frame continues
+at its own velocity."""
 
 from __future__ import annotations
 
@@ -24,12 +25,18 @@ _CACHED_FRAMES = 3  # frames in memory: the one before, this and the next
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SpeciesSample:
-    """Agents of a species, by ascending id: `ids` int64[n], `position` [n, 3], `orient` [n, 4] (x y z w, unit), `scale` [n],
-    `colour` float64[n, 3] (display).
+    """Agents of a species, by ascending id.
 
-    `velocity` [n, 3] is in units per second, `turning` [n, 3] in degrees per second about world axes. `own_velocity` [n, 3] is
-    relative to the ground, as in the cache. `state` is int64[n] or None; `numbers`: further values by name. `parts`: crowds with
-    one worn body each, and their rows here. `is_visible` bool[n]: agents with a position that can be drawn."""
+    `ids` int64[n].
+    `position` [n, 3], `orient` [n, 4] (unit quaternions x y z w), `scale` [n].
+    `colour` float64[n, 3]: display values.
+    `velocity` [n, 3]: units per second.
+    `turning` [n, 3]: degrees per second about world axes.
+    `own_velocity` [n, 3]: velocity relative to the ground, as in the cache.
+    `state` int64[n], or None.
+    `numbers`: further values, by name.
+    `parts`: crowds with one body each, and the rows of their agents.
+    `is_visible` bool[n]: whether the agent has a position that can be drawn."""
 
     ids: NDArray[np.int64]
     position: Floats
@@ -47,9 +54,15 @@ class SpeciesSample:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TimeSample:
-    """A time in frames: the `picture` of the frame at or before it, and the agents of each species there. `next_agents`: those of
-    the next frame if it is in the cache, else `previous_agents`. `share`: the position of the time between the two frames. `dt`:
-    seconds between frames. `shutter_agents`: the agents of the frame with the open shutter."""
+    """The agents at one time.
+
+    `time`: in frames.
+    `share`: the position of the time between its frame and the next one.
+    `dt`: seconds between frames.
+    `picture`, `species`: the frame at or before the time, and its agents by species.
+    `next_agents`: the agents of the next frame, if the cache has it.
+    `previous_agents`: the agents of the previous frame, if the cache has no next frame.
+    `shutter_agents`: the agents of the frame for which the shutter is open."""
 
     time: float
     share: float
@@ -70,7 +83,7 @@ class TimeSample:
 
 @dataclass(slots=True)
 class TimeSamples:
-    """Moments of a cache, requested in order."""
+    """Samples of a cache at times, which must be requested in order."""
 
     gallery: Gallery
     _known: set[int] = field(default_factory=set)
@@ -81,7 +94,8 @@ class TimeSamples:
         self._known = set(self.gallery.cache.frames())
 
     def at(self, time: float, frame: int) -> TimeSample:
-        """A time that belongs to a frame which is in the cache. Raises CacheError where a frame is damaged."""
+        """Return the agents at `time`, which belongs to `frame`, a frame of the cache. Raises CacheError if a frame is
+        damaged."""
         first = int(np.floor(time + 1e-9))
         first = first if first in self._known else frame
         share = float(time) - first
@@ -90,12 +104,13 @@ class TimeSamples:
         return TimeSample(time, share, self.gallery.dt, picture, agents, *self._beside(first), self._frame(frame)[1])
 
     def _beside(self, frame: int) -> tuple[tuple[SpeciesSample, ...] | None, tuple[SpeciesSample, ...] | None]:
-        """Return the agents of the next frame, else those of the previous one; None for each that does not exist."""
+        """Return the agents of the next frame, and of the previous frame only if there is no next. None for a frame that does not
+        exist."""
         next_agents = self._frame(frame + 1)[1] if frame + 1 in self._known else None
         return next_agents, self._frame(frame - 1)[1] if next_agents is None and frame - 1 in self._known else None
 
     def _with_velocities(self, frame: int) -> tuple[SpeciesSample, ...]:
-        """The agents of a frame, with velocities that lead to the next."""
+        """Return the agents of a frame, by species, with velocities that lead to the next frame."""
         if frame not in self._leading:
             agents, beside = self._frame(frame)[1], self._beside(frame)
             self._leading = dict(list(self._leading.items())[1 - _CACHED_FRAMES :])
@@ -116,7 +131,7 @@ class TimeSamples:
 
 
 def _agents(gallery: Gallery, picture: Picture, arrays: Arrays, number: int) -> SpeciesSample:
-    """The agents of a species in a frame, with the velocities that the cache has."""
+    """Return the agents of a species in a frame, with the velocities of the cache."""
     name = gallery.manifest.species[number].name
     rows = species_rows(arrays, number)
     ids = agent_ids(arrays)[rows] if "id" in arrays else np.arange(len(rows))
@@ -149,7 +164,7 @@ def _agents(gallery: Gallery, picture: Picture, arrays: Arrays, number: int) -> 
 
 
 def _part(crowd: Crowd, ids: NDArray[np.int64]) -> tuple[Crowd, NDArray[np.intp]]:
-    """A crowd and its rows among all of its species."""
+    """Return a crowd, and the rows of its agents among all agents (`ids`) of the species."""
     if crowd.ids is None or len(crowd.position) == len(ids):
         return crowd, np.arange(len(crowd.position))
     return crowd, np.searchsorted(ids, crowd.ids)
@@ -158,7 +173,7 @@ def _part(crowd: Crowd, ids: NDArray[np.int64]) -> tuple[Crowd, NDArray[np.intp]
 def _leading_velocities(
     agents: SpeciesSample, dt: float, next_agents: SpeciesSample | None, previous_agents: SpeciesSample | None
 ) -> SpeciesSample:
-    """Return agents with velocities that lead to the next frame; for the last frame, those that led to it."""
+    """Return agents with velocities that lead to the next frame. In the last frame, they are the velocities that led to it."""
     other = next_agents or previous_agents
     if other is None or not len(agents.ids):
         return agents
@@ -176,8 +191,9 @@ def _leading_velocities(
 
 
 def rotation_vector(first: Floats, second: Floats) -> Floats:
-    """Return the rotations between orientations (n, 4: x y z w, unit) by the shorter direction, as world axes times radians (n,
-    3)."""
+    """Return the rotations between orientations (n, 4: x y z w, unit), by the smaller angle. The results (n, 3) are world axes
+    times
+    radians."""
     a, b = first, second * np.where((first * second).sum(axis=1) < 0, -1.0, 1.0)[:, None]
     real = (a * b).sum(axis=1)
     axis = a[:, 3:] * b[:, :3] - b[:, 3:] * a[:, :3] - np.cross(b[:, :3], a[:, :3])
@@ -189,7 +205,7 @@ def rotation_vector(first: Floats, second: Floats) -> Floats:
 
 
 def rotate_by(orient: Floats, turn: Floats) -> Floats:
-    """Return orientations (n, 4) rotated about world axes; `turn` is axes times radians (n, 3)."""
+    """Return orientations (n, 4) rotated about world axes. `turn` (n, 3): axes times radians."""
     angle = np.linalg.norm(turn, axis=1)
     by = np.where(angle > 1e-12, np.sin(angle / 2) / np.maximum(angle, 1e-12), 0.5)
     v, w = turn * by[:, None], np.cos(angle / 2)[:, None]
@@ -200,7 +216,7 @@ def rotate_by(orient: Floats, turn: Floats) -> Floats:
 
 
 def _interpolate(agents: SpeciesSample, next_agents: SpeciesSample | None, share: float, dt: float) -> SpeciesSample:
-    """Return agents at a fraction `share` of the time to the next frame."""
+    """Return agents at the fraction `share` of the time to the next frame."""
     scale = agents.scale
     if next_agents is not None:
         at, is_matched = match_ids(agents.ids, next_agents.ids)

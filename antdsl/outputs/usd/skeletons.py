@@ -1,4 +1,4 @@
-"""A crowd as UsdSkel: each agent an instance of its body's definition, with a separate SkelAnimation."""
+"""A crowd as UsdSkel: each agent is an instance of its body's definition, with a separate SkelAnimation."""
 
 from __future__ import annotations
 
@@ -34,8 +34,9 @@ _MAX_IGNORED_SHEAR = 1e-4  # of a joint, above which what UsdSkel omits is repor
 class SkeletonWriter:
     """Writer of one species: an instance for each agent, with its animation beside it.
 
-    With `copies`, agents are full copies, and their meshes have the state colours themselves. This is for programs that do not
-    pose instances or inherit primvars."""
+    With `copies`, agents are full copies, and their meshes have the state colours. Some programs need this, because they do not
+    pose
+    instances or inherit primvars."""
 
     def __init__(self, out: StageOutput, species: SpeciesEntry, number: int, copies: bool = False, close: bool = False) -> None:
         self._out, self._species, self._number, stage = out, species, number, out.stage
@@ -51,14 +52,14 @@ class SkeletonWriter:
 
     @property
     def notes(self) -> list[str]:
-        """What UsdSkel does not hold of the bodies."""
+        """Return sentences on what UsdSkel cannot represent of the bodies."""
         messages = [note for _, definition in self._bodies.values() for note in definition.notes]
         if self._sheared:
             messages.append(f"joints of `{self._species.name}` are sheared: UsdSkel has no shear, it is left out")
         return messages
 
     def sample(self, time_sample: TimeSample) -> None:
-        """Write the agents at a time. Missing agents are hidden."""
+        """Write the agents at a time. Agents that are missing at this time are hidden."""
         agents = time_sample.agents(self._number)
         self._first = time_sample.time if self._first is None else self._first
         visible_keys = set[tuple[int, int]]()
@@ -77,14 +78,14 @@ class SkeletonWriter:
                 visible_keys.add((int(agents.ids[row]), definition.number))
                 agent.place(time_sample.time, agents, row, colour[row])
                 agent.pose(time_sample.time, [each[k] for each in joints.values], joints.channels[k, channels])
-        if self._file != self._out.number:  # a file of values says of all that it may show later that they are not there yet
+        if self._file != self._out.number:  # a new file of values first hides all agents that may appear in it later
             self._file, self._there = self._out.number, set(self._agents)
         for hidden_key in sorted(self._there - visible_keys):
             self._agents[hidden_key].hide(time_sample.time)
         self._there = visible_keys
 
     def _agent(self, name: int, body: SkelDefinition, time: float) -> _AgentPrim:
-        """Return the instance of a body for an agent. An agent that changes its layers later gets another instance."""
+        """Return the instance of a body for an agent. If the agent's layers change later, it gets another instance."""
         if (name, body.number) not in self._agents:
             assert self._first is not None
             path = f"agent_{name}" if name not in self._named else f"agent_{name}_{body.number}"
@@ -105,7 +106,9 @@ class SkeletonWriter:
 
 
 class _JointSamples:
-    """Local transforms of joints of n agents: `values` are translations, rotations (x y z w) and scales float32[n, J, 3 or 4];
+    """Local transforms of the joints of n agents.
+
+    `values`: translations, rotations (x y z w) and scales, float32[n, J, 3 or 4].
     `channels` float32[n, C]."""
 
     def __init__(self, poses: Poses) -> None:
@@ -120,8 +123,9 @@ class _JointSamples:
         self.channels = np.asarray(poses.channels, np.float32)
 
     def mix(self, rows: NDArray[np.bool_], other: _JointSamples, at: NDArray[np.intp], share: float) -> None:
-        """Interpolate the joints at some rows towards others by `share`, or extrapolate: linearly, rotations by the shorter
-        direction."""
+        """Interpolate or extrapolate the joints in some rows towards those of `other` by `share`, linearly.
+
+        `at`: the row of each agent in `other`. Rotations go by the smaller angle."""
         for k, (mine, theirs) in enumerate(zip(self.values, other.values, strict=True)):
             towards = theirs[at[rows]]
             if k == 1:
@@ -133,7 +137,7 @@ class _JointSamples:
 
 
 def _joints(time_sample: TimeSample, number: int, part: int, body: PosedBody) -> _JointSamples:
-    """Return the joints of the agents with a body, at a time. Beyond the last frame, the last motion continues."""
+    """Return the joints of the agents with a body, at a time. After the last frame, the last motion continues."""
     agents = time_sample.species[number]
     crowd, rows = agents.parts[part]
     joints = _JointSamples(crowd.poses(local=True))
@@ -150,7 +154,7 @@ def _joints(time_sample: TimeSample, number: int, part: int, body: PosedBody) ->
 
 
 class _AgentPrim:
-    """An agent: a placed instance, and its animation."""
+    """The prims of one agent: a placed instance, and its animation."""
 
     def __init__(
         self,

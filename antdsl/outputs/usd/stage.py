@@ -1,9 +1,11 @@
-"""A cache as a USD stage: crowds in one of three forms, and the world around them, frame by frame.
+"""A cache as a USD stage: crowds in one of three forms, and the world, frame by frame.
 
-Values over time may be in files of their own, so many frames in each (USD's value clips): the stage stays small, and a program
-opens those of the frames that it shows. `shot.usdc` names `shot.values.0001.usdc`, `shot.values.0025.usdc` … by their first
-frames, and `shot.values.manifest.usda`, which says what attributes they have. Each ends with the first sample of the next, so
-that what lies between the two is known."""
+Values over time may be in separate files of a fixed number of frames each (USD's value clips). So the stage stays small, and a
+program opens only the files of the frames that it shows.
+
+`shot.usdc` names the files `shot.values.0001.usdc`, `shot.values.0025.usdc` …, numbered by their first frames. It also names
+`shot.values.manifest.usda`, which lists their attributes. Each file ends with the first sample of the next file, so that values
+between the two can be interpolated."""
 
 from __future__ import annotations
 
@@ -32,16 +34,18 @@ from antdsl.whole import atomic_path
 
 _DEFAULT_CLIP_SET = "default"  # the name of a prim's first set of clips
 MAX_SKELETON_AGENTS = 200  # agents of a species up to which each has a skeleton
-_FRAMES_PER_SAVE = 24  # frames that wait in memory for their place in the file
+_FRAMES_PER_SAVE = 24  # frames in memory before the file is saved
 _SAME_TIME_FRAMES = 1e-6  # frames
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class XformOptions:
-    """Options. `shutter`: the interval around each frame, in frames, over which agents have samples, `samples` of them; None for
-    samples at frames only.
+    """Options of an export to USD.
 
-    `chunk`: the number of frames per file of values (0: all in the stage itself). `close`: use the bodies for close-ups."""
+    `shutter`: the interval around each frame, in frames, over which agents have samples; None for samples at frames only.
+    `samples`: the number of samples in this interval.
+    `chunk`: the number of frames per file of values; 0 writes all values into the stage itself.
+    `close`: use the close-up bodies."""
 
     shutter: tuple[float, float] | None = None
     samples: int = 3
@@ -51,8 +55,12 @@ class XformOptions:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class UsdOptions(XformOptions):
-    """`skeletons`: the largest number of agents of a species for which each has its own skeleton; more are instances of a bank of
-    poses. `copies`: agents with skeletons are no instances."""
+    """Options of an export with instances.
+
+    `skeletons`: up to this number of agents of a species, each agent has its own skeleton. More agents are instances from a bank
+        of
+    poses.
+    `copies`: agents with skeletons are full copies, not instances."""
 
     skeletons: int = MAX_SKELETON_AGENTS
     copies: bool = False
@@ -63,8 +71,9 @@ CrowdWriter = InstancerWriter | SkeletonWriter | XformWriter
 
 
 def export_instances(gallery: Gallery, frames: Iterable[int], path: Path, options: UsdOptions = _DEFAULT_OPTIONS) -> list[str]:
-    """Write these frames into a USD file: a species of few agents as skeletons, of many as a point instancer. The write is
-    atomic. Returns messages about what USD cannot hold.
+    """Write these frames into a USD file, atomically. Return messages about what USD cannot represent.
+
+    A species of few agents is written as skeletons, a species of many as a point instancer.
 
     Raises UsdError without usd-core, CacheError for a damaged frame, OSError if writing fails."""
     frames = list(frames)
@@ -84,7 +93,7 @@ def export_xforms(gallery: Gallery, frames: Iterable[int], path: Path, options: 
 
 
 def _max_agent_counts(gallery: Gallery, frames: list[int]) -> list[int]:
-    """Return the maximum number of agents of each species in any frame."""
+    """Return, for each species, the maximum number of its agents in any frame."""
     count = len(gallery.manifest.species)
     most = np.zeros(count, np.int64)
     for frame in frames:
@@ -95,7 +104,7 @@ def _max_agent_counts(gallery: Gallery, frames: list[int]) -> list[int]:
 
 
 def shutter_times(frame: int, options: XformOptions) -> list[float]:
-    """Return the sample times of agents for a frame: at the frame, and over the shutter interval."""
+    """Return the times at which agents have samples for a frame: the frame itself, and times in the shutter interval."""
     around = np.linspace(*options.shutter, options.samples) if options.shutter else np.zeros(1)
     sample_times: list[float] = sorted({round(frame + part, 6) for part in (0.0, *around.tolist())})
     return sample_times
@@ -121,14 +130,14 @@ def _export(
 
 @dataclass(frozen=True, slots=True)
 class _FrameWriters:
-    """All that is written of a frame."""
+    """The writers of everything that a frame contains."""
 
     world: WorldWriter
     crowds: list[CrowdWriter]
     moments: TimeSamples
 
     def at(self, time: float, frame: int) -> None:
-        """Write agents at a time, and at the frame itself the world."""
+        """Write the agents at a time. If the time is that of the frame itself, also write the world."""
         time_sample = self.moments.at(time, frame)
         if time == frame:
             self.world.frame(frame, time_sample.picture)
@@ -171,7 +180,7 @@ def _describe(stage: Any, gallery: Gallery, frames: list[int]) -> None:
 
 
 class ValueFiles:
-    """The files of values of a stage that is written to `path`."""
+    """The files with the values of a stage that is written to `path`."""
 
     def __init__(self, out: StageOutput, path: Path, frames: list[int], chunk: int) -> None:
         self._out, self._path, self._frames = out, path, frames
@@ -183,11 +192,11 @@ class ValueFiles:
             out.manifest = pxr("Sdf").Layer.CreateAnonymous("manifest.usda")
 
     def starts_new_file(self, frame: int) -> bool:
-        """Return whether values from a frame on go into a new file."""
+        """Return whether a new file begins with this frame."""
         return frame in self._starts[1:]
 
     def begin(self, frame: int) -> None:
-        """Write into the file that begins with a frame. Raises OSError."""
+        """Begin the file of the values from this frame on. Raises OSError if that fails."""
         if not self._starts:
             return
         self._save()
@@ -205,15 +214,17 @@ class ValueFiles:
         return self
 
     def __exit__(self, kind: type[BaseException] | None, problem: BaseException | None, trace: TracebackType | None) -> None:
-        """Move all files to their final paths, or none where anything failed. The stage of an earlier export is removed first,
-        since it would otherwise use these values if the new stage is never written."""
+        """Move all files to their final paths, or none if anything failed.
+
+        The stage of an earlier export is removed first. Otherwise it would use the new values if the new stage is never
+        written."""
         self._layer = self._out.clip = None
         if self._starts and kind is None:
             self._path.unlink(missing_ok=True)
         self._parts.__exit__(kind, problem, trace)
 
     def finish(self) -> None:
-        """Name all files in the stage."""
+        """Name all files of values in the stage."""
         self._save()
         if not self._starts:
             return

@@ -1,4 +1,4 @@
-"""Values over time, and arrays and names as USD has them; and what USD says of a disk that fails, as an OSError."""
+"""Values over time, arrays and names in the form of USD. Messages of USD about a failing disk become an OSError."""
 
 from __future__ import annotations
 
@@ -22,12 +22,13 @@ _DISK_ERRORS = (
 )  # fmt: skip
 ROOT_PATH = "/World"
 MATERIALS_PATH = "/World/looks"
-BODIES_PATH = "/bodies"  # classes: what is drawn only where something refers to it
+BODIES_PATH = "/bodies"  # class prims, which are drawn only where something refers to them
 Array = NDArray[Any]
 
 
 def root(stage: Any, origin: NDArray[np.float64]) -> Any:
-    """Return the root prim of a stage, moved in double precision by the origin of its positions (scene units)."""
+    """Return the root prim of a stage, moved in double precision by `origin` (scene units), which its positions are relative
+    to."""
     world = pxr("UsdGeom").Xform.Define(stage, ROOT_PATH)
     if origin.any():
         world.AddTranslateOp(pxr("UsdGeom").XformOp.PrecisionDouble, "origin").Set(pxr("Gf").Vec3d(*origin.tolist()))
@@ -35,10 +36,9 @@ def root(stage: Any, origin: NDArray[np.float64]) -> Any:
 
 
 class ValueSamples:
-    """Values of one attribute over time. A constant value is written at its start and end, since USD interpolates linearly
-    between samples.
+    """The values of one attribute over time. A constant value is written at its start and end, since USD interpolates linearly.
 
-    With `always`, it is written at every time, for readers that use it only at the times of other attributes."""
+    `always`: write a value at every time, for readers that use the attribute only at the times of other attributes."""
 
     def __init__(self, out: StageOutput, attribute: Any, convert: Callable[[Array], Any], kind: Any, always: bool) -> None:
         self._out, self._convert, self._kind, self._always = out, convert, kind, always
@@ -77,8 +77,10 @@ class ValueSamples:
 
 
 class StageOutput:
-    """The written stage and the target of values over time: the stage itself, or separate layers (`clip`), one after the other.
-    `manifest` names all attributes of these layers."""
+    """The written stage, and the layer that receives values over time.
+
+    `clip`: the layer that receives values; None for the stage itself.
+    `manifest`: a layer that lists all attributes with values in clips."""
 
     def __init__(self, stage: Any) -> None:
         self.stage: Any = stage
@@ -89,7 +91,7 @@ class StageOutput:
         self._named: dict[tuple[str, str], str] = {}
 
     def name(self, kind: str, name: str) -> str:
-        """Return a thing's name below the root: its own, or with a number where that is taken."""
+        """Return the name of a thing below the root, with a number if the name is taken by another thing."""
         if (kind, name) not in self._named:
             self._named[kind, name] = make_unique(identifier(name), self._taken)
         return self._named[kind, name]
@@ -97,16 +99,16 @@ class StageOutput:
     def samples(
         self, attribute: Any, convert: Callable[[Array], Any], kind: Any = np.float64, *, always: bool = False
     ) -> ValueSamples:
-        """Return the samples of an attribute, as arrays of a type that `convert` converts to USD's."""
+        """Return the values over time of an attribute. `convert` converts arrays of the type `kind` to USD's type."""
         return ValueSamples(self, attribute, convert, kind, always)
 
     def begin(self, clip: Any) -> None:
-        """Write values into another layer from now on, each of them again."""
+        """Write values into another layer from now on. Each attribute is written again at its next time."""
         self.clip, self.number = clip, self.number + 1
 
 
 class Visibility:
-    """Visibility of a prim over time. A prim that appears after the first time is hidden before."""
+    """The visibility of a prim over time. A prim that appears after the first time is hidden before it."""
 
     def __init__(self, out: StageOutput, prim: Any, first: float, time: float) -> None:
         self._samples = out.samples(prim.CreateVisibilityAttr(), lambda v: "inherited" if v[0] else "invisible", np.bool_)
@@ -114,27 +116,27 @@ class Visibility:
             self._samples.set(first, [False])
 
     def set(self, time: float, is_visible: bool) -> None:
-        """Whether it is there from a time on."""
+        """Set whether the prim is visible from a time on."""
         self._samples.set(time, [is_visible])
 
 
 def vectors(values: Array) -> Any:
-    """Rows (n, 3) as USD's array of vectors."""
+    """Return rows (n, 3) as USD's array of vectors."""
     return pxr("Vt").Vec3fArray.FromNumpy(np.ascontiguousarray(values, np.float32))
 
 
 def integers(values: Array) -> Any:
-    """Numbers (n) as USD's array of integers."""
+    """Return numbers (n,) as USD's array of integers."""
     return pxr("Vt").IntArray.FromNumpy(np.ascontiguousarray(values, np.int32))
 
 
 def matrix(columns: Array) -> Any:
-    """Convert a matrix (4, 4) for column vectors to USD's form for row vectors."""
+    """Return a matrix (4, 4) for column vectors in USD's form for row vectors."""
     return pxr("Gf").Matrix4d(*np.asarray(columns, np.float64).T.ravel().tolist())
 
 
 def matrices(columns: Array) -> Any:
-    """Convert matrices (n, 4, 4) for column vectors to USD's array of matrices for row vectors."""
+    """Return matrices (n, 4, 4) for column vectors as USD's array of matrices for row vectors."""
     turned = np.ascontiguousarray(np.asarray(columns, np.float64).transpose(0, 2, 1))
     return pxr("Vt").Matrix4dArray.FromNumpy(turned)
 
@@ -145,7 +147,7 @@ def box(points: Array) -> Array:
 
 
 def mesh(stage: Any, path: str, points: Array, faces: Array, normals: Array | None = None, uvs: Array | None = None) -> Any:
-    """Return a static mesh of triangles, with `normals` (n, 3) and `uvs` (n, 2) per point if given."""
+    """Add a static mesh of triangles and return it. `normals` (n, 3) and `uvs` (n, 2) are per point."""
     usd_mesh = pxr("UsdGeom").Mesh.Define(stage, path)
     usd_mesh.CreatePointsAttr(vectors(points))
     usd_mesh.CreateFaceVertexCountsAttr(integers(np.full(len(faces), 3)))
@@ -170,7 +172,7 @@ def name_states(prim: Any, species: SpeciesEntry) -> None:
 
 
 def make_unique(name: str, taken: set[str]) -> str:
-    """Return the name, with a number if it is taken, and mark it as taken."""
+    """Return the name, with a number if it is taken. The result is added to `taken`."""
     unique_name, number = name, 1
     while unique_name in taken:
         number += 1
@@ -180,15 +182,17 @@ def make_unique(name: str, taken: set[str]) -> str:
 
 
 def identifier(name: str) -> str:
-    """A name as USD allows it."""
+    """Return a name changed to a valid USD identifier."""
     word = re.sub("[^A-Za-z0-9_]", "_", name)
     return word if re.match("[A-Za-z_]", word) else f"_{word}"
 
 
 @contextmanager
 def disk_failures(path: Path) -> Iterator[None]:
-    """Raise an OSError that names `path` where a disk fails while USD writes. USD has the system's message only in its own
-    errors; all other errors pass unchanged."""
+    """Raise an OSError that names `path` if the disk fails while USD writes. USD reports the system's message only in its own
+    errors.
+
+    All other errors pass unchanged."""
     try:
         yield
     except pxr("Tf").ErrorException as problem:

@@ -37,7 +37,7 @@ _COLOUR_BY_KIND = {
 
 
 class WorldWriter:
-    """All of the world but its agents."""
+    """Writer of everything in the world except agents."""
 
     def __init__(self, out: StageOutput, gallery: Gallery, frames: list[int]) -> None:
         self._out, self._gallery, self._first = out, gallery, frames[0]
@@ -49,7 +49,7 @@ class WorldWriter:
         self._camera = _CameraWriter(out, gallery) if gallery.camera(frames[0]) else None
 
     def frame(self, frame: int, picture: Picture) -> None:
-        """The world in a frame."""
+        """Write the world in a frame."""
         for solid in picture.solids:
             if solid.name not in self._meshes:
                 path = f"{ROOT_PATH}/{self._out.name('mesh', solid.name)}"
@@ -70,8 +70,9 @@ class WorldWriter:
             self._camera.frame(frame)
 
     def _item(self, frame: int, number: int, item: Item) -> None:
-        """Write the body of an item, by its number among all, at its position. Its size shows the remaining amount, as in
-        pictures."""
+        """Write the body of an item at its position. Its size shows the remaining amount, as in pictures.
+
+        `number`: the index of the item among all items."""
         if item.shape == "none" or item.radius <= 0:
             return
         geom, stage = pxr("UsdGeom"), self._out.stage
@@ -95,7 +96,7 @@ class WorldWriter:
 
 
 class _CameraWriter:
-    """The scene's own camera."""
+    """Writer of the scene's own camera."""
 
     def __init__(self, out: StageOutput, gallery: Gallery) -> None:
         self._gallery, self._reaches = gallery, False
@@ -130,7 +131,7 @@ class _CameraWriter:
 
 
 class _MeshWriter:
-    """Writer of a mesh of the world; it writes what has changed since the previous frame."""
+    """Writer of one mesh of the world. It writes only what changed since the previous frame."""
 
     def __init__(self, out: StageOutput, path: str, up: str = "y") -> None:
         usd_mesh = pxr("UsdGeom").Mesh.Define(out.stage, path)
@@ -152,7 +153,7 @@ class _MeshWriter:
     def frame(self, frame: int, solid: Solid) -> None:
         if solid is not self._drawn:
             if self._drawn is None or self._drawn.faces is not solid.faces:
-                self._mapped = _uv_from_above(solid.vertices, self._up)  # stays on what moves without another shape
+                self._mapped = _uv_from_above(solid.vertices, self._up)  # constant while the faces are the same
             self._shaded = creased_normals(solid.vertices, solid.faces)
             self._drawn = solid
         self._counts.set(frame, np.full(len(solid.faces), 3))
@@ -164,7 +165,7 @@ class _MeshWriter:
 
 
 class _FieldWriter:
-    """A field as points in its colour, at the cells with some strength; the width of a point shows the strength."""
+    """Writer of a field as points in its colour, at the cells with some strength. The width of a point shows the strength."""
 
     def __init__(self, out: StageOutput, trail: Trail) -> None:
         geom = pxr("UsdGeom")
@@ -181,7 +182,7 @@ class _FieldWriter:
         usd_points.CreateDisplayColorPrimvar("constant").Set(vectors(decode_srgb(np.array([trail.colour]))))
 
     def nothing(self, frame: int) -> None:
-        """Write the field in a frame without any strength."""
+        """Write that the field has no points in a frame."""
         self._points.set(frame, np.zeros((0, 3)))
         self._widths.set(frame, np.zeros(0))
         self._strength.set(frame, np.zeros(0))
@@ -200,7 +201,8 @@ class _FieldWriter:
 
 
 def creased_normals(points: Array, faces: Array) -> Array:
-    """Unit normals float32[3 m, 3] of the corners of triangles: smooth, but where faces meet at more than 40 degrees."""
+    """Return unit normals float32[3 m, 3] of the corners of triangles. They are smooth, except where a face deviates by over 40
+    degrees."""
     corners = np.asarray(points, np.float64)[faces]
     flat = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     flat = unit_or(flat, np.array([0.0, 1.0, 0.0]))
@@ -211,7 +213,7 @@ def creased_normals(points: Array, faces: Array) -> Array:
 
 
 def _uv_from_above(points: Array, up: int) -> Array:
-    """Texture coordinates (n, 2) as seen from above, 0 to 1 over the longer side."""
+    """Return texture coordinates (n, 2) as seen from above. The longer side has the range 0 to 1."""
     flat = np.delete(np.asarray(points, np.float64), up, axis=1)
     if not len(flat):
         return np.zeros((0, 2), np.float32)
@@ -221,7 +223,7 @@ def _uv_from_above(points: Array, up: int) -> Array:
 
 
 def _uv_around(points: Array) -> Array:
-    """Texture coordinates (n, 2) around the middle of a body."""
+    """Return texture coordinates (n, 2) by direction from the centre of a body: longitude and latitude."""
     low, high = box(points)
     offset = points - (low + high) / 2
     size = np.maximum(np.linalg.norm(offset, axis=1), 1e-12)

@@ -1,4 +1,6 @@
-"""A crowd as one Xform an agent, with sampled translation, angles and scale: keyframes for programs that animate objects."""
+"""A crowd as one Xform per agent, with samples of translation, angles and scale.
+
+Programs that animate objects read these samples as keyframes."""
 
 from __future__ import annotations
 
@@ -16,8 +18,9 @@ from antdsl.scene.geometry.usd import pxr
 
 
 class XformWriter:
-    """Writer of one species: an Xform for each agent. Below it is the body in its first pose, shared by agents in the same
-    pose."""
+    """Writer of one species: an Xform for each agent, with the body in the agent's first pose below it.
+
+    Agents in the same pose share this body."""
 
     notes: tuple[str, ...] = ()
 
@@ -30,13 +33,13 @@ class XformWriter:
         self._file = out.number
 
     def sample(self, time_sample: TimeSample) -> None:
-        """Write the agents at a time. Missing agents are hidden."""
+        """Write the agents at a time. Agents that are missing at this time are hidden."""
         agents, time = time_sample.agents(self._number), time_sample.time
         self._first = time if self._first is None else self._first
         turn = self._angles.of(agents.ids, agents.orient)
         colour = decode_srgb(agents.colour)
         visible_ids = agents.ids[agents.is_visible]
-        if self._file != self._out.number:  # a file of values says of all that it may show later that they are not there yet
+        if self._file != self._out.number:  # a new file of values first hides all agents that may appear in it later
             self._file, self._there = self._out.number, np.array(sorted(self._agents), np.int64)
         for hidden_id in np.setdiff1d(self._there, visible_ids).tolist():
             self._agents[hidden_id].hide(time)

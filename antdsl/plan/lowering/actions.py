@@ -1,4 +1,4 @@
-"""Conversion of the language's statements to statements of the plan, for a state's body and for action blocks."""
+"""Lowers statements of the language to statements of the plan, for a state's body and for action blocks."""
 
 from __future__ import annotations
 
@@ -20,8 +20,8 @@ STEER_TEMP, GAZE_TEMP = "~steer", "~gaze"  # temps begin with a sign that no nam
 
 
 def write(w: PlanWriter, statements: Sequence[model.Statement], site: str, machine: str = "") -> None:
-    """Write statements in text order; those that cannot run yet are reported and left out. `machine`: that of the state with
-    these statements as its body."""
+    """Write statements in text order. Unsupported ones are reported and left out. `machine`: the machine of the state, if the
+    statements are a state's body."""
     for number, statement in enumerate(statements, 1):
         w.b.span = statement.span
         try:
@@ -38,7 +38,7 @@ def complain(w: PlanWriter, missing: UnsupportedConstruct) -> None:
 
 
 def _rate(w: PlanWriter, amount: PlanNode, per_second: bool) -> PlanNode:
-    """What is added in one step."""
+    """Return the amount that is added in one step: the value, times `dt` if it is per second."""
     return w.b("mul", amount, w.run("dt")) if per_second else amount
 
 
@@ -57,7 +57,7 @@ def _face(w: PlanWriter, s: model.FaceLine, site: str) -> None:
 
 
 def face(w: PlanWriter, register: str, direction: VectorNodes, span: Span | None) -> None:
-    """Store a direction to face in a temp, unless an earlier request has set one."""
+    """Store a direction to face in a temp, unless an earlier line has set one."""
     for axis in AXES:
         w.declare(f"{register}.{axis}", ValueKind.F32, "temp")
     previous = w.read_vector(register)
@@ -103,7 +103,7 @@ def _give(w: PlanWriter, s: model.Give, site: str) -> None:
 
 
 def _ask(w: PlanWriter, s: model.EffectRequest, site: str) -> None:
-    """Write a request as its row says. Its operands are the arguments, or are computed from them."""
+    """Write a request as its row defines. The operands are the arguments, or are computed from them."""
     rule = OPERAND_LOWERERS.get(s.op)
     if rule is not None:
         operands = rule(w, *s.args)
@@ -122,8 +122,8 @@ def _operand(w: PlanWriter, arg: model.Expr, per_second: bool) -> PlanNode:
 
 
 def _carve_ball(w: PlanWriter, size_of: model.Expr | None, toward: model.Expr | None) -> OperandTuple:
-    """Return a ball that is half a body and half its radius ahead, with its underside level with the feet: an agent that moves
-    ahead stays on that level."""
+    """Return the operands of a ball to carve. It is half a body and half its radius ahead, and its lowest point is level with the
+    feet. So an agent that moves ahead stays level."""
     assert size_of is not None
     b = w.b
     radius = scalar(w, size_of)

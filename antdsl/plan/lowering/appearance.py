@@ -1,8 +1,11 @@
-"""Appearance of agents in states, other than clips: worn layers, channels of the body, and look directions of its parts.
+"""Lowers the appearance of agents in states, except clips: worn layers, channels of the body, and look directions of transform
+groups.
 
-All machines contribute in each step; what none requests ends. Registers: `wear#LAYER`, a boolean; `channel#NAME` with
-`channel#NAME.said`; `look#GROUP.x`, `.y` and `.z`, a unit vector along the heading, the body's up and its right, (1, 0, 0)
-straight ahead. The requests of a step are collected in temps of the same names after `~`."""
+All machines may make requests in each step. An appearance without a request ends. The registers are:
+- `wear#LAYER`: a bool.
+- `channel#NAME`: the value. `channel#NAME.said`: whether a state sets it.
+- `look#GROUP.x`, `.y`, `.z`: a unit vector along the heading, the body's up and its right. (1, 0, 0) is straight ahead.
+The requests of a step are collected in temps with these names after `~`."""
 
 from __future__ import annotations
 
@@ -23,22 +26,22 @@ _LOOK_AHEAD = (1.0, 0.0, 0.0)
 
 
 def wears_of(species: model.Species) -> tuple[str, ...]:
-    """The layers that states wear, each once, in text order."""
+    """Return the layers that states wear, each once, in text order."""
     return tuple(dict.fromkeys(line.layer for line in _lines(species) if isinstance(line, model.Wear)))
 
 
 def channels_of(species: model.Species) -> tuple[str, ...]:
-    """The channels that states set, each once, in text order."""
+    """Return the channels that states set, each once, in text order."""
     return tuple(dict.fromkeys(line.channel for line in _lines(species) if isinstance(line, model.Channel)))
 
 
 def looks_of(species: model.Species) -> tuple[str, ...]:
-    """The transform groups that states turn to look at something, each once, in text order."""
+    """Return the transform groups that states turn towards a point, each once, in text order."""
     return tuple(dict.fromkeys(line.group for line in _lines(species) if isinstance(line, model.Look)))
 
 
 def declare(w: PlanWriter) -> None:
-    """The registers of a species."""
+    """Declare the registers of a species."""
     for role, sign in (("memory", ""), ("temp", "~")):
         for layer in wears_of(w.species):
             w.declare(f"{sign}wear#{layer}", ValueKind.BOOL, role)
@@ -53,7 +56,7 @@ def declare(w: PlanWriter) -> None:
 
 
 def begin(w: PlanWriter, starts: Sequence[model.State]) -> None:
-    """Write the appearance at birth, that of the start states. Looks begin straight ahead."""
+    """Write the appearance at birth, which is that of the start states. Looks begin straight ahead."""
     for state in starts:
         for line in state.body:
             if isinstance(line, (model.Wear, model.Channel)):
@@ -63,7 +66,7 @@ def begin(w: PlanWriter, starts: Sequence[model.State]) -> None:
 
 
 def settle(w: PlanWriter) -> None:
-    """Apply the requests of all machines after they have acted; looks turn by one step."""
+    """Apply the requests of all machines after their actions, and turn looks by one step."""
     _store_display(w)
     b = w.b
     for group in looks_of(w.species):
@@ -96,8 +99,8 @@ def _channel(w: PlanWriter, line: model.Channel, site: str) -> None:
 
 
 def _look(w: PlanWriter, line: model.Look, site: str) -> None:
-    """Write the look direction to a position in the agent's frame, limited to the allowed angle; straight ahead where there is no
-    such position."""
+    """Write the requested look direction towards a point, in the agent's frame and limited to the allowed angle. Without a point,
+    it is straight ahead."""
     b, register = w.b, f"~look#{line.group}"
     is_present, offset = offset_to(w, lower(w, line.at), line.at)
     direction = values.unit(b, values.vector_if(b, is_present, offset))

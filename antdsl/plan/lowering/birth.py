@@ -1,4 +1,4 @@
-"""Birth of an agent: its attributes in dependency order, `on spawn`, entry into its start states."""
+"""Lowers the birth of an agent: its attributes in dependency order, `on spawn`, and entry into its start states."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ BIRTH_ATTRIBUTES = ("size", "mass", "radius", "clearance", "max_speed", "min_spe
 
 
 def declare(w: PlanWriter) -> None:
-    """Registers of every agent, then the author's."""
+    """Declare the registers that every agent has, then those of the author's attributes."""
     for name in VECTOR_ATTRIBUTES:
         for axis in "xyz":
             w.declare(f"{name}.{axis}", ValueKind.F32, "attribute")
@@ -44,7 +44,8 @@ def declare(w: PlanWriter) -> None:
 
 
 def given_default(w: PlanWriter, name: str) -> PlanNode:
-    """Return the default of a built-in property that the author does not set (the card's `given`)."""
+    """Return the default of a built-in attribute that the author does not set. `docs/card.md` lists these attributes as
+    "given"."""
     b: PlanBuilder = w.b
     if name in _PLAIN_DEFAULTS:
         return b.number(_PLAIN_DEFAULTS[name])
@@ -85,7 +86,7 @@ def write_birth(w: PlanWriter, machines: list[MachineWriter]) -> None:
 
 
 def _or_scene_value(w: PlanWriter, name: str, default: LoweredValue) -> LoweredValue:
-    """Return the scene's value in place of an attribute's default, for all that is computed after it."""
+    """Return the scene's value of an attribute if there is one, else the default. Attributes computed later use this value."""
     if name not in w.begun_with or not isinstance(default, PlanNode) or default.kind not in (ValueKind.F32, ValueKind.BOOL):
         return default
     w.declare(birth_register(name), ValueKind.F32, "temp", inf)
@@ -95,8 +96,8 @@ def _or_scene_value(w: PlanWriter, name: str, default: LoweredValue) -> LoweredV
 
 
 def _author_attributes(w: PlanWriter) -> dict[str, model.AttributeDecl]:
-    """Return the attributes that the author wrote. A built-in one located at the species' own name comes from the card and is
-    made here, where the step length is known."""
+    """Return the attributes in the author's text. A built-in attribute with the span of the species' name is not in the text; its
+    default is made in this module, where the step length is known."""
     mine = [a for a in w.species.attributes if not a.each and a.name != "push"]
     return {a.name: a for a in mine if not (a.is_builtin and a.span == w.species.span)}
 
@@ -119,7 +120,8 @@ def _attribute(w: PlanWriter, name: str) -> None:
 
 
 def _attribute_order(w: PlanWriter) -> list[str]:
-    """Return the names of all attributes, each after those that its default reads. The checker has already rejected cycles."""
+    """Return the names of all attributes, each after the attributes that its default reads. The checker has already rejected
+    cycles."""
     declared = _author_attributes(w)
     needs: dict[str, list[str]] = {name: [] for name in (*BIRTH_ATTRIBUTES, *declared) if name in w.registers or name in declared}
     for name in needs:
@@ -131,6 +133,6 @@ def _attribute_order(w: PlanWriter) -> list[str]:
 
 
 def attributes_read(expr: model.Expr) -> list[str]:
-    """Names of the agent's own attributes that an expression reads, also through lets."""
+    """Return the names of the agent's own attributes that an expression reads, also through lets."""
     own = [e.name for e in inside(expr) if isinstance(e, model.AttributeRef) and e.of is None]
     return ["velocity" if name == "speed" else name for name in own]

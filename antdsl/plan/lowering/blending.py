@@ -1,5 +1,6 @@
-"""Blending of layers into one push of at most 1: a budget spent from the top line down, a sum, or the first layer with a push.
-Decision 14."""
+"""Blends the layers into one push with a length of at most 1 (decision 14).
+
+There are three modes: a priority budget that the layers use from the top down, a sum, or the first layer with a push."""
 
 from __future__ import annotations
 
@@ -17,7 +18,7 @@ PUSH_REGISTER, BUDGET_LEFT_REGISTER, FACE_REGISTER = "push", "~left", "~face"
 
 
 def blend(w: PlanWriter, order: Sequence[str] | None) -> tuple[LayerPlan, ...]:
-    """Write the layers in order; the result is the register `push`."""
+    """Write the layers in order. The result is in the register `push`."""
     mode = w.species.layers.mode
     every = order_layers(w, order)
     layers = [layer for layer in every if not layer.faces]
@@ -54,10 +55,10 @@ def _layer(w: PlanWriter, layer: model.Layer, mode: str, last: bool) -> None:
 
 
 def _face(w: PlanWriter, layers: Sequence[model.Layer]) -> None:
-    """Write the direction that the body faces: that of the topmost line that gives one. At the line `state`, `face` lines of the
-    states apply.
+    """Write the direction that the body faces, from the topmost `face` line with a direction. At the line `state`, the `face`
+    lines of the states apply.
 
-    It takes no strength, so lines above cannot use up its share."""
+    A `face` line uses no strength, so layers above cannot use up its share."""
     states = f"{GAZE_TEMP}.x" in w.registers
     if not layers and states:
         face(w, FACE_REGISTER, w.read_vector(GAZE_TEMP), w.species.span)
@@ -77,14 +78,14 @@ def _face(w: PlanWriter, layers: Sequence[model.Layer]) -> None:
 
 
 def _states(w: PlanWriter) -> VectorNodes:
-    """Return the steering of the states of all machines together."""
+    """Return the sum of the pushes that the current states of all machines steer."""
     if f"{STEER_TEMP}.x" not in w.registers:
         return values.zero(w.b)
     return w.read_vector(STEER_TEMP)
 
 
 def _spend(w: PlanWriter, push: VectorNodes, span: object, last: bool) -> None:
-    """Limit a push to the remaining strength, and subtract it from that."""
+    """Add a push, limited to the remaining strength, and subtract its length from the remaining strength."""
     b = w.b
     left, size = w.read(BUDGET_LEFT_REGISTER), values.length(b, push)
     too_much = b("gt", size, left)
@@ -96,7 +97,7 @@ def _spend(w: PlanWriter, push: VectorNodes, span: object, last: bool) -> None:
 
 
 def _take_first(w: PlanWriter, push: VectorNodes, layer: model.Layer, last: bool) -> None:
-    """The first push that is any takes all."""
+    """Use the first push that is not zero as the result, limited to length 1."""
     b = w.b
     is_nonzero = b("gt", values.length(b, push), b.number(0))
     with w.region(is_nonzero, layer.span):
@@ -109,8 +110,8 @@ def _take_first(w: PlanWriter, push: VectorNodes, layer: model.Layer, last: bool
 
 
 def order_layers(w: PlanWriter, order: Sequence[str] | None) -> tuple[model.Layer, ...]:
-    """Return the layers as in the source, or in the order that a scene gives: each named by its text or by the word before its
-    bracket."""
+    """Return the layers in the order of the source, or in the order of a scene. A scene names each layer by its text, or by the
+    word before its bracket."""
     layers = list(w.species.layers.layers)
     if order is None:
         return tuple(layers)

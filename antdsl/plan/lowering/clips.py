@@ -1,4 +1,4 @@
-"""`play`: which clip each machine plays, its progress, and the cross-fade from the previous clip.
+"""Lowers `play`: the clip that each machine plays, its progress, and the cross-fade from the previous clip.
 
 Progress is counted in turns: 0 at the start of a clip, 1 after it has played once, and so on if it loops. So bodies with faster
 or slower clips of the same names continue at the same progress. A clip that covers ground advances with the distance that the
@@ -6,15 +6,15 @@ agent covers, so that feet do not slide. Other clips advance with time.
 
 Registers of each machine that plays clips:
 
-- `clip`: the number of the clip in `SpeciesPlan.clips` (-1: none); `clip_turns`; `clip_last`, the turns before the
-  last step; `clip_weight`.
+- `clip`: the number of the clip in `SpeciesPlan.clips` (-1: none). `clip_weight`: its weight.
+- `clip_turns`: its turns. `clip_last`: its turns before the last step.
 - `clip_before`, `clip_before_turns` and `clip_before_weight`: the previous clip.
-- `clip_fade`: the share that the previous clip still has. `clip_fading`: the time in which it falls from 1 to 0.
-  `clip_over`: the fade time of the next change.
+- `clip_fade`: the share that the previous clip still has. `clip_fading`: the time in which the share falls from 1 to 0.
+- `clip_over`: the fade time of the next change.
 - `clip_earlier` and its registers: the clip before the previous one, if a change happens during a fade.
-  `clip_earlier_fade` is its part of the share that fades out.
+- `clip_earlier_fade`: its part of the share that fades out.
 
-A further change waits (`clip_waits`) until `clip_earlier_fade` is 0, so that no pose jumps."""
+If `clip_earlier_fade` is above 0, a further change waits (`clip_waits`), so that no pose jumps."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ _FADE_REGISTER_COPIES = (
 
 
 def clips_of(species: model.Species) -> tuple[ir.ClipPlan, ...]:
-    """The clips that a species plays, each once, in text order."""
+    """Return the clips that a species plays, each once, in text order."""
     clip_plans: dict[ir.ClipPlan, None] = {}
     for machine in species.machines:
         for line in _lines(machine):
@@ -61,12 +61,12 @@ def _clip_plan(line: model.Play) -> ir.ClipPlan:
 
 
 def plays_clips(machine: model.Machine) -> bool:
-    """Whether some state of a machine plays a clip."""
+    """Return whether at least one state of a machine plays a clip."""
     return bool(_lines(machine))
 
 
 def declare(w: PlanWriter, machine: model.Machine) -> None:
-    """The registers of a machine that plays."""
+    """Declare the registers of a machine that plays clips."""
     name = machine.name
     for part in ("clip", "clip_before", "clip_earlier"):
         w.declare(f"{name}.{part}", ValueKind.I32, "memory", NO_CLIP)
@@ -78,7 +78,7 @@ def declare(w: PlanWriter, machine: model.Machine) -> None:
 
 
 def begin(w: PlanWriter, machine: model.Machine) -> None:
-    """At birth, start the clip of the start state: at its beginning, or at a drawn time if it loops."""
+    """Write the clip of the start state at birth. It begins at its start or, if it loops, at a random time."""
     line = next((line for line in machine.states[machine.start].body if isinstance(line, model.Play)), None)
     if line is None:
         return
@@ -91,26 +91,27 @@ def begin(w: PlanWriter, machine: model.Machine) -> None:
 
 
 def give_way(w: PlanWriter, machine: model.Machine, over: model.Expr | None, span: Span) -> None:
-    """Store how long the clip of the state that a transition leaves takes to fade out."""
+    """Store the fade time of the clip of the state that a transition leaves."""
     w.store(f"{machine.name}.clip_over", w.b.number(DEFAULT_FADE_SECONDS) if over is None else scalar(w, over), span)
     w.store(f"{machine.name}.clip_waits", w.b.false, span)
 
 
 def enter(w: PlanWriter, machine: model.Machine, state: model.State) -> None:
-    """Restart the clip of a state with `again` for agents that enter the state, even if it plays already."""
+    """Restart the clip of a state for agents that enter the state and for which the clip's `again` holds, even if it plays
+    already."""
     line = next((line for line in state.body if isinstance(line, model.Play)), None)
     if line is not None and line.again is not None:
         w.store(f"{machine.name}.clip_waits", truth(w, line.again), line.span)
 
 
 def rest(w: PlanWriter, machine: model.Machine, state: model.State) -> None:
-    """In a state without a clip, of a machine that has clips: let the previous clip fade out to none."""
+    """Write a state without a clip, of a machine that has clips: the previous clip fades out to none."""
     if plays_clips(machine) and not any(isinstance(line, model.Play) for line in state.body):
         _step(w, machine.name, w.b.row(NO_CLIP), None, w.b.number(0), state.span)
 
 
 def play(w: PlanWriter, machine: str, line: model.Play) -> None:
-    """A line of the state that the agent is in."""
+    """Write a `play` line of the agent's current state."""
     b = w.b
     speed = None if line.speed is None else scalar(w, line.speed)
     weight = b.number(1) if line.weight is None else b("min", b("max", scalar(w, line.weight), b.number(0)), b.number(1))
@@ -118,7 +119,7 @@ def play(w: PlanWriter, machine: str, line: model.Play) -> None:
 
 
 def _step(w: PlanWriter, machine: str, clip: PlanNode, speed: PlanNode | None, weight: PlanNode, span: Span) -> None:
-    """Write a step of a machine that requests `clip`: it begins, waits until it can, or continues."""
+    """Write one step of a machine that requests `clip`: the clip begins, waits until it can begin, or continues."""
     b, now, turns = w.b, w.read(f"{machine}.clip"), w.read(f"{machine}.clip_turns")
     none = clip is b.row(NO_CLIP)
     wished = b("ne", now, clip) if none else b("or", b("ne", now, clip), w.read(f"{machine}.clip_waits"))
@@ -164,8 +165,9 @@ def lower_clip_test(w: PlanWriter, e: model.ClipTest) -> PlanNode:
 
 
 def _first_turns(w: PlanWriter, machine: str, clip: PlanNode, step: PlanNode) -> tuple[PlanNode, PlanNode]:
-    """Return the first turns of another clip, and its turns before that. It begins at 0, or in step with the previous clip if
-    both cover ground; it then advances by `step` turns."""
+    """Return the first turns of another clip, and the turns before that.
+
+    It begins at 0. If both clips cover ground, it begins at the progress of the previous clip and advances by `step` turns."""
     b, previous_clip, turns = w.b, w.read(f"{machine}.clip"), w.read(f"{machine}.clip_turns")
     both = b("and", b("ne", previous_clip, clip), b("and", _covers_ground(w, previous_clip), _covers_ground(w, clip)))
     part = b("sub", turns, b("floor", turns))
@@ -173,7 +175,7 @@ def _first_turns(w: PlanWriter, machine: str, clip: PlanNode, step: PlanNode) ->
 
 
 def _start_clip(w: PlanWriter, machine: str, clip: PlanNode, span: Span | None) -> None:
-    """Begin another clip; the clips before it move back by one place."""
+    """Start another clip. The clips before it move back by one place."""
     b = w.b
     with w.region(w.read(_BEGINS_REGISTER), span or w.species.span):
         for to, source in _FADE_REGISTER_COPIES:
@@ -201,8 +203,8 @@ def _fade(w: PlanWriter, machine: str, span: Span | None) -> None:
 
 
 def _pace(w: PlanWriter, clip: PlanNode) -> PlanNode:
-    """Return turns per second: from the ground covered in body lengths if the clip covers ground, else from the clip's
-    duration."""
+    """Return turns per second. For a clip that covers ground, they come from the agent's speed in body lengths, else from the
+    clip's duration."""
     b = w.b
     stride, seconds = b("clip.value", clip, attrs=("stride",)), b("clip.value", clip, attrs=("seconds",))
     x, y, z = w.read_vector("velocity")
@@ -213,7 +215,7 @@ def _pace(w: PlanWriter, clip: PlanNode) -> PlanNode:
 
 
 def _clip_number(w: PlanWriter, line: model.Play) -> PlanNode:
-    """The number of the clip of a line."""
+    """Return the number of the clip of a line."""
     return w.b.row(clips_of(w.species).index(_clip_plan(line)))
 
 
@@ -230,25 +232,25 @@ def _lines(machine: model.Machine) -> list[model.Play]:
 
 
 def leans(w: PlanWriter) -> bool:
-    """Return whether a clip of the species depends on how its agents turn or climb."""
+    """Return whether a clip of the species has variants for turning, climbing or descending."""
     return any(clip.leans for clip in clips_of(w.species))
 
 
 def declare_leaning(w: PlanWriter) -> None:
-    """The registers of a species."""
+    """Declare the registers for turning and climbing."""
     if leans(w):
         for name in ("turn", "slope", *(f"was.{axis}" for axis in AXES)):
             w.declare(f"lean#{name}", ValueKind.F32, "memory")
 
 
 def begin_leaning(w: PlanWriter) -> None:
-    """Store the birth heading: no agent has turned."""
+    """Store the heading at birth as the previous one, so that no agent has turned."""
     if leans(w):
         w.store_vector("lean#was", w.read_vector("heading"), None)
 
 
 def settle(w: PlanWriter) -> None:
-    """Once a step, store the turn since the previous step, about the body's up, and the slope of the heading."""
+    """Store, once per step, the turn since the previous step about the body's up, and the slope of the heading."""
     if not leans(w):
         return
     b, dt, heading = w.b, w.run("dt"), w.read_vector("heading")

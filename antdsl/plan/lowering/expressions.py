@@ -1,4 +1,5 @@
-"""Typed expressions into nodes: names, attributes, memories, behaviours in place; operations have their rule in `plan.rules`."""
+"""Lowers typed expressions to nodes: names, attributes, memories and expanded behaviours. The rules of operations are in
+`rules`."""
 
 from __future__ import annotations
 
@@ -25,7 +26,7 @@ from antdsl.program.traverse import inside, parts
 
 
 def lower(w: PlanWriter, expr: model.Expr) -> LoweredValue:
-    """Return the value of an expression at the writer's current place."""
+    """Return the nodes of an expression, as read at the writer's current place."""
     outer, w.b.span = w.b.span, expr.span
     try:
         return _LOWERER_BY_EXPRESSION[type(expr)](w, expr)
@@ -34,7 +35,7 @@ def lower(w: PlanWriter, expr: model.Expr) -> LoweredValue:
 
 
 def scalar(w: PlanWriter, expr: model.Expr) -> PlanNode:
-    """Lower an expression that is one node: a number, a bool, a state, or the row or id of a reference."""
+    """Lower an expression to one node: a number, a bool, a state, or the row or id of a reference."""
     return single_node(w, expr, lower(w, expr))
 
 
@@ -70,7 +71,7 @@ def as_truth(w: PlanWriter, value: LoweredValue, expr: model.Expr) -> PlanNode:
 
 
 def presence(w: PlanWriter, value: LoweredValue, expr: model.Expr) -> PlanNode:
-    """Whether a reference, a hit or a set is not none."""
+    """Return whether a reference, a hit or a set is not none."""
     if isinstance(value, EntityRef):
         if value.what is model.TypeKind.ITEM:
             return w.b("item.alive", value.node, attrs=(value.of,))
@@ -211,7 +212,8 @@ def _plain_let(w: PlanWriter, binding: model.Binding) -> LoweredValue:
 
 
 def _keep(w: PlanWriter, binding: model.Binding) -> LoweredValue:
-    """`keep x = first then next`: `first` the first time, then `next` of the value before. Memory is written once a step."""
+    """Lower `keep x = first then next`: `first` in the first step, later `next` computed from the previous value. Memory is
+    written once per step."""
     assert binding.value is not None and binding.then is not None
     on = f"{binding.key}.on"
     w.declare_typed(binding.key, binding.type, "memory")
@@ -295,14 +297,14 @@ def _attribute(w: PlanWriter, e: model.AttributeRef) -> LoweredValue:
 
 
 def as_typed_value(w: PlanWriter, node: PlanNode, type: model.ValueType) -> LoweredValue:
-    """Return a register's node as a value of the language; a number that stands for a bool becomes a bool."""
+    """Return a register's node as a value of the language. A number that stands for a bool becomes a bool."""
     if type.kind in NONE_BY_KIND:
         return EntityRef(type.kind, type.of or "", node)
     return w.b("ne", node, w.b.number(0)) if type.kind is model.TypeKind.BOOL and node.kind is ValueKind.F32 else node
 
 
 def own_attribute(w: PlanWriter, name: str, type: model.ValueType) -> LoweredValue:
-    """An attribute of the agent itself."""
+    """Return the value of an attribute of the agent itself."""
     if name == "id":
         return w.b("number", w.b("id"))
     if name == "age":
@@ -317,15 +319,14 @@ def own_attribute(w: PlanWriter, name: str, type: model.ValueType) -> LoweredVal
 
 
 def measures_pushes(program: model.Program) -> bool:
-    """Return whether species have the register `moved`: whether any part of the program reads how far contacts pushed an
-    agent."""
+    """Return whether species need the register `moved`: whether the program reads how far contacts pushed an agent."""
     asking = parts([*program.species.values(), *program.specs])
     return any(isinstance(part, model.AttributeRef) and part.name == "moved" for part in asking)
 
 
 def keeps_moving(species: model.Species) -> bool:
-    """Return whether a species has the register `min_speed`, that is, declares or sets its lowest speed. Other species may stand
-    still."""
+    """Return whether a species needs the register `min_speed`, because it declares or sets its lowest speed. Other species may
+    stand still."""
     if any(a.name == "min_speed" for a in species.attributes):
         return True
     return any(isinstance(part, model.Assign) and part.attribute == "min_speed" for part in parts(species))

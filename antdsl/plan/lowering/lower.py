@@ -1,8 +1,8 @@
 """Lowers the checked program to a plan: species by species, then fields, items and params.
 
-`on collision(other)` runs when an agent's body begins to touch another one, for one other in each step. Registers store the ids
-of the agents that it touches already, so that a contact is handled when it begins and not as long as it lasts. If several
-contacts begin in one step, the deepest is handled first and the others in the next steps, while they last."""
+`on collision(other)` runs when an agent's body begins to touch another one. It handles one other agent in each step. Registers
+store the ids of the agents that it touches already, so that a lasting contact is handled only once. If several contacts begin in
+one step, the deepest is handled first, and the others in the next steps if they last."""
 
 from __future__ import annotations
 
@@ -43,9 +43,9 @@ def lower(
 ) -> tuple[ir.Plan, Report]:
     """Return the plan of a program, and errors for constructs that pass the checks but cannot run yet.
 
-    `orders`: the order of the layers by species, each layer by its text or its word before the bracket. `notes` receives, for
-    each species, which nodes stand for which part of its text. `begun_with`: for each species, the attributes that the scene may
-    set at an agent's birth."""
+    - `orders`: by species, the order of the layers, each named by its text or by the word before its bracket.
+    - `notes`: receives, for each species, the nodes of each part of its text.
+    - `begun_with`: by species, the attributes that the scene may set at an agent's birth."""
     report = Report()
     builder = PlanBuilder()
     pushes = measures_pushes(program)
@@ -121,7 +121,8 @@ def _species(w: PlanWriter, order: Sequence[str] | None) -> ir.SpeciesPlan:
 
 
 def _lower_birth(w: PlanWriter, machines: list[MachineWriter]) -> Block:
-    """Return the block of birth, a separate step: the first real step sees what it stored as values at its start."""
+    """Return the block of birth. Birth is a separate step: the first normal step reads the stored values as its previous
+    values."""
     w.born = True
     with w.block() as finish_block:
         birth.write_birth(w, machines)
@@ -147,7 +148,8 @@ def _decide(w: PlanWriter, machines: list[MachineWriter]) -> None:
 
 
 def _relax(w: PlanWriter, attribute: model.AttributeDecl) -> None:
-    """Move x toward its rest value by the share 1 - exp(-dt / over). The result per second does not depend on the step length."""
+    """Move an attribute towards its rest value by the share 1 - exp(-dt / over). The result per second does not depend on the
+    step length."""
     b = w.b
     assert attribute.relax_to is not None and attribute.relax_over is not None
     b.span = attribute.span
@@ -163,7 +165,7 @@ def _relax(w: PlanWriter, attribute: model.AttributeDecl) -> None:
 
 
 def _latch(w: PlanWriter, latch: model.Binding) -> None:
-    """Set the latch from when its first condition holds until its second does."""
+    """Write a latch. It is on from the step in which its first condition holds until the step in which its second one holds."""
     assert latch.value is not None and latch.then is not None
     b, name = w.b, latch.key or latch.name
     b.span = latch.span
@@ -175,7 +177,7 @@ def _latch(w: PlanWriter, latch: model.Binding) -> None:
 
 
 def _handler(w: PlanWriter, handler: model.Handler, number: int, partners: Mapping[str, PlanNode]) -> None:
-    """Write a handler. `partners`: the other that an agent has begun to touch, by species."""
+    """Write a handler. `partners`: by species, the other agent that an agent has begun to touch."""
     if handler.event == "spawn":
         return
     if handler.event == "collision":
@@ -191,7 +193,7 @@ def _handler(w: PlanWriter, handler: model.Handler, number: int, partners: Mappi
 
 
 def _lower_outside(builder: PlanBuilder, program: model.Program, e: model.Expr, report: Report) -> PlanNode:
-    """An expression that no agent is needed for."""
+    """Lower an expression that does not depend on an agent."""
     empty_species = model.Species("", "", (), (), (), (), (), (), model.LayerStack("budget", (), e.span), e.span)
     return scalar(PlanWriter(builder, program, empty_species, report, LOWERING_RULES), e)
 
@@ -212,7 +214,8 @@ def _field(builder: PlanBuilder, program: model.Program, f: model.Field, report:
 
 
 def _keep(b: PlanBuilder, f: model.Field, node: object) -> PlanNode | None:
-    """The factor per step: 2^(-dt / half_life), exp(-rate dt), or as said."""
+    """Return the factor per step of a field: 2^(-dt / half_life), exp(-rate dt), or the factor `keeps`; None if nothing
+    evaporates."""
     assert callable(node)
     dt = b("run", attrs=("dt",))
     if f.half_life is not None:
@@ -226,7 +229,7 @@ def _keep(b: PlanBuilder, f: model.Field, node: object) -> PlanNode | None:
 
 
 def stand_still(w: PlanWriter, machines: Sequence[MachineWriter]) -> None:
-    """Write, after all machines have acted, the push of agents that no state has steered."""
+    """Write the push of agents that no state has steered. Call this after all machines have acted."""
     rest = w.species.rest
     if rest is None:
         return
@@ -244,14 +247,15 @@ def stand_still(w: PlanWriter, machines: Sequence[MachineWriter]) -> None:
 
 
 def declare(w: PlanWriter) -> None:
-    """Declare the ids of the others that an agent touches, of each species that a handler is about."""
+    """Declare registers for the ids of the agents that an agent touches, for each species with a collision handler."""
     for of in _met(w.species):
         for name in _touch_registers(w.species, of):
             w.declare(name, ValueKind.I64, "memory", -1, of)
 
 
 def notice(w: PlanWriter) -> dict[str, PlanNode]:
-    """Return the id of the other that an agent has begun to touch, -1 for none, by species; from here on it counts as touched."""
+    """Return, by species, the id of the other agent that an agent has begun to touch; -1 for none. Afterwards it counts as
+    touched."""
     partners = {}
     for of, handler in _met(w.species).items():
         names = _touch_registers(w.species, of)
@@ -270,7 +274,7 @@ def bind(w: PlanWriter, handler: model.Handler, partner: PlanNode) -> None:
 
 
 def _met(species: model.Species) -> dict[str, model.Handler]:
-    """The first handler of collisions with each species."""
+    """Return the first collision handler for each other species."""
     handlers: dict[str, model.Handler] = {}
     for handler in species.handlers:
         if handler.event == "collision":

@@ -1,7 +1,7 @@
-"""State machines: `decide` finds which transition wins, `act` carries it out. Decisions 8 to 11.
+"""Lowers state machines: `decide` determines the winning transition, `act` executes it (decisions 8 to 11).
 
-`decide` only stores the number of the winning transition, counted from 1 over the whole machine, in the temp
-`~MACHINE.pending`."""
+`decide` only stores the number of the winning transition in the temp `~MACHINE.pending`. Transitions of a machine are numbered
+from 1."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ STEP_COUNT_SLACK = 1 - 4e-7  # 0.5 s at 24 frames a second is 12 steps, also whe
 
 @dataclass(frozen=True, slots=True)
 class _StateChange:
-    """A transition with its number and the state it leaves."""
+    """A transition with its number in the machine and the state that it leaves."""
 
     number: int
     state: model.State
@@ -73,7 +73,7 @@ class MachineWriter:
         return self.w.b("eq", self.w.read(f"{self.name}.state"), self.w.b.row(state.index))
 
     def among(self, states: Iterable[int]) -> PlanNode:
-        """Whether it is in one of these states by now."""
+        """Return whether the current state is one of these states."""
         state = self.w.read(f"{self.name}.state")
         is_among = self.w.b.false
         for index in states:
@@ -83,7 +83,7 @@ class MachineWriter:
     # --- birth -------------------------------------------------------------------------------------------------------
 
     def begin(self) -> None:
-        """The start state, before anything else happens at birth."""
+        """Write the start state, before all other parts of birth."""
         for part in ("state", "previous", "next"):
             self.w.store(f"{self.name}.{part}", self.w.b.row(self.machine.start), self.machine.span)
         clips.begin(self.w, self.machine)
@@ -95,7 +95,7 @@ class MachineWriter:
     # --- decide ------------------------------------------------------------------------------------------------------
 
     def decide(self) -> None:
-        """Check the transitions of each state in order; the first that is true wins. Winners that take something emit claims."""
+        """Check the transitions of each state in order; the first one that holds wins. Winners with a take emit claims."""
         by_state = [(s, [c for c in self.changes if c.state is s]) for s in self.machine.states]
         self.w.alternatives([(self._is_in(s), s.span, partial(self._weigh, cs)) for s, cs in by_state if cs])
         self._per_change([c for c in self.changes if c.transition.take], self._claim)
@@ -139,12 +139,13 @@ class MachineWriter:
             return w.b.false
 
     def _is_from_any(self, t: model.Transition) -> bool:
-        """Return whether a transition was declared `from any`. It never leads into the current state, even where only the run
-        shows which state that is."""
+        """Return whether a transition was declared `from any`. Such a transition never leads into the current state, which may be
+        known only at run time."""
         return t.key.startswith(f"{self.site}.{model.FROM_ANY_KEY}->")
 
     def _has_held(self, t: model.Transition, holds: PlanNode, duration: model.Expr) -> PlanNode:
-        """Return whether the condition holds now and has held without a break for `duration` before this step."""
+        """Return whether the condition `holds` is true now and has been true without a break in the steps of `duration` before.
+        Write its step counter."""
         b, counter = self.w.b, _counter(t)
         previous_count = self.w.read_previous(counter)
         count = b("where", holds, b("add", previous_count, b.number(1)), b.number(0))
@@ -170,7 +171,8 @@ class MachineWriter:
     # --- act ---------------------------------------------------------------------------------------------------------
 
     def act(self) -> None:
-        """Write exit, the transition's actions, the change and enter; then the body of the new state."""
+        """Write the exit actions, the transition's actions, the change of state and the enter actions, then the body of the new
+        state."""
         w = self.w
         if self.changes:
             with w.region(self._is_changing(), self.machine.span):
@@ -229,7 +231,8 @@ class MachineWriter:
         return target
 
     def _enter(self, state: model.State) -> None:
-        """Restart counters of `held`: a state's own where it is entered, a shared one where a state without it is entered."""
+        """Reset counters of `held`. A state's own counter is reset on entry into it; a shared one on entry into a state without
+        the transition."""
         own_keys = {t.key for t in state.transitions}
         for key in dict.fromkeys(c.transition.key for c in self.changes if c.transition.held is not None):
             counter = f"{key}.held"
@@ -254,14 +257,14 @@ def steps(w: PlanWriter, duration: PlanNode) -> PlanNode:
 
 
 def has_passed(w: PlanWriter, machine: str, duration: model.Expr) -> PlanNode:
-    """The agent has been in the machine's state for that long."""
+    """Return whether the agent has been in the machine's current state for at least `duration`."""
     b = w.b
     nearly = b("sub", steps(w, scalar(w, duration)), b.number(0.5))
     return b("ge", w.read(f"{machine}.time_in_state"), b("mul", nearly, w.run("dt")))
 
 
 def advance(w: PlanWriter, machine: str) -> None:
-    """Count one more step in the state. Steps are whole numbers, so no rounding errors accumulate."""
+    """Add one step to the time in the state. The time is a whole number of steps, so no rounding errors accumulate."""
     b, dt = w.b, w.run("dt")
     name = f"{machine}.time_in_state"
     step_count = b("floor", b("add", b("div", w.read(name), dt), b.number(1.5)))

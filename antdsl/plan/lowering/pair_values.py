@@ -1,7 +1,7 @@
-"""Values per pair: what an agent stores about each of a few others, in as many slots of two registers, an id and a value.
+"""Lowers pair values: values that an agent stores about a few other agents. Each slot has two registers, an id and a value.
 
-For others without a slot, the value is the one that it begins with and returns to. If all slots are taken, a new other replaces
-the weakest: the one with the value nearest to that, the greater id at a tie."""
+About an agent without a slot, the value is the initial value, which is also the rest value. If all slots are used, a new agent
+replaces the weakest: the one with the value nearest to rest, and of equal ones the greater id."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ REST_TOLERANCE = 1e-9  # base units from the value of rest: nearer values have n
 
 
 def declare(w: PlanWriter, attribute: model.AttributeDecl) -> None:
-    """Declare the registers of a value per pair, and one of the step by its name, which values to be stored go through."""
+    """Declare the registers of a pair value, and a temp with its name, through which all stored values pass."""
     holds = (attribute.type.kind.value, *attribute.type.dim, attribute.each)
     for who, value in slot_names(attribute.name, attribute.strongest):
         w.declare(who, ValueKind.I64, "pair", -1, attribute.each, holds)
@@ -29,12 +29,12 @@ def declare(w: PlanWriter, attribute: model.AttributeDecl) -> None:
 
 
 def find_declaration(w: PlanWriter, name: str) -> model.AttributeDecl | None:
-    """The value per pair of a name."""
+    """Return the declaration of the pair value `name`; None if there is none."""
     return next((a for a in w.species.attributes if a.name == name and a.each), None)
 
 
 def read(w: PlanWriter, attribute: model.AttributeDecl, of: model.Expr) -> PlanNode:
-    """`likes[other]`."""
+    """Return the value of `likes[other]`."""
     other_id = _id(w, lower(w, of))
     result = rest_value(w, attribute)
     for who, value in reversed(_slots(w, attribute)):
@@ -60,7 +60,7 @@ def relax(w: PlanWriter, attribute: model.AttributeDecl) -> None:
 
 
 def assign(w: PlanWriter, s: model.Assign, attribute: model.AttributeDecl) -> None:
-    """A line that sets a value, or adds to it, about one other or about each of a set."""
+    """Write an assignment or addition to the value about one other agent, or about each agent of a set."""
     if s.over is not None:
         _assign_all(w, s, attribute)
         return
@@ -74,8 +74,10 @@ def assign(w: PlanWriter, s: model.Assign, attribute: model.AttributeDecl) -> No
 
 
 def _assign_all(w: PlanWriter, s: model.Assign, attribute: model.AttributeDecl) -> None:
-    """Set the value for all others of a set. Others with a slot change in place; of the rest the strongest come in, as many as
-    there are slots. All is computed before anything changes, as the value may use such values itself."""
+    """Set the values about all agents of a set. Agents with a slot change in place. Of the others, the strongest get slots, as
+    many as there are slots.
+
+    All values are computed before any is stored, because a value may use other pair values."""
     b = w.b
     assert s.over is not None and s.element is not None
     over = lower_set(w, s.over)
@@ -140,8 +142,10 @@ def _freeze_value(w: PlanWriter, name: str, value: PlanNode, s: model.Assign) ->
 def _put(
     w: PlanWriter, attribute: model.AttributeDecl, other_id: PlanNode, value: PlanNode, s: model.Assign, known: bool
 ) -> None:
-    """Store a value about an agent: in a pass over the slots the stronger stays and the weaker moves to the next, so that the
-    weakest of all is left over. `known`: the agent may have a slot already, which is freed first."""
+    """Store a value about an agent. A pass over the slots keeps the stronger value in each slot and carries the weaker on, so the
+    weakest of all is dropped.
+
+    `known`: the agent may have a slot already, which is freed first."""
     b, rest = w.b, rest_value(w, attribute)
     carried, amount = other_id, _freeze_value(w, attribute.name, value, s)
     strength = b("abs", b("sub", amount, rest))
@@ -182,7 +186,7 @@ def rest_value(w: PlanWriter, attribute: model.AttributeDecl) -> PlanNode:
 
 
 def _id(w: PlanWriter, value: LoweredValue) -> PlanNode:
-    """The id of the agent that a value per pair is about."""
+    """Return the id of the agent that a pair value is about."""
     if isinstance(value, OwnPlace):
         return w.b("id")
     return w.b("other.id") if isinstance(value, SetElement) else value.node  # type: ignore[union-attr]

@@ -1,4 +1,4 @@
-"""Sets and reductions over them: neighbours and items become a reduction over pairs; feelers are unrolled ray by ray."""
+"""Lowers sets and reductions over them. Neighbours and items become a reduction over pairs. Feelers are unrolled ray by ray."""
 
 from __future__ import annotations
 
@@ -23,18 +23,19 @@ _MAX_COUNT_ARGUMENT = {"neighbours": 2, "all": 1}  # which of a set's arguments 
 
 
 def quantum_exponent(dim: Dimension) -> int:
-    """Return the exponent of the quantum of sums. Terms are rounded to a multiple of 2**quantum of their base unit, so that the
-    sum is exact in any order.
+    """Return the exponent of the quantum of sums. Terms are rounded to a multiple of 2**exponent base units, so that the sum is
+    exact in any order.
 
-    A float64 has 53 bits: with -24 the sum may reach 2**28. Lengths, speeds and forces trade four bits of resolution for range
-    (1e-6 mm, sums up to 4 million metres). Areas trade fourteen and volumes all of them; densities get six more."""
+    A float64 has 53 bits: with exponent -24, the sum may reach 2**28. Lengths, speeds and forces have four bits less resolution
+    for more range (1e-6 mm, sums up to 4 million metres). Areas have fourteen bits less and volumes 24; densities have six
+    more."""
     if dim.length <= 0:
         return -30 if dim.length < 0 else -24
     return -20 if dim.length <= 1 else -10 if dim.length <= 2 else 0
 
 
 def lower_set(w: PlanWriter, e: model.SetExpr) -> ElementGroup | RayHits:
-    """The set with its condition, ready to be reduced."""
+    """Return a set with its condition, ready for a reduction."""
     if e.source == "feelers":
         hits = lower_feelers(w, e)
         narrowed_hits = tuple(_narrow_hit(w, hit, e.element, e.where) for hit in hits)
@@ -62,8 +63,8 @@ def lower_set(w: PlanWriter, e: model.SetExpr) -> ElementGroup | RayHits:
 
 
 def _among_nearest(w: PlanWriter, nodes: PlanNode, condition: PlanNode, kind: model.TypeKind, most: PlanNode) -> PlanNode:
-    """Return whether an element is among the `most` nearest of those for which a condition holds. Ties go to the lower id or row.
-    All elements count if there are no more than `most`."""
+    """Return whether an element is among the `most` nearest elements for which a condition holds. If there are no more than
+    `most`, all count. At equal distance, the lower id or row counts as nearer."""
     b, away = w.b, w.b("pair.distance")
     of_items = kind is model.TypeKind.ITEM
     last = b("reduce.nth_item" if of_items else "reduce.nth_agent", nodes, condition, away, most)
@@ -80,7 +81,7 @@ def _is_items(w: PlanWriter, name: str) -> bool:
 
 
 def scalar_of_agent(w: PlanWriter, e: model.Expr | None, set_expr: model.SetExpr) -> PlanNode:
-    """A size of a set, which may depend on the agent but not on an element of another set."""
+    """Return a parameter of a set. It may depend on the agent, but not on an element of another set."""
     if e is None:
         raise PlanError(f"a set without its size: {set_expr.span.text!r}")
     node = scalar(w, e)
@@ -96,7 +97,7 @@ def _is_full_circle(fov: PlanNode) -> bool:
 
 
 def min_cosine(w: PlanWriter, fov: PlanNode) -> tuple[PlanNode]:
-    """Return the smallest cosine between the heading and a direction inside a field of view."""
+    """Return the smallest cosine between the heading and any direction inside a field of view (an angle in rad)."""
     b = w.b
     if _is_full_circle(fov):
         return (b.number(ANY_DIRECTION_COSINE),)
@@ -170,7 +171,8 @@ def _element_with_least(w: PlanWriter, over: ElementGroup, body: PlanNode) -> En
 
 
 def lower_feelers(w: PlanWriter, e: model.SetExpr) -> tuple[RayHit, ...]:
-    """Rays along the heading, turned about up evenly from one side's `spread` to the other's (Reynolds 1999, p. 12)."""
+    """Return the rays of feelers. They are spread evenly from one side's `spread` to the other's, about up, around the heading
+    (Reynolds 1999, p. 12)."""
     b = w.b
     count_expr, spread_expr, reach_expr = e.args
     count = constant_value(scalar_of_agent(w, count_expr, e))
@@ -192,7 +194,7 @@ def lower_feelers(w: PlanWriter, e: model.SetExpr) -> tuple[RayHit, ...]:
 
 
 def cast_ray(w: PlanWriter, direction: VectorNodes, reach: PlanNode, target: str) -> RayHit:
-    """One ray; `direction` is of length 1."""
+    """Return one ray. `direction` has length 1, `reach` is in mm."""
     ray = w.b("ray", *direction, reach, attrs=(target,))
     hit, distance, x, y, z = (w.b("get", ray, attrs=(i,)) for i in range(5))
     return RayHit(hit, distance, VectorNodes(x, y, z), direction)
@@ -206,12 +208,12 @@ def _narrow_hit(w: PlanWriter, hit: RayHit, element: model.Binding, where: model
 
 
 def _assume_hit(w: PlanWriter, hit: RayHit) -> RayHit:
-    """Return the hit for the body of a reduction: it counts as present, because results of misses are dropped afterwards."""
+    """Return the hit as present, for the body of a reduction. The results of rays without a hit are discarded later."""
     return RayHit(w.b.true, hit.distance, hit.normal, hit.direction)
 
 
 def _reduce_hits(w: PlanWriter, e: model.ReduceExpr, over: RayHits) -> LoweredValue:
-    """Lower the same reductions over hits, unrolled in the order of the rays."""
+    """Lower a reduction over hits, unrolled in the order of the rays."""
     b = w.b
     if e.how == "nearest":
         return _hit_with_least(w, over, [hit.distance for hit in over.hits])
@@ -259,7 +261,7 @@ def _reduce_hit_numbers(w: PlanWriter, how: str, over: RayHits, bodies: list[Low
 
 
 def _hit_with_least(w: PlanWriter, over: RayHits, keys: list[PlanNode]) -> RayHit:
-    """The hit with the least key; the earlier ray at a tie."""
+    """Return the hit with the smallest key; of equal ones, the earlier ray."""
     best, least = over.hits[0], keys[0]
     for hit, key in zip(over.hits[1:], keys[1:], strict=True):
         better = w.b("and", hit.hit, w.b("or", w.b("not", best.hit), w.b("lt", key, least)))

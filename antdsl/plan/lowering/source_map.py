@@ -1,4 +1,4 @@
-"""Lowering that also records which nodes stand for which part of the text: conditions and their parts, layers, choices, steering.
+"""Lowers a program and records the nodes of parts of its text: conditions and their parts, layers, choices, steering.
 
 The plan is unchanged: a note refers to existing nodes and writes no statement."""
 
@@ -29,8 +29,12 @@ _NUMBER_TYPE = model.ValueType(model.TypeKind.NUMBER)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PartNote:
-    """A part of an expression. `nodes` is one, or three for a vector. `unit` is one that the author wrote beside it, or a usual
-    one. `role`: draw or bar, of a `chance`; joined, if it only joins its parts with `and`, `<` and the like."""
+    """A part of an expression.
+
+    - `nodes`: one node, or three for a vector.
+    - `unit`: a unit that the author wrote in the same expression, or a default one.
+    - `role`: `draw`: the random number of a `chance`. `bar`: the limit that it is compared with. `joined`: an operation such as
+      `and` or `<` that only joins its parts. "" otherwise."""
 
     text: str
     type: model.ValueType
@@ -42,7 +46,8 @@ class PartNote:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TimerNote:
-    """`what`: held, after or at least. `has` and `needs` are steps for held, seconds otherwise."""
+    """A waiting time. `what`: held, after or at least. `has`, `needs`: the elapsed and the required time, in steps for held, in
+    seconds otherwise."""
 
     what: str
     has: PlanNode
@@ -52,7 +57,8 @@ class TimerNote:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ChangeNote:
-    """A transition of a state: `number` counts over the machine, from 1; `condition` None is always true."""
+    """A transition of a state. `number`: its number in the machine, from 1. `condition`: None is always true. `fires`: whether it
+    happens."""
 
     machine: str
     number: int
@@ -67,7 +73,7 @@ class ChangeNote:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ChoiceNote:
-    """Of a transition to one of several states: the draw, and the weight of each state's index."""
+    """The choice of a transition to one of several states: the random draw, and the weight of each state by its index."""
 
     key: str
     draw: PlanNode
@@ -76,7 +82,7 @@ class ChoiceNote:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LayerNote:
-    """A layer. `left` is the budget that earlier layers have left; `looked` is whether it is above 0."""
+    """A layer. `left`: the budget that earlier layers have left. `looked`: whether `left` is above 0."""
 
     layer: model.Layer
     left: PlanNode
@@ -90,13 +96,14 @@ RESTING_TEXT = "no line steers, so the agent does not move: halt()"
 
 
 def resting_site(species: str) -> str:
-    """Return the site of the push for agents that stand still because their state does not steer."""
+    """Return the key of the push of agents in states that do not steer."""
     return f"{species}.rest#1"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SteerNote:
-    """A `steer` or `face` line; `site` is its place: `SPECIES.MACHINE.STATE#1`, `SPECIES.layers.face#1`, or `resting_site`."""
+    """A `steer` or `face` line. `site`: its key, `SPECIES.MACHINE.STATE#1`, `SPECIES.layers.face#1`, or the result of
+    `resting_site`."""
 
     site: str
     text: str
@@ -106,7 +113,7 @@ class SteerNote:
 
 @dataclass(slots=True, eq=False)
 class SourceNotes:
-    """What was noted of one species."""
+    """The notes about one species."""
 
     changes: list[ChangeNote] = field(default_factory=list)
     choices: dict[str, ChoiceNote] = field(default_factory=dict)
@@ -115,7 +122,7 @@ class SourceNotes:
 
 
 class NotingWriter(PlanWriter):
-    """Writes the same and keeps notes."""
+    """Writes the same plan as PlanWriter, and records notes."""
 
     def __init__(
         self,
@@ -170,7 +177,7 @@ class NotingWriter(PlanWriter):
     # --- parts -------------------------------------------------------------------------------------------------------
 
     def _part_note(self, e: model.Expr, units: list[str], depth: int = 0) -> PartNote | None:
-        """Return an expression with the parts that decide it; None for expressions without a value (a species, a field)."""
+        """Return an expression with the parts that determine it; None for expressions without a value (a species, a field)."""
         value = lower(self, e)
         text, type = _single_line(e.span.text), e.type
         parts: tuple[PartNote, ...] = ()
@@ -210,8 +217,8 @@ class NotingWriter(PlanWriter):
 
 
 def _inner_parts(e: model.Expr, units: list[str]) -> Iterator[tuple[model.Expr, list[str]]]:
-    """Yield the parts of an expression that are worth showing: sides of a comparison, names in a sum, the values of `let`s. Each
-    comes with its units."""
+    """Yield the parts of an expression that are worth displaying, each with its units: sides of a comparison, names in a sum, the
+    values of `let`s."""
     if isinstance(e, model.BindingRef) and e.binding.role == "let" and e.binding.value is not None:
         if isinstance(e.binding.value, model.OperationExpr):
             yield from _inner_parts(e.binding.value, _written_units(e.binding.value.span))
@@ -238,12 +245,12 @@ def _single_line(text: str) -> str:
 
 
 def _written_units(span: Span) -> list[str]:
-    """The units that stand behind numbers in a stretch of text."""
+    """Return the units after numbers in the text of a span."""
     return _NUMBER_WITH_UNIT.findall(span.text)
 
 
 def _display_unit(e: model.Expr, units: list[str], program: model.Program) -> str:
-    """Return a unit for a number: that of the param itself, the first unit of its dimension in the text, or a default."""
+    """Return a unit for a number: the unit of the param itself, the first unit of its dimension in the text, or a default one."""
     if e.type.kind not in (model.TypeKind.NUMBER, model.TypeKind.VECTOR):
         return ""
     if isinstance(e, model.ParamRef) and e.name in program.params:

@@ -1,7 +1,7 @@
-"""Lowers a spec to a plan: blocks that evaluate each agent and item, numbers about whole populations, and conditions over them.
+"""Lowers a spec to a plan: blocks that evaluate each agent and item, numbers about complete populations, and conditions on them.
 
-The blocks of a judged species store into separate registers and change nothing else. `decide` requests the numbers about wholes,
-`act` judges each agent, `blend` reads the values for the message of a failure."""
+The blocks of a judged species store into separate registers and change nothing else. `decide` computes the values from which
+population numbers are aggregated. `act` judges each agent. `blend` computes the values for the message of a failure."""
 
 from __future__ import annotations
 
@@ -29,9 +29,9 @@ _ITEM_VALUES_HELP = "items have a position, a radius and their own values"
 
 @dataclass(frozen=True, slots=True, eq=False)
 class AggregatePlan:
-    """A number about all agents of a species, items of a name, cells of a field or a solid, passed to nodes by its name.
+    """A number about all agents of a species, items of a name, cells of a field, or a solid. Nodes read it by `name`.
 
-    `where` and `body` are registers that `decide` has filled; `amount` is an item's attribute that is taken as it is stored."""
+    `where` and `body` are registers that `decide` has filled. `amount` is an item's attribute that is read as stored."""
 
     name: str
     how: str
@@ -44,8 +44,8 @@ class AggregatePlan:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class StartPlan:
-    """A number at the start. Of the whole: `value`, passed as `name`; of each agent: register `source_register`, stored in
-    `name`."""
+    """A number at the start. For a number about the complete run, nodes read the start value of the node `value` by `name`. For a
+    number of each agent, the start value of the register `source_register` is stored in the register `name`."""
 
     name: str
     value: PlanNode | None = None
@@ -55,7 +55,8 @@ class StartPlan:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class OtherRunPlan:
-    """A number of the whole in the run that is compared with, passed as `name`: in that run it is the node's value."""
+    """A number of the reference run. `value`: the node that computes it in that run. `name`: the name by which nodes of this run
+    read it."""
 
     name: str
     value: PlanNode
@@ -63,7 +64,7 @@ class OtherRunPlan:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ReadingPlan:
-    """A value to tell: a node, or a register that `blend` fills for one agent."""
+    """A value for the message of a failure: a node, or a register that `blend` fills for one agent."""
 
     span: Span
     type: model.ValueType
@@ -74,8 +75,11 @@ class ReadingPlan:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class JudgementPlan:
-    """One line. `condition`, and `since` of a `when`, are nodes of the whole, or registers that `act` fills for each agent of
-    `species`; `time` and `held` nodes of the run."""
+    """One expectation.
+
+    - `condition`, `since` (of a `when`): for a `species`, registers that `act` fills for each agent; otherwise nodes about the
+      complete run.
+    - `time`, `held`: nodes with one value for the run."""
 
     kind: str
     block: int
@@ -91,8 +95,10 @@ class JudgementPlan:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SpecPlan:
-    """`plan` has the judged species, and items under their names as separate species. `bodily`: by species the registers that the
-    judge fills before it evaluates, by their names in GEOMETRY."""
+    """A lowered spec.
+
+    - `plan`: has the judged species, and each group of items under its name as another species.
+    - `bodily`: by species, the names in GEOMETRY of registers. The judge fills these registers before the evaluation."""
 
     spec: expectations.Spec
     plan: ir.Plan
@@ -105,7 +111,7 @@ class SpecPlan:
 
 
 class _SpecWriter(PlanWriter):
-    """A writer that knows what only a spec can ask."""
+    """A writer that also lowers expressions that only specs can use."""
 
     def __init__(self, work: _SpecLowering, species: model.Species, registers: dict[str, Register]) -> None:
         super().__init__(work.b, work.program, species, work.report, LOWERING_RULES)
@@ -133,14 +139,14 @@ class _SpecWriter(PlanWriter):
         return self.work.start(self, e)
 
     def read_body_register(self, e: expectations.BodyMeasure) -> PlanNode:
-        """Return a register that is filled before the evaluation."""
+        """Return the register of a body measure. It is filled before the evaluation."""
         name = f"geometry.{e.name}"
         self.registers[name] = Register(name, ValueKind.F32, "attribute")
         self.work.bodily.setdefault(self.species.name, set()).add(e.name)
         return self.b("snap", attrs=(name,), kind=ValueKind.F32)
 
     def store_result(self, block: str, name: str, node: PlanNode, span: Span) -> str:
-        """A register of the spec's own that a block fills."""
+        """Add a register of the spec that a block fills, and return its name."""
         self.registers[name] = Register(name, node.kind, "memory")
         self.blocks[block].append(Store(name, node, span, infinite=True))
         return name
@@ -152,7 +158,7 @@ class _SpecWriter(PlanWriter):
 
 
 class _SpecLowering:
-    """The lowering of one spec."""
+    """The state of lowering one spec."""
 
     def __init__(self, program: model.Program, plan: ir.Plan, report: Report) -> None:
         self.program, self.lowered, self.report = program, plan, report
@@ -197,7 +203,7 @@ class _SpecLowering:
     # --- wholes and starts -------------------------------------------------------------------------------------------
 
     def lower_aggregate(self, e: expectations.AggregateExpr) -> PlanNode:
-        """Return the value of a whole; it is evaluated once, however often the rules read the expression."""
+        """Return the value of an aggregate. It is evaluated once, even if several expectations contain it."""
         if e not in self.known:
             self.known[e] = self._lower_new_aggregate(e)
         return self.known[e]
@@ -223,7 +229,7 @@ class _SpecLowering:
         return self.b("ne", result, self.b.number(0)) if e.type.kind is model.TypeKind.BOOL else result
 
     def start(self, w: _SpecWriter, e: expectations.AtStart) -> PlanNode:
-        """Return the value at the start, of the whole or stored for each agent."""
+        """Return the value at the start, of the complete run or stored for each agent."""
         if e not in self.known:
             self.known[e] = self._lower_new_at_start(w, e)
         return self.known[e]
@@ -240,14 +246,15 @@ class _SpecLowering:
         return self.b("snap", attrs=(name,), kind=ValueKind.F32)
 
     def lower_other_run(self, e: expectations.OtherRun) -> PlanNode:
-        """Return the value in the other run."""
+        """Return the value in the reference run."""
         if e not in self.known:
             self.others.append(OtherRunPlan(f"other#{len(self.others) + 1}", scalar(self.above, e.value)))
             self.known[e] = self.b("told", attrs=(self.others[-1].name,))
         return self.known[e]
 
     def _check_pure(self, w: _SpecWriter, node: PlanNode, e: model.Expr) -> PlanNode:
-        """Return the node, if evaluating it changes nothing and items have all that it reads."""
+        """Return the node. Raise UnsupportedConstruct if its evaluation has side effects, or if it reads a value that items or
+        cells do not have."""
         if w.statements:
             w.statements.clear()
             words = "a value with memory in a spec"
@@ -292,13 +299,13 @@ class _SpecLowering:
 
 
 def _is_agent_only(node: PlanNode) -> bool:
-    """Return whether only an agent has such a value, for example a sense or its age; items only have registers."""
+    """Return whether a node has a value only for agents, for example a sense or the age. Items have only registers."""
     return node.op != "snap" and (OPERATION_BY_NAME[node.op].rate is UpdateRate.AGENT or node.kind is ValueKind.SET)
 
 
 def lower_spec(spec: expectations.Spec, program: model.Program, plan: ir.Plan) -> tuple[SpecPlan | None, Report]:
-    """Return what to evaluate for a spec, given the lowered program that it judges; None with a report of what cannot be
-    evaluated yet."""
+    """Return the plan that evaluates a spec. `plan`: the lowered program that the spec judges. Return None and a report if an
+    expression cannot be evaluated yet."""
     report = Report()
     previous_limit = sys.getrecursionlimit()
     sys.setrecursionlimit(max(previous_limit, MAX_RECURSION_FRAMES))

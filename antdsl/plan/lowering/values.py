@@ -25,7 +25,8 @@ class VectorNodes:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class EntityRef:
-    """An item (`what` ITEM, a row) or an agent (AGENT, an id), perhaps none; `of` names the items or the species."""
+    """A reference to an item (`what` ITEM, `node` a row) or an agent (AGENT, an id); it may be none. `of`: the name of the items
+    or species."""
 
     what: TypeKind
     of: str
@@ -34,7 +35,7 @@ class EntityRef:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SetElement:
-    """The element of the set that is being reduced."""
+    """The current element of the set that is being reduced."""
 
     what: TypeKind
     of: str
@@ -59,18 +60,18 @@ class NamedThing:
 
     @property
     def row(self) -> KindOfThing:
-        """Return the row of its kind."""
+        """Return the row of the thing's kind."""
         return KIND_BY_WORD[self.kind.value]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class OwnPlace:
-    """The agent itself, as a place."""
+    """The agent itself, as a point."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ElementGroup:
-    """A set of agents or items with the condition on its elements."""
+    """A set of agents or items, with the condition on its elements."""
 
     nodes: PlanNode
     condition: PlanNode
@@ -88,7 +89,7 @@ LoweredValue = PlanNode | VectorNodes | EntityRef | SetElement | RayHit | NamedT
 
 
 def zip_with(f: Callable[..., PlanNode], *vectors: VectorNodes) -> VectorNodes:
-    """A function of scalars, component by component."""
+    """Apply a function of scalars to each component of vectors, and return the resulting vector."""
     return VectorNodes(f(*(v.x for v in vectors)), f(*(v.y for v in vectors)), f(*(v.z for v in vectors)))
 
 
@@ -128,7 +129,7 @@ def length(b: PlanBuilder, v: VectorNodes) -> PlanNode:
 
 
 def divide(b: PlanBuilder, v: VectorNodes, size: PlanNode) -> VectorNodes:
-    """Return v / size, or zero where size is not usable as a divisor."""
+    """Return v / size; zero if `size` cannot be a divisor."""
     inverse = b("where", b("gt", size, b.number(MIN_VECTOR_LENGTH)), b("div", b.number(1), size), b.number(0))
     return scale(b, v, inverse)
 
@@ -139,7 +140,7 @@ def unit(b: PlanBuilder, v: VectorNodes) -> VectorNodes:
 
 
 def limit(b: PlanBuilder, v: VectorNodes, most: PlanNode) -> VectorNodes:
-    """v, shortened to `most` if it is longer."""
+    """Return v, shortened to the length `most` if it is longer."""
     size = length(b, v)
     factor = b("where", b("gt", size, most), b("div", most, size), b.number(1))
     return scale(b, v, factor)
@@ -150,12 +151,12 @@ def choose(b: PlanBuilder, condition: PlanNode, then: VectorNodes, other: Vector
 
 
 def vector_if(b: PlanBuilder, condition: PlanNode, v: VectorNodes) -> VectorNodes:
-    """v where the condition holds, else nothing."""
+    """Return v if the condition holds, else a zero vector."""
     return choose(b, condition, v, zero(b))
 
 
 def rotate(b: PlanBuilder, v: VectorNodes, axis: VectorNodes, angle: PlanNode) -> VectorNodes:
-    """v turned about an axis of length 1 (Rodrigues 1840)."""
+    """Return v, rotated by `angle` (rad) about an axis of length 1 (Rodrigues 1840)."""
     cos, sin = b("cos", angle), b("sin", angle)
     ahead = scale(b, v, cos)
     side = scale(b, cross(b, axis, v), sin)
@@ -164,5 +165,6 @@ def rotate(b: PlanBuilder, v: VectorNodes, axis: VectorNodes, angle: PlanNode) -
 
 
 def angle_between(b: PlanBuilder, u: VectorNodes, v: VectorNodes) -> PlanNode:
-    """0 to half a turn; well conditioned at both ends, unlike the arc cosine (Kahan 2006, "How futile …")."""
+    """Return the angle between two vectors, from 0 to pi. It is well conditioned at both ends, unlike the arc cosine (Kahan 2006,
+    "How futile …")."""
     return b("atan2", length(b, cross(b, u, v)), dot(b, u, v))

@@ -1,7 +1,8 @@
-"""The state of lowering: the current block of one species, the stores on the path to it, and how reads see registers.
+"""The state of lowering one species: the current block, the stores on the path to the current place, and how reads see registers.
 
-An own attribute reads as `snap` while no statement on the path can have written it. So nodes that depend on it are shared with
-all other places. After a possible write it reads as `load`, counted by the stores before it in the text."""
+An own attribute is read by `snap`, its value at the start of the step, while no statement on the path can have written it. Nodes
+that depend on a `snap` can be shared with all other places. After a possible write, the attribute is read by `load`. A `load` has
+the number of the stores before it in the text."""
 
 from __future__ import annotations
 
@@ -29,7 +30,7 @@ NONE_BY_KIND = {model.TypeKind.ITEM: -1, model.TypeKind.AGENT: -1}
 
 
 class UnsupportedConstruct(Exception):
-    """A construct that passes the checks but cannot run yet. It becomes an error with a location."""
+    """A construct that passes the checks but cannot run yet. It is reported as an error with its source location."""
 
     def __init__(self, what: str, span: Span, help: str) -> None:
         super().__init__(what)
@@ -37,8 +38,8 @@ class UnsupportedConstruct(Exception):
 
 
 class LoweringRules(NamedTuple):
-    """How compound expressions become nodes: operations by name, sets, and reductions over sets. They lower their own parts, so a
-    Writer receives them from outside."""
+    """The functions that lower compound expressions: operations by name, sets, reductions, pair values and clip tests. These
+    functions lower their own parts, so a PlanWriter receives them as an argument."""
 
     operations: Mapping[str, Callable[[PlanWriter, model.OperationExpr], values.LoweredValue]]
     gather: Callable[[PlanWriter, model.SetExpr], values.LoweredValue]
@@ -48,7 +49,7 @@ class LoweringRules(NamedTuple):
 
 
 class PlanWriter:
-    """The place where the statements of one species go. `born`: nothing is a snapshot yet, every read is a `load`."""
+    """Collects the statements of one species. `born`: the block of birth is written, in which every read is a `load`."""
 
     def __init__(
         self, builder: PlanBuilder, program: model.Program, species: model.Species, report: Report, rules: LoweringRules
@@ -85,7 +86,7 @@ class PlanWriter:
         of: str | None = None,
         holds: tuple[Any, ...] = (),
     ) -> None:
-        """Declare a register of this species. A second declaration of the same name is an internal error."""
+        """Declare a register of this species. A second declaration with another kind or role is an internal error."""
         known = self.registers.get(name)
         if known is None:
             self.registers[name] = Register(name, kind, role, zero, of, holds)
@@ -93,7 +94,7 @@ class PlanWriter:
             raise PlanError(f"register {name} is a {known.kind.value} {known.role} and a {kind.value} {role}")
 
     def declare_typed(self, name: str, type: model.ValueType, role: str) -> None:
-        """Registers for a value of the language: three for a vector."""
+        """Declare the registers for a value of the language: three for a vector."""
         holds = (type.kind.value, *type.dim, type.of)
         if type.kind is model.TypeKind.VECTOR:
             for axis in AXES:
@@ -105,12 +106,12 @@ class PlanWriter:
             raise PlanError(f"{name} cannot be stored: it is a {type.kind.value}")
 
     def read(self, name: str) -> PlanNode:
-        """The register as this place sees it."""
+        """Return the value of a register at the current place."""
         return self._read(name, self.snapshot)
 
     def read_now(self, name: str) -> PlanNode:
-        """Return the register's current value, even if it has a snapshot. For latches, which are all set before anything reads
-        them."""
+        """Return a register's current value, even inside a snapshot. This is for latches, which are all set before any other code
+        reads them."""
         return self._read(name, False)
 
     def _read(self, name: str, snapshot: bool) -> PlanNode:
@@ -125,7 +126,7 @@ class PlanWriter:
         return self.b("load", attrs=(name, version), kind=register.kind)
 
     def read_previous(self, name: str) -> PlanNode:
-        """Return the register's value before this step, at any place."""
+        """Return a register's value before this step. The current place does not matter."""
         if self.born:
             return self.b.zero(self.registers[name].kind, self.registers[name].zero)
         return self.b("snap", attrs=(name,), kind=self.registers[name].kind)
@@ -134,13 +135,13 @@ class PlanWriter:
         return VectorNodes(*(self.read(f"{name}.{axis}") for axis in AXES))
 
     def mark_written(self, name: str) -> None:
-        """Something else than a Store (a claim, a gift) changed the register."""
+        """Record that a register has changed by a statement other than a Store, such as a claim or a gift."""
         self._written.add(name)
         self._stores[name] = self._stores.get(name, 0) + 1
         self.fleeting.clear()
 
     def begin_step(self) -> None:
-        """Forget what has been written: a step begins."""
+        """Clear the records of written registers, because a step begins."""
         self._written.clear()
         self._remembered.clear()
         self._stores.clear()
@@ -148,7 +149,7 @@ class PlanWriter:
         self.memories.clear()
 
     def tell(self, e: model.Expr) -> values.LoweredValue:
-        """Lower a spec's expression about a whole population; programs cannot use these."""
+        """Lower an expression that only specs can use. In programs it is an error."""
         raise PlanError(f"only specs can use this: {e.span.text!r}")
 
     # --- notes -------------------------------------------------------------------------------------------------------
@@ -156,21 +157,21 @@ class PlanWriter:
     # Called as parts of the text are lowered; `NotingWriter` stores what explains a step.
 
     def note_transition(self, machine: str, number: int, state: model.State, t: model.Transition, fires: PlanNode) -> None:
-        """A transition of a state, and whether it fires."""
+        """Record a transition of a state, and whether it fires."""
 
     def note_choice(self, key: str, draw: PlanNode, weights: list[tuple[int, PlanNode]]) -> None:
-        """A transition's choice among states: its draw and the weight of each."""
+        """Record a transition's choice of a state: the random draw and the weight of each state."""
 
     def note_layer(self, layer: model.Layer, left: PlanNode, looked: PlanNode, holds: PlanNode, push: VectorNodes) -> None:
-        """A layer: the strength left for it, whether there is any, whether its condition holds, its push."""
+        """Record a layer: the remaining strength, whether there is any, whether its condition holds, and its push."""
 
     def note_steering(
         self, s: model.Steer | model.FaceLine | model.Layer, site: str, push: VectorNodes, holds: PlanNode | None = None
     ) -> None:
-        """A `steer` line, or a `face` line of a state or of the layers, and whether its condition holds there."""
+        """Record a `steer` line, or a `face` line of a state or of the layers, and whether the line's condition holds."""
 
     def note_rest(self, rest: model.RestingPush, push: VectorNodes) -> None:
-        """Note the push that replaces the `steer` line of agents that have none."""
+        """Record the push of agents without a `steer` line."""
 
     # --- statements --------------------------------------------------------------------------------------------------
 
@@ -178,7 +179,7 @@ class PlanWriter:
         self.statements.append(statement)
 
     def store(self, name: str, value: PlanNode, span: Span | None, infinite: bool = False) -> None:
-        """Set a register from here on. A store of the current value is left out."""
+        """Set a register for all later reads. A store of the value that it already has is omitted."""
         kind = self.registers[name].kind
         if value.kind is not kind:
             raise PlanError(f"register {name} is a {kind.value} and cannot take a {value.kind.value}")
@@ -188,7 +189,7 @@ class PlanWriter:
         self.mark_written(name)
 
     def store_vector(self, name: str, value: VectorNodes, span: Span | None) -> None:
-        """Set three registers as one: a component that needs the old value of another must not see the new one."""
+        """Set three registers as one. A component that needs the old value of another component does not see the new one."""
         names = [f"{name}.{axis}" for axis in AXES]
         parts = list(value)
         if any(self._has_load(part, set(names[:place])) for place, part in enumerate(parts)):
@@ -215,7 +216,7 @@ class PlanWriter:
             raise PlanError(f"{name} cannot hold a {type(value).__name__}")
 
     def advance_memory(self, memory: model.Binding) -> None:
-        """Advance a memory on this way through the step, once, and note that a `let` met it."""
+        """Write the next value of a memory, once on each path through the step. Record that the current `let` uses it."""
         self.met.append(memory)
         if memory in self._remembered:
             return
@@ -227,7 +228,7 @@ class PlanWriter:
 
     @contextmanager
     def block(self) -> Iterator[Callable[[], Block]]:
-        """Collect statements separately; call the yielded function to get them as a Block."""
+        """Collect statements separately. The context yields a function that returns them as a Block."""
         outer, self.statements = self.statements, []
         mine = self.statements
         try:
@@ -256,7 +257,8 @@ class PlanWriter:
                 self.add(If(condition, Block(tuple(inner)), span))
 
     def alternatives(self, cases: Sequence[tuple[PlanNode, Span | None, Callable[[], None]]]) -> None:
-        """Write regions of which at most one applies to an agent. Stores in one are not visible in the others."""
+        """Write regions of which at most one applies to an agent. Each case has a condition, a span and a function that writes
+        its statements. Stores in one region are not visible in the others."""
         entered = set(self._written)
         all_written = set(entered)
         for condition, span, write in cases:
@@ -267,5 +269,5 @@ class PlanWriter:
         self._written = all_written
 
     def run(self, name: str) -> PlanNode:
-        """A value of the run."""
+        """Return a value of the run, such as `dt`."""
         return self.b("run", attrs=(name,))

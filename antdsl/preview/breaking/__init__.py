@@ -1,4 +1,4 @@
-"""Breakpoints: the session pauses when one is hit. KINDS lists all kinds."""
+"""Breakpoints: the session pauses when one is hit. `WATCHER_BY_BREAK_KIND` lists all kinds."""
 
 from __future__ import annotations
 
@@ -27,7 +27,8 @@ WATCHER_BY_BREAK_KIND: Mapping[type, Callable[[Session, Any, SpecObserver], Brea
 
 @dataclass(slots=True, eq=False)
 class Breakpoint:
-    """A breakpoint: the request, and what waits for it; None while it does not fit the program."""
+    """A breakpoint. `ask`: the request. `waits`: the watcher, None while the breakpoint does not match the program. `why`: the
+    reason then."""
 
     ask: Break
     waits: BreakpointWatcher | None = None
@@ -35,7 +36,7 @@ class Breakpoint:
 
 
 def breakpoint_text(ask: Break) -> str:
-    """A breakpoint in an artist's words."""
+    """Return a breakpoint in an artist's words."""
     match ask:
         case StateBreak():
             return f"{ask.species} enters {ask.state}"
@@ -47,8 +48,8 @@ def breakpoint_text(ask: Break) -> str:
 
 
 class Breakpoints:
-    """Checks each step that is played. `tell` gets a message for each breakpoint that does not fit a program, and all of them
-    whenever they are built again."""
+    """Checks the breakpoints after each played step. `tell` receives a message for each breakpoint that does not match a program,
+    and a message with all breakpoints whenever they are built again."""
 
     def __init__(self, specs: SpecObserver, tell: Callable[[dict[str, Any]], None] = lambda message: None) -> None:
         self.specs, self.tell = specs, tell
@@ -57,8 +58,8 @@ class Breakpoints:
         self._seen: tuple[World, int] | None = None  # the world and frame that they have seen
 
     def set(self, session: Session, asks: Sequence[Break], tried: Break | None = None) -> None:
-        """Replace all breakpoints. Raises BreakpointError if the additional one, `tried`, does not fit the program: then nothing
-        changes."""
+        """Replace all breakpoints. `tried`: an additional one. Raises BreakpointError if `tried` does not match the program; then
+        nothing changes."""
         if tried is not None and tried not in asks:
             WATCHER_BY_BREAK_KIND[type(tried)](session, tried, self.specs)
             asks = [*asks, tried]
@@ -72,7 +73,7 @@ class Breakpoints:
         return {"op": "breaks", "breaks": [{"made": ask_fields, "why": why} for ask_fields, why in reasons]}
 
     def on_new_world(self, session: Session) -> None:
-        """Build them again for another program, so that misfits are reported at once."""
+        """Build the breakpoints again for another program, so that those that do not match are reported at once."""
         if self.breaks and session.shot is not self._shot and session.frame == session.last_frame:
             self._make_watchers(session)
 

@@ -1,4 +1,5 @@
-"""A condition comes true: in the language of specs, about the whole, or about `each SPECIES: …`."""
+"""Breakpoints that are hit when a condition becomes true. The condition is in the language of specs. It is about the complete
+world, or about each agent of a species (`each SPECIES: …`)."""
 
 from __future__ import annotations
 
@@ -27,7 +28,8 @@ _ONE_CONDITION_HELP = "write one condition, such as `count(state == carry) > 10`
 
 
 class ConditionWatcher:
-    """Hit in a frame in which the condition holds and did not in the frame before; evaluated for each agent, hit by those."""
+    """Hit at a frame at which the condition holds and did not hold at the previous frame. A condition about each agent is
+    evaluated per agent, and the hit names the agents."""
 
     def __init__(self, session: Session, ask: ConditionBreak) -> None:
         self.text = " ".join(ask.text.split())
@@ -77,8 +79,8 @@ class ConditionWatcher:
 
 
 def condition_plan(shot: Shot, text: str) -> SpecPlan:
-    """Return what to evaluate for a condition, as if it were the only line of a spec. Raises BreakpointError with the error in
-    the text."""
+    """Return the plan that evaluates a condition, as if it were the only line of a spec. Raises BreakpointError with the first
+    error in the text."""
     from antdsl.program import check
 
     file, report = parse(Source(_SOURCE_NAME, _spec_text(text)))
@@ -106,7 +108,7 @@ def _spec_text(text: str) -> str:
 
 
 def _is_one_line(file: nodes.File) -> bool:
-    """Return whether the text is its condition alone."""
+    """Return whether the text consists of a single condition."""
     if len(file.items) != 1 or not isinstance(file.items[0], nodes.Spec):
         return False
     [*lines] = file.items[0].lines
@@ -116,8 +118,8 @@ def _is_one_line(file: nodes.File) -> bool:
 
 
 def _raise_first_error(report: Report, suggestion: str = "") -> None:
-    """Raise Misfit with the first error about the text. The program itself has none, and a file of nothing but a spec is no
-    mistake here. `suggestion`: what to write instead of a condition on the whole that only applies to an agent."""
+    """Raise BreakpointError with the first error in the text of the condition. The error for a file that contains only a spec is
+    ignored. `suggestion`: a correction for a condition about the complete world that only applies to an agent."""
     for error in report.sorted():
         if error.severity == "error" and error.code != "empty-program":
             help = (error.help or "").replace("never: ", "")

@@ -1,4 +1,4 @@
-"""The interface of breakpoints: a waiting breakpoint receives the start frame, then looks at every frame."""
+"""The interface of breakpoints. A waiting breakpoint receives the frame at which it begins, then every following frame."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from antdsl.preview.session import Session
 
 
 class BreakpointError(Exception):
-    """The reason why a breakpoint cannot be hit in this program, and what to write instead."""
+    """A breakpoint cannot be hit in this program: the reason, and a correction."""
 
     def __init__(self, message: str, help: str = "") -> None:
         super().__init__(message)
@@ -17,11 +17,11 @@ class BreakpointError(Exception):
 
 
 class BreakpointWatcher(Protocol):
-    """A breakpoint that waits, made for one program. Looking changes nothing."""
+    """A waiting breakpoint of one program. Its checks change nothing."""
 
     def begin(self, session: Session) -> None:
-        """Record the condition at this frame. What holds already is no hit; only a change to it is."""
+        """Record whether the condition holds at this frame. Only a later change from false to true is a hit."""
 
     def check_frame(self, session: Session) -> PauseReason | None:
-        """Return why to stop at this frame, or None. Frames arrive in order: each is the next after the last one seen or looked
-        at."""
+        """Return the reason to pause at this frame, or None. Frames arrive in order: each directly follows the frame of the
+        previous call."""

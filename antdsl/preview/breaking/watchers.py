@@ -1,4 +1,4 @@
-"""Breakpoints on an agent that enters a state, on a spec that fails, and on a fault in any agent."""
+"""Breakpoints that are hit when an agent enters a state, when a spec fails, and when any agent has a fault."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ MAX_SELECTED_AGENTS = 500  # agents that a page selects
 
 
 class StateWatcher:
-    """Neither birth in the state nor a change from the state to itself counts as entering."""
+    """Hit when an agent enters a state. Neither birth in the state nor a change from the state to itself counts."""
 
     def __init__(self, session: Session, ask: StateBreak) -> None:
         plan = session.shot.plan.species.get(ask.species)
@@ -72,7 +72,7 @@ class SpecWatcher:
         self.ask, self.specs = ask, specs
 
     def begin(self, session: Session) -> None:
-        """The curve says how it was."""
+        """Do nothing: the curve of the spec has its earlier results."""
 
     def check_frame(self, session: Session) -> PauseReason | None:
         frame, curves, key = session.frame, session.timeline.curves, CURVE_NAME_PREFIX + self.ask.spec
@@ -87,13 +87,13 @@ class SpecWatcher:
 
 
 class FaultWatcher:
-    """Stops even for faults that would otherwise only quarantine agents."""
+    """Hit when an agent has a fault, even if the fault would otherwise only quarantine the agent."""
 
     def __init__(self, session: Session, ask: FaultBreak) -> None:
         self.ask = ask
 
     def begin(self, session: Session) -> None:
-        """Each step has its own faults."""
+        """Do nothing: each step has its own faults."""
 
     def check_frame(self, session: Session) -> PauseReason | None:
         fault = session.world.faults.latest

@@ -1,4 +1,4 @@
-"""Manual edits, and files that are loaded on request."""
+"""Handlers of edits by hand, and of requests to load files."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a page wants to know or to be shown: why an agent did what it did, what steps spend their time on, where to stop."""
+"""Handlers of queries: explanations of agents, costs of steps, breakpoints, and what a page displays."""
 
 from __future__ import annotations
 

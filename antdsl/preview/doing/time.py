@@ -1,4 +1,4 @@
-"""Play, pause, step, speed, seek, restart."""
+"""Handlers of requests about time: play, pause, step, speed, seek, restart."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ def pause(live: Live, ask: requests.Pause, client: Client) -> None:
 
 
 def step(live: Live, ask: requests.Step, client: Client) -> None:
-    """So many steps, fewer when something stops it."""
+    """Start the requested number of steps. An event such as a breakpoint may stop them early."""
     live.pause()
     live.show_exact_frame()
     live.start_steps(ask.count)
@@ -32,7 +32,7 @@ def speed(live: Live, ask: requests.Speed, client: Client) -> None:
 
 
 def seek(live: Live, ask: requests.Seek, client: Client) -> None:
-    """Go to a frame, or show the nearest stored one."""
+    """Go to a frame, or display the nearest stored one."""
     live.pause()
     session = live.session
     frame = min(max(ask.frame, session.first), session.last_frame)

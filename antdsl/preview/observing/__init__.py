@@ -1,4 +1,5 @@
-"""Who looks on while a session plays: each observer is shown every step and may stop it.
+"""Observers of a playing session. Each receives every step and may pause the session. Observers change no result.
 
-`observer` says what one is, `observers` lists them: the meter of costs, the notes on what is
-other than requested, the explainer of one agent, the specs as they are judged. Looking on changes nothing."""
+`observer` defines their interface, and `observers` lists them: the meter of costs, the messages about deviations from the
+request, the specs that are judged during play, and the breakpoints. `explainer` explains an agent on request.
+"""

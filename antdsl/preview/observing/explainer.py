@@ -1,5 +1,5 @@
-"""Why an agent did what it did, in a session under way: its step is repeated in a separate world, from the nearest checkpoint of
-its stretch of time. The session's own world is not touched."""
+"""Explains why an agent acted as it did in a running session. Its step is repeated in a separate world, from the nearest
+checkpoint of the same stretch of time. The session's own world does not change."""
 
 from __future__ import annotations
 
@@ -50,8 +50,8 @@ class StretchHistory:
         return self.stretch.world(arrays, self.session.options, self.session.compiler.built)
 
     def hash(self, frame: int) -> str | None:
-        """Return the hash of the session's current frame, None for other frames. Also None if a param was set there, because it
-        takes effect in the next step."""
+        """Return the hash of the session's current frame; None for other frames. Also return None if a param was set at the
+        frame, because the new value takes effect only in the next step."""
         is_current = self.session.timeline.at(frame) is self.stretch and self.session.frame == frame
         return self.session.hash if is_current and all(change.frame != frame for change in self.stretch.changes) else None
 
@@ -66,15 +66,15 @@ class StretchHistory:
 
 
 class Explainer:
-    """Explains agents of one session. Results for a stretch of time are cached, so that the next one is fast."""
+    """Explains agents of one session. Replays of recent stretches of time are cached, so that further explanations are fast."""
 
     def __init__(self, session: Session) -> None:
         self.session = session
         self._replays: list[tuple[SimulationStretch, tuple[ParamChange, ...], Replay]] = []
 
     def explain(self, agents: Sequence[tuple[str, int]], frame: int) -> list[LocatedExplanation | None]:
-        """Return what agents (species, id) did in the step to a frame, with their states over time; None for an agent that did
-        nothing in it. Raises ExplainError if that is unknown."""
+        """Return explanations of the step to a frame for agents (species, id), with their states over time. An agent that did
+        nothing in the step has None. Raises ExplainError if no explanation is possible."""
         replay = self._find_replay(frame)
         for species, _ in agents:
             _check_species(species, replay.shot)
@@ -88,7 +88,8 @@ class Explainer:
         ]
 
     def message(self, species: str, agent: int, frame: int, named: Callable[[str], str] = str) -> dict[str, Any]:
-        """Return the message for a page that requests one agent. `named`: what files are called there."""
+        """Return the message for a page that requests the explanation of one agent. `named`: returns the page's name of a
+        file."""
         account, why = None, ""
         try:
             [account] = self.explain([(species, agent)], frame)
@@ -107,7 +108,7 @@ class Explainer:
         }
 
     def _find_replay(self, frame: int) -> Replay:
-        """Return the replay for the step to a frame: that of the stretch in which the step began."""
+        """Return the replay for the step to a frame. It belongs to the stretch in which the step began."""
         first, head = self.session.first, self.session.last_frame
         if frame == first:
             raise ExplainError(f"frame {frame} is the first: no step led to it", f"ask at frame {frame + 1}, or later")
@@ -132,7 +133,7 @@ class Explainer:
         return replace(explanation, strip=state_strip, alive=alive)
 
     def _state_stretches(self, species: str, agent: int) -> Iterator[StateStretch]:
-        """Yield the agent's states in all remembered frames, machine after machine."""
+        """Yield the agent's states in all stored frames, one machine after the other."""
         frames_by_machine: dict[str, list[tuple[int, str]]] = {}
         for frame, light in sorted(self.session.timeline.light.items()):
             if species not in light:
@@ -158,7 +159,7 @@ def _error_text(error: ExplainError) -> str:
 
 
 def _rename_files(value: Any, named: Callable[[str], str]) -> Any:
-    """The same with other names for files."""
+    """Return the value with each file renamed by `named`."""
     if isinstance(value, dict):
         return {key: named(each) if key == "file" else _rename_files(each, named) for key, each in value.items()}
     return [_rename_files(each, named) for each in value] if isinstance(value, list) else value

@@ -1,4 +1,4 @@
-"""Sends pages the cost of steps, if they request it. Steps are measured while such a page exists."""
+"""Sends the costs of steps to the pages that request them. Steps are measured only while such a page is connected."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _MIN_REPORTED_MS = 5e-4  # ms a frame: a faster line is not reported
 
 
 class CostReporter:
-    """An observer; the live thread's own."""
+    """An observer that sends costs of steps. Used only by the live thread."""
 
     def __init__(self, live: Live) -> None:
         self._live = live
@@ -27,13 +27,13 @@ class CostReporter:
         self._told_at = -inf
 
     def switch(self, client: Client, on: bool) -> None:
-        """Start or stop sending the costs to a page, from the next step on."""
+        """Start or stop sending costs to a page, from the next step on."""
         (self._asked.add if on else self._asked.discard)(client)
         self._told_at = -inf
         self._measure(self._live.session)
 
     def before_step(self, session: Session) -> None:
-        """The session's meter begins automatically."""
+        """Do nothing: the session's meter starts automatically."""
 
     def after_step(self, session: Session) -> PauseReason | None:
         if self._asked:
@@ -43,7 +43,7 @@ class CostReporter:
         return None
 
     def on_new_world(self, session: Session) -> None:
-        """Move the session's meter to its new world."""
+        """Do nothing: the session moves its meter to the new world."""
 
     def _measure(self, session: Session) -> None:
         if bool(self._asked) != (session.meter is not None):
@@ -62,7 +62,7 @@ class CostReporter:
 
 
 def message(profile: StepProfile, names: FileNames) -> dict[str, Any]:
-    """A profile as pages read it."""
+    """Return the message with a profile, for pages."""
     return {
         "op": "profile",
         "frames": profile.frames,

@@ -1,5 +1,5 @@
-"""The interface of observers of a session. An observer sees each step, may stop there, and sees each world that replaces another.
-Observing changes nothing."""
+"""The interface of observers of a session. An observer receives each step, may pause the session after it, and receives each
+world that replaces another. Observers change no simulation result."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class PauseReason:
-    """Why the session pauses, as text, and the agents concerned, of one species."""
+    """The reason for a pause, as text, and the agents concerned, which are all of one species."""
 
     line: str
     species: str = ""
@@ -21,11 +21,11 @@ class PauseReason:
 
 class Observer(Protocol):
     def before_step(self, session: Session) -> None:
-        """Called before each step; `stepped` follows."""
+        """Prepare for a step. `after_step` follows."""
 
     def after_step(self, session: Session) -> PauseReason | None:
-        """Observe a step that was requested or that play made; not those that a seek simulates again. It may add numbers to
-        `session.timeline.curves[session.frame]`."""
+        """Observe a step that was requested or played, and return a reason to pause, or None. Not called for steps that a seek
+        simulates again. May add numbers to `session.timeline.curves[session.frame]`."""
 
     def on_new_world(self, session: Session) -> None:
-        """Called when the session has a new world: opened, reloaded, restarted, or moved back in time."""
+        """Observe a new world: the session was opened, reloaded, restarted, or moved back in time."""

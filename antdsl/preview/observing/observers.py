@@ -1,5 +1,5 @@
-"""All who look on while a session goes on; one says on the terminal what is otherwise than requested, such as that there is no
-machine code: each sentence once, as it comes."""
+"""The list of all observers of a running session, and the observer that prints deviations from the request on the terminal, such
+as missing machine code. Each sentence is printed once."""
 
 from __future__ import annotations
 
@@ -36,13 +36,13 @@ OBSERVER_MAKERS: tuple[Callable[[Live], Observer], ...] = (CostReporter, _notes,
 
 
 class NoteObserver:
-    """An observer; the live thread's own."""
+    """An observer that prints the backend's messages. Used only by the live thread."""
 
     def __init__(self) -> None:
         self._said: set[str] = set()
 
     def before_step(self, session: Session) -> None:
-        """What comes is said after the step."""
+        """Do nothing: messages are printed after the step."""
 
     def after_step(self, session: Session) -> PauseReason | None:
         for sentence in session.world.backend.messages():
@@ -52,4 +52,4 @@ class NoteObserver:
         return None
 
     def on_new_world(self, session: Session) -> None:
-        """Do nothing: a world without steps has nothing to say."""
+        """Do nothing: a world without steps has no messages."""

@@ -1,5 +1,5 @@
-"""Specs of the scene judged while it runs, as curves: each frame once, as it is first simulated. After an edit expectations start
-again from that frame, as a run of two programs has no defined expectations."""
+"""Judges the specs of a scene while it runs, and stores the results as curves. Each frame is judged once, when it is first
+simulated. After an edit, judgement starts again at the edited frame: for a run of two programs, expectations are not defined."""
 
 from __future__ import annotations
 
@@ -31,7 +31,13 @@ CURVE_NAME_PREFIX = "spec: "
 
 @dataclass(slots=True, eq=False)
 class SpecStatus:
-    """One spec, with a judge, or with `why` there is none. `plan` is None where no plan can exist."""
+    """The status of one spec.
+
+    `plan`: None if no plan can exist.
+    `why`: the reason if there is no judge.
+    `judge`: judges the spec, or None.
+    `seconds` and `frames`: the time of judging, and the number of judged frames.
+    """
 
     name: str
     plan: SpecPlan | None = None
@@ -58,8 +64,8 @@ class SpecStatus:
 
 
 class SpecObserver:
-    """All specs of a session's program. Specs that a client requires are judged at any cost. `tell` receives a message whenever
-    the status of a spec changes."""
+    """Judges all specs of a session's program. Specs that a client requires are judged at any cost. `tell` receives a message
+    whenever the status of a spec changes."""
 
     def __init__(self, tell: Callable[[dict[str, Any]], None] = lambda message: None) -> None:
         self.tell, self.wanted = tell, frozenset[str]()
@@ -74,17 +80,17 @@ class SpecObserver:
         return {"op": "specs", "specs": [each.as_json() for each in self.judged]}
 
     def require(self, names: Collection[str]) -> None:
-        """Judge these whatever it costs; one that was let go of is judged from the next step on."""
+        """Judge these specs whatever the cost. A spec for which judging was stopped is judged again from the next step on."""
         self.wanted = frozenset(names)
 
     def plans_by_name(self, shot: Shot, scene: Path) -> list[tuple[str, SpecPlan | str]]:
-        """Return the specs of a program by name, each with its plan, or the reason why it is not judged here."""
+        """Return the specs of a program by name. Each has its plan, or the reason why it is not judged in this session."""
         if self._plans is None or self._plans[0] is not shot:
             self._plans = shot, list(_plan_specs(shot, scene))
         return self._plans[1]
 
     def on_new_world(self, session: Session) -> None:
-        """Do nothing: another world is detected by its stretch at the next step."""
+        """Do nothing: the next step detects another world by its stretch."""
 
     def before_step(self, session: Session) -> None:
         self._judge_frame(session)
@@ -102,7 +108,7 @@ class SpecObserver:
         return None
 
     def _judge_frame(self, session: Session) -> None:
-        """Judge the session's current frame, if the session is there for the first time."""
+        """Judge the session's current frame if it is simulated for the first time."""
         frame, shot = session.frame, session.shot
         if frame != session.last_frame or frame < shot.frames.first:
             return
@@ -122,7 +128,8 @@ class SpecObserver:
                 session.timeline.curves[frame].setdefault(CURVE_NAME_PREFIX + each.name, curve)
 
     def _start_judging(self, session: Session, which: Callable[[SpecStatus], bool]) -> list[SpecStatus]:
-        """Judge, from this frame on, the matching specs that are not judged yet and can be."""
+        """Start judging, from this frame on, the specs that `which` selects, that are not judged yet, and that can be. Return
+        these specs."""
         candidates = [each for each in self.judged if each.judge is None and each.plan is not None and which(each)]
         for each in candidates:
             assert each.plan is not None
@@ -139,7 +146,8 @@ class SpecObserver:
                 each.seconds += thread_time() - began
 
     def _stop_if_slow(self, each: SpecStatus, step: float) -> None:
-        """Stop judging a spec that takes too long, while it has not failed and no breakpoint waits for it."""
+        """Stop judging a spec that takes too long, unless it has failed or a breakpoint waits for it. `step`: seconds of the last
+        step."""
         if each.judge is None or each.frames < _MEASURED_FRAMES or each.name in self.wanted or each.failure is not None:
             return
         takes = each.seconds / (each.frames - _WARM_UP_FRAMES)
@@ -166,7 +174,7 @@ def _plan_spec(spec: Spec, shot: Shot) -> SpecPlan | str:
 
 
 def _obstacle_text(spec: Spec, shot: Shot, scene: Path) -> str:
-    """Return why a spec does not apply to this run; empty if it does."""
+    """Return the reason why a spec does not apply to this run, or "" if it applies."""
     if spec.scene is not None:
         try:
             place = Roots(Path(spec.span.source.path).resolve().parent, shot.scene.roots.granted).path(spec.scene.text)
@@ -184,7 +192,7 @@ def _obstacle_text(spec: Spec, shot: Shot, scene: Path) -> str:
 
 
 def describe_failure(failure: Failure) -> str:
-    """Return a failure in one line: what was not so, for which agent, with the values."""
+    """Return a failure in one line: the condition that did not hold, the agent, and the values."""
     agent_text = ""
     if failure.agent is not None:
         others_text = f" and {failure.others} more" if failure.others else ""

@@ -10,7 +10,7 @@ from antdsl.diagnostics import Report
 
 
 def ready() -> Report:
-    """Empty where a preview can be served; else one error that names the extra."""
+    """Return an empty report if a preview can be served, else one error that names the missing extra."""
     report = Report()
     if find_spec("websockets") is None:
         message = "the preview needs the extra `[preview]`, which is not installed"

@@ -1,4 +1,4 @@
-"""Where the server listens, the host names that it accepts, and the addresses to open in a browser."""
+"""The addresses at which the server listens, the host names that it accepts, and the addresses to open in a browser."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ _MISSING_ADDRESS_ERRORS = (errno.EADDRNOTAVAIL, errno.EAFNOSUPPORT)  # as `::1` 
 
 
 class ListenError(Exception):
-    """No socket there; in words for a person."""
+    """No socket can be opened at an address. The message is for the user."""
 
 
 @dataclass(frozen=True, slots=True)
 class ListeningSockets:
-    """Bound sockets, the names that a request may call them by, with the port, and addresses to open, the best first."""
+    """Bound sockets. `names`: hosts with port that a request may have. `addresses`: to open in a browser, the best first."""
 
     sockets: tuple[socket.socket, ...]
     names: frozenset[str]
@@ -43,8 +43,8 @@ def is_loopback(host: str | None) -> bool:
 
 
 def listen(host: str | None = None, port: int | None = None) -> ListeningSockets:
-    """Bind sockets on the loopback interface, or at `host`. Without `port`, use the first free one from 8765 on; 0 takes any.
-    Raises ListenError if a named port is taken, or if this machine does not have the host."""
+    """Bind sockets on the loopback interface, or at `host`. Without `port`, use the first free port from 8765 on; 0 takes any
+    free port. Raises ListenError if the requested port is taken, or if this machine does not have the host."""
     addresses = _LOOPBACK_ADDRESSES if host is None else _resolve_host(host)
     for candidate in (port,) if port is not None else range(DEFAULT_PORT, DEFAULT_PORT + _MAX_PORT_ATTEMPTS):
         try:
@@ -63,7 +63,7 @@ def listen(host: str | None = None, port: int | None = None) -> ListeningSockets
 
 def _bind_sockets(addresses: Iterable[str], port: int) -> tuple[tuple[socket.socket, ...], int]:
     """Return sockets at all addresses, on one port, and the port. An address that this machine lacks is left out if there is
-    another. One that another program holds is an error, or `localhost` would lead to that program."""
+    another. Raises OSError if another program holds one of the addresses; otherwise `localhost` could lead to that program."""
     sockets: list[socket.socket] = []
     absent: OSError | None = None
     try:
@@ -106,7 +106,7 @@ def _socket(place: str, port: int) -> socket.socket:
 
 
 def _resolve_host(host: str) -> tuple[str, ...]:
-    """The addresses of a host, as numbers."""
+    """Return the addresses of a host, as numbers."""
     try:
         entries = socket.getaddrinfo(host, None, type=socket.SOCK_STREAM)
     except (OSError, UnicodeError):
@@ -115,8 +115,8 @@ def _resolve_host(host: str) -> tuple[str, ...]:
 
 
 def _server_names(host: str | None, addresses: Iterable[str]) -> list[str]:
-    """Return names that lead to this server and to no other: the requested one, and its addresses. A server that listens at every
-    address is also called by each address and name of the machine. A name that an attacker may choose is not among them."""
+    """Return names that lead to this server and to no other: the requested host and its addresses. A server that listens at every
+    address also has each address and name of the machine. Names that an attacker may choose are not included."""
     if host is None:
         return ["localhost", *_LOOPBACK_ADDRESSES]
     addresses = list(addresses)
@@ -134,7 +134,8 @@ def _browser_addresses(host: str | None, addresses: Iterable[str], sockets: Iter
 
 
 def _machine_addresses() -> list[str]:
-    """Return addresses at which others reach this machine: those of its host name, and those that it would send from."""
+    """Return addresses at which other machines reach this one: those of its host name, and the source addresses of outgoing
+    connections."""
     addresses: list[str] = []
     with suppress(OSError, UnicodeError):
         addresses += [str(each[4][0]) for each in socket.getaddrinfo(socket.gethostname(), None, type=socket.SOCK_STREAM)]

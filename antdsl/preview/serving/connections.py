@@ -1,5 +1,5 @@
-"""Limits of connections before and after a client is admitted: how many connections, how many frames, in how many pieces, and
-how much one client may request in a given time."""
+"""Limits of connections before and after a client is admitted: the number of connections, the rate of frames, the fragments of a
+message, and the requests of one client in a given time."""
 
 from __future__ import annotations
 
@@ -14,15 +14,15 @@ from antdsl import limits
 
 
 class ConnectionGate:
-    """All connections of a server. Of those that are not admitted yet only the newest stay. A client that opens thousands and
-    sends nothing displaces its own, and not the page that authenticates in time."""
+    """All connections of a server. Only the newest connections that are not admitted yet stay open. So a client that opens
+    thousands and sends nothing displaces its own connections, not a page that authenticates in time."""
 
     def __init__(self) -> None:
         self._waiting: dict[GatedConnection, None] = {}
         self._in: dict[GatedConnection, bool] = {}  # with whether it came by a code that is good once
 
     def make_connection(self, *args: Any, **options: Any) -> GatedConnection:
-        """A connection, as `serve` makes them."""
+        """Return a new connection, for `serve` to create connections with."""
         return GatedConnection(self, *args, **options)
 
     def let_in(self, connection: ServerConnection, *, invited: bool) -> None:
@@ -54,7 +54,7 @@ class ConnectionGate:
 
 class GatedConnection(ServerConnection):
     """A connection that is closed if the client sends frames too fast (pings included) or splits a message into too many
-    fragments. Fragments may be empty, so a byte limit alone does not bound them."""
+    fragments. A limit of bytes is not enough, because fragments may be empty."""
 
     def __init__(self, gate: ConnectionGate, *args: Any, **options: Any) -> None:
         super().__init__(*args, **options)
@@ -85,14 +85,15 @@ class GatedConnection(ServerConnection):
 
 
 class TokenBucket:
-    """A rate limiter: holds up to `most` tokens and gains `rate` per second; each event takes one. `clock` returns seconds."""
+    """A rate limiter. It holds up to `most` tokens and gains `rate` tokens per second; each event takes one. `clock` returns
+    seconds."""
 
     def __init__(self, rate: float, most: float, clock: Callable[[], float] = monotonic) -> None:
         self._rate, self._most, self._clock = rate, most, clock
         self._holds, self._at = most, clock()
 
     def take(self) -> bool:
-        """Take one; False where there is none."""
+        """Take one token and return True; return False if there is none."""
         now = self._clock()
         self._holds = min(self._most, self._holds + (now - self._at) * self._rate)
         self._at = now

@@ -1,12 +1,13 @@
 """Decides which clients the server admits: by the host name of the request, by the origin of the page, and by a token that only
-the terminal shows.
+the terminal displays.
 
 The three are checked separately. The host name is never compared with the origin: after DNS rebinding both are the attacker's.
 
-After a restart, the server of the same scene on the same port admits the pages of the server before it. The token is new each
-time. A page receives a key when it is admitted and never sends it: the page only signs challenges with it. So another program
-that listens at the port in between learns nothing useful. The keys of the last few starts are in a file that only the user may
-read. Where no such file is possible, no keys are stored, and the user has to open the page again."""
+After a restart, a server of the same scene on the same port admits the pages of the previous server again, although it has a new
+token. A page receives a key when it is admitted, and never sends the key: it only signs challenges with it. So if another program
+listens at the port in between, it learns nothing useful. The keys of the last few starts are in a file that only the user may
+read. If no such file is possible, no keys are stored, and the user has to open the page again.
+"""
 
 from __future__ import annotations
 
@@ -35,14 +36,15 @@ _TOKEN_PREFIX = "token."
 
 @dataclass(frozen=True, slots=True)
 class ReturningPages:
-    """`key` is for pages that are let in now, `previous_keys` has those of earlier starts."""
+    """Keys by which pages are admitted again after a restart. `key`: for pages that are admitted now. `previous_keys`: those of
+    earlier starts."""
 
     key: str = field(repr=False)
     previous_keys: tuple[str, ...] = field(default=(), repr=False)
 
     @classmethod
     def of(cls, scene: Path, port: int, folder: Path | None = None) -> ReturningPages | None:
-        """Return the record for a server of a scene that starts now; None if nothing can be stored in private."""
+        """Return the keys for a server of a scene that starts now; None if no private file can store them."""
         try:
             name = sha256(f"{os.path.realpath(scene)}|{port}".encode("utf-8", "surrogateescape")).hexdigest()[:32]
             folder = folder or state_folder() / "antdsl" / "preview"
@@ -55,8 +57,8 @@ class ReturningPages:
         return returning
 
     def is_proof(self, answer: str | bytes, host: str, nonce: str) -> bool:
-        """Whether an answer to `nonce` comes from a page that was let in before, at this very name and port: another server
-        cannot hand it on."""
+        """Return whether `answer` signs `nonce` with a key of an earlier start. The signature includes the server's name and
+        port, so another server cannot pass it on."""
         if not isinstance(answer, str):
             return False
         answer_bytes = answer.encode("utf-8", "replace")
@@ -66,7 +68,7 @@ class ReturningPages:
 
 
 def _read_keys(place: Path) -> tuple[str, ...]:
-    """The keys in a file; none of one that is anything but a small private file of keys."""
+    """Return the keys in a file; none if it is not a small private file of keys."""
     try:
         keys = list(json.loads(read_private(place, _MAX_KEY_FILE_BYTES))["keys"])
     except (OSError, ValueError, TypeError, KeyError, RecursionError):
@@ -92,8 +94,11 @@ class ConnectionVerdict(Enum):
 
 @dataclass(frozen=True, slots=True)
 class RequestGuard:
-    """Checks hosts, origins and tokens. `names`: hosts with port as in addresses: `localhost:8765`, `[::1]:8765`. `returning`, if
-    set, admits pages again after a restart of the server."""
+    """Checks hosts, origins and tokens.
+
+    `names`: hosts with port, as in addresses: `localhost:8765`, `[::1]:8765`.
+    `returning`: if set, pages are admitted again after a restart of the server.
+    """
 
     names: frozenset[str]
     token: str = field(default_factory=lambda: secrets.token_urlsafe(32), repr=False)
@@ -101,29 +106,29 @@ class RequestGuard:
     returning: ReturningPages | None = None
 
     def invite(self) -> str:
-        """A code that stands for the token once: for the address that a browser is started with, which other people on this
-        machine can see in the list of processes."""
+        """Return a code that replaces the token once. It is for the address that a browser is started with, because other users
+        of this machine can read that address in the list of processes."""
         code = secrets.token_urlsafe(32)
         self._codes.add(code)
         return code
 
     def is_own_host(self, headers: Sequence[str]) -> bool:
-        """Return whether a request's `Host` headers are valid: exactly one, equal to one of the names."""
+        """Return whether a request has exactly one `Host` header, and it equals one of the names."""
         return len(headers) == 1 and headers[0] in self.names
 
     def origin(self, headers: Sequence[str]) -> bool | None:
-        """Return whether a request's page is this server's; None if no page is named. `null` is not a name: pages from files and
-        sandboxes send it."""
+        """Return whether the origin of a request is this server's page; None if the request has no origin. `null` does not count
+        as an origin of this server: pages from files and sandboxes send it."""
         if not headers:
             return None
         return len(headers) == 1 and headers[0].removeprefix("http://") in self.names and headers[0].startswith("http://")
 
     def page(self, hosts: Sequence[str], origins: Sequence[str]) -> bool:
-        """Return whether the page may be loaded. It holds no secret, so no token is needed."""
+        """Return whether the page may be loaded. No token is needed, because the page contains no secret."""
         return self.is_own_host(hosts) and self.origin(origins) is not False
 
     def judge_socket(self, hosts: Sequence[str], origins: Sequence[str], offered: Iterable[str]) -> ConnectionVerdict:
-        """Whether a socket may be opened; `offered` are its `Sec-WebSocket-Protocol` headers."""
+        """Return the verdict on a request to open a socket. `offered`: its `Sec-WebSocket-Protocol` headers."""
         origin = self.origin(origins)
         if not self.is_own_host(hosts) or origin is False:
             return ConnectionVerdict.STRANGER
@@ -140,5 +145,5 @@ class RequestGuard:
 
 
 def _is_equal(one: str, other: str) -> bool:
-    """Compare two texts in a time that does not reveal where they differ."""
+    """Return whether two texts are equal, in a time that does not reveal where they differ."""
     return hmac.compare_digest(one.encode("utf-8", "surrogatepass"), other.encode())

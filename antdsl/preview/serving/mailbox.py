@@ -18,15 +18,15 @@ from antdsl import limits
 
 @dataclass(slots=True, eq=False)
 class _QueuedPacket:
-    """A packet in its place in the queue; None once a later one took another place."""
+    """A packet in the queue; None if a later packet of the slot replaced it at another position."""
 
     slot: str
     packet: bytes | None
 
 
 class ClientMailbox:
-    """The outgoing queue. `full` is called on the event loop once the queue exceeds its budget; after that, nothing is
-    accepted."""
+    """The outgoing queue of one client. Once the queue exceeds its budget, `full` is called on the event loop, and nothing more
+    is accepted."""
 
     def __init__(
         self,
@@ -47,7 +47,7 @@ class ClientMailbox:
         self._woken = self._closed = False
 
     def tell(self, message: dict[str, Any]) -> None:
-        """Append a message. A `hello` gets what only the server knows: the build of the page."""
+        """Append a message. A `hello` message also gets the build of the page, which only the server knows."""
         if message.get("op") == "hello":
             message = {**message, **self._hello}
         text = json.dumps(message, ensure_ascii=False, allow_nan=False, separators=(",", ":"))
@@ -63,8 +63,8 @@ class ClientMailbox:
             self._wake_or_close()
 
     def show(self, slot: str, packet: bytes) -> None:
-        """Replace the packet of the same slot that still waits, else append. So a slot waits at most once, and frequent packets
-        of one slot do not delay another."""
+        """Replace the waiting packet of the same slot, or append the packet. So each slot waits at most once, and frequent
+        packets of one slot do not delay another."""
         with self._lock:
             if self._closed:
                 return
@@ -82,7 +82,7 @@ class ClientMailbox:
             self._wake_or_close()
 
     async def next(self) -> str | bytes:
-        """Return the next message or packet to send; wait for one if there is none. For one reader, on the event loop."""
+        """Return the next message or packet to send; wait if there is none. For one reader, on the event loop."""
         while True:
             with self._lock:
                 item = self._take()
@@ -94,7 +94,7 @@ class ClientMailbox:
             await self._there.wait()
 
     def close(self) -> None:
-        """Take nothing any more and forget what waits."""
+        """Drop all waiting messages and packets, and accept no more."""
         with self._lock:
             self._close()
 
@@ -113,7 +113,7 @@ class ClientMailbox:
         return None
 
     def _wake_or_close(self) -> None:
-        """Wake who reads, or give up. The lock is held."""
+        """Wake the reader, or close the queue if it exceeds its budget. The caller holds the lock."""
         over = self._words > self._most_words or self._packets > self._most_packets
         if over:
             self._close()

@@ -1,4 +1,4 @@
-"""The files of the page, read once: every address with its response, and a hash of all."""
+"""The files of the page, read once: a response for every address, and a hash of all files."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ _BUILD_PLACEHOLDER = b'<meta name="build" content="" />'
 
 @dataclass(frozen=True, slots=True)
 class PageFiles:
-    """The page's files. `routes`: type and body by the address as in a request. Addresses are looked up only here, and are never
-    turned into file names."""
+    """The page's files. `routes`: type and body by the address in a request. Addresses are only looked up in `routes`; they never
+    become file names."""
 
     routes: dict[str, tuple[str, bytes]]
     build: str

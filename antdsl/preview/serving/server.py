@@ -1,4 +1,4 @@
-"""The server: pages over HTTP, and one socket a client between the page and the thread that simulates."""
+"""The server: the page over HTTP, and one socket per client between the page and the thread that simulates."""
 
 from __future__ import annotations
 
@@ -67,7 +67,7 @@ _SILENT_LOGGER = logging.getLogger("antdsl.preview.serving")
 
 @dataclass(frozen=True, slots=True)
 class RefusedRequest:
-    """A rejected request. `of`: its op, if that exists."""
+    """A rejected request. `of`: its op, if the op exists."""
 
     of: str
     message: str
@@ -78,7 +78,7 @@ class RefusedRequest:
 
 
 def read_request(text: str) -> Ask | RefusedRequest:
-    """Return the request in a message. Errors never repeat the message's content, except names of ops and their fields."""
+    """Return the request in a message. Errors never repeat the message's content, except names of ops and fields."""
     try:
         return ASK.validate_json(text)
     except ValidationError as why:
@@ -100,7 +100,8 @@ _SILENT_LOGGER.propagate = False
 
 
 class SimulationHost(Protocol):
-    """What the server needs of the simulation: `antdsl.preview.live.Live`, thread-safe, never blocking."""
+    """The part of the simulation that the server uses. `antdsl.preview.live.Live` implements it. All methods are thread-safe and
+    never block."""
 
     def ask(self, ask: Ask, client: Client) -> None: ...
     def join(self, client: Client) -> None: ...
@@ -108,7 +109,7 @@ class SimulationHost(Protocol):
 
 
 class PreviewServer:
-    """`async with Server(...).running():` serves until the block ends."""
+    """A server of one preview. `async with PreviewServer(...).running():` serves until the block ends."""
 
     def __init__(self, live: SimulationHost, guard: RequestGuard, pages: PageFiles, listening: ListeningSockets) -> None:
         self._live, self._guard, self._pages, self._listening = live, guard, pages, listening
@@ -147,7 +148,7 @@ class PreviewServer:
     # --- requests ------------------------------------------------------------------------------------------------------
 
     def _answer_request(self, connection: ServerConnection, request: Request) -> Response | None:
-        """The answer to a request, or None to go on and open a socket."""
+        """Return the response to a request, or None to open a socket."""
         hosts, origins = request.headers.get_all("Host"), request.headers.get_all("Origin")
         if getattr(request, "method", "GET") != "GET":  # earlier versions of websockets read nothing else
             return _make_response(HTTPStatus.METHOD_NOT_ALLOWED, extra=[("Allow", "GET")])
@@ -195,7 +196,7 @@ class PreviewServer:
                 await sender
 
     async def _is_returning(self, connection: ServerConnection) -> bool:
-        """Return whether one of our pages with a wrong token proves that it was admitted before the server restarted."""
+        """Return whether a page with a wrong token proves that it was admitted before the server restarted."""
         returning = self._guard.returning
         if returning is None or not returning.previous_keys or connection.request is None:
             return False
@@ -261,7 +262,7 @@ async def _send_messages(connection: ServerConnection, mailbox: ClientMailbox) -
 
 
 async def _close_connection(connection: ServerConnection, code: CloseCode, why: str) -> None:
-    """Close a connection with a code and a reason; the client may not respond."""
+    """Close a connection with a code and a reason. Stop waiting if the client does not respond in time."""
     with suppress(TimeoutError):
         async with asyncio.timeout(_CLOSE_TIMEOUT_SECONDS):
             await connection.close(code, why)
@@ -287,7 +288,7 @@ def _add_headers(connection: ServerConnection, request: Request, response: Respo
 
 
 def run_server(server: PreviewServer, ready: Callable[[], None]) -> None:
-    """Serve until Ctrl-C or a termination; `ready` is called once pages can be loaded."""
+    """Serve until Ctrl-C or a termination signal. `ready` is called once pages can be loaded."""
     asyncio.run(_serve_until_stopped(server, ready))
 
 

@@ -1,1 +1,1 @@
-"""What pages show of a session, and the messages about it."""
+"""The display of a session on pages, and the messages about it."""

@@ -1,5 +1,5 @@
-"""What agents do with their bodies in a frame, as few bytes: the clips that they play (up to three a machine, with how far
-each is and how much it weighs), where their feet stand, and how trunks stand over them."""
+"""Packs what the bodies of agents do in a frame into few bytes: up to three clips per machine with progress and weight, the
+positions of feet, and the pose of the trunk above them."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ Arrays = dict[str, NDArray[Any]]
 
 
 def store_poses(session: Session) -> None:
-    """Store the poses of the session's frame with its light frame, once."""
+    """Store the poses of the session's frame with its light frame, unless they are stored already."""
     world, lights = session.world, session.light_at(session.frame)
     if lights is not None and session.frame not in session.timeline.poses:
         poses = {name: _species_poses(session, each, lights[name]) for name, each in world.populations.items() if name in lights}
@@ -46,7 +46,7 @@ def store_poses(session: Session) -> None:
 
 
 def stored_poses(session: Session, frame: int) -> dict[str, Arrays]:
-    """Return the stored actions of bodies at a frame, by species, if the species has the same bodies and clips now."""
+    """Return the stored actions of bodies at a frame, by species. Species that now have other bodies or clips are left out."""
     arrays_by_species = {}
     for name, then in session.timeline.poses.get(frame, {}).items():
         population = session.world.populations.get(name)
@@ -61,10 +61,17 @@ def _species_poses(session: Session, population: Population, light: Arrays) -> S
 
 
 def action_arrays(world: World, shot: Shot, population: Population, light: Arrays) -> Arrays:
-    """Return what bodies do, as arrays. `SPECIES/plays/MACHINE` of machines that play. For bodies with them, `SPECIES/wears`
-    uint32[n] (a bit for each layer), `SPECIES/look/GROUP` int8[n, 3] (127 is 1) and `SPECIES/lean` the same (turn, slope, 0).
-    `SPECIES/trait/K` float32[n, 3]: three of the values that bodies differ by, in order. `SPECIES/feet` and `SPECIES/stance`
-    where feet are computed. `light`: the rest of the frame about these agents, by id."""
+    """Return the actions of bodies as arrays.
+
+    - `SPECIES/plays/MACHINE`: of machines that play clips.
+    - `SPECIES/wears` uint32[n]: a bit for each worn layer.
+    - `SPECIES/look/GROUP` int8[n, 3]: a direction, 127 is 1.
+    - `SPECIES/lean` int8[n, 3]: turn, slope, 0; 127 is 1.
+    - `SPECIES/trait/K` float32[n, 3]: three of the body traits, in order.
+    - `SPECIES/feet` and `SPECIES/stance`: if feet are computed.
+
+    Arrays of features that a body lacks are left out. `light`: the light frame of these agents, by id.
+    """
     name, worn = population.name, outfit(world, shot, population)
     stored = clips_playing(population) | display_arrays(population, world.setting)
     clips_by_machine = {each: machine_clips(name, each, stored, len(population)) for each in playing(population)}
@@ -124,8 +131,7 @@ def blend_weights(
     said: Mapping[str, NDArray[Any]],
     lean: NDArray[Any] | None = None,
 ) -> NDArray[np.float32]:
-    """Return the weights of blend-shape targets of each agent, float32[n, T], from the clips that they play and the values of
-    channels."""
+    """Return the weights of blend-shape targets, float32[n, T], from the clips that agents play and the values of channels."""
     table, groups = channel_table(worn.definition)
     plays = (*worn.plays, PlayedClip(worn.definition.idle))
     poses = posed(table, groups, playing_of_machines(table, plays, machines, count, lean))
@@ -148,9 +154,11 @@ def _stance_arrays(world: World, name: str, worn: BodyOutfit, light: Arrays, mac
 
 
 def pack_clips(clips: MachineClips, loops: NDArray[np.bool_]) -> NDArray[np.uint16]:
-    """Return the clips that one machine of n agents plays, uint16[n, 3, k]: numbers, progress, and weights of the clip and the
-    previous one. k is 2, or 3 if any agent still plays the clip before the previous one. `loops`: whether each clip of the
-    species loops, and False for none. A clip that does not loop ends with its last sample."""
+    """Return the clips that one machine of n agents plays, uint16[n, 3, k]: numbers, progress and weights.
+
+    k is 2: the clip of the state and the previous one. It is 3 if any agent still plays the clip before these. `loops`: whether
+    each clip of the species loops, and False for no clip. A clip that does not loop ends with its last sample.
+    """
     slots = list(clips.clip_slots())[::-1]
     if not slots[-1][2].any():
         slots.pop()
@@ -166,16 +174,18 @@ def pack_clips(clips: MachineClips, loops: NDArray[np.bool_]) -> NDArray[np.uint
 
 
 def stance_arrays(legs: LegSolver, feet: Feet, light: Arrays, stands: Floats) -> dict[str, NDArray[np.int16]]:
-    """Return the stances of bodies as integers, with two arrays.
+    """Return the stances of bodies as two integer arrays.
 
-    `feet` int16[n, L, 3]: where each foot joint is to be relative to a body with an unmoved trunk, 4096 to a body's length,
-    ahead, above and aside.
+    - `feet` int16[n, L, 3]: the target of each foot joint relative to a body with an unmoved trunk, in 1/4096 of the body length,
+      along ahead, up and aside.
+    - `stance` int16[n, 6]: column 0 is the rise of the trunk in 1/4096 of the body length. Columns 1 to 3 are x, y and z of its
+      rotation (32767 is 1). Column 4 is the weight of the feet (32767 is 1). Column 5 has a bit for each foot that stands.
 
-    `stance` int16[n, 6]: how much the trunk is raised, the x, y and z of its turn, how much feet stand (32767 is 1). The last has
-    a bit for each foot that stands. `light`: where these agents are displayed. `stands` [n]: how much clips leave feet where they
-    stand.
+    `light`: the displayed positions and directions of these agents.
+    `stands`: [n], the weight with which clips leave feet on the ground.
 
-    Bodies stand as pages turn them, by directions of three bytes, so that a standing foot does not shake with these."""
+    Bodies are oriented as pages do it, by directions of three bytes, so that a standing foot does not shake with their rounding.
+    """
     size = np.where(light["size"] > 0, light["size"], 1).astype(np.float32)
     rise = feet.rise / size * stands
     tilt = slope_quaternions(feet.slope) * stands[:, None]
@@ -195,7 +205,7 @@ def stance_arrays(legs: LegSolver, feet: Feet, light: Arrays, stands: Floats) ->
 
 
 def _body_axes(light: Arrays) -> Floats:
-    """Return the columns forward, up and sideways of agents, float32[3, 3, n], computed as pages do."""
+    """Return the columns forward, up and sideways of agents, float32[3, 3, n], computed in the same way as by pages."""
     up = unit_or(light["up"].astype(np.float64), np.array([0.0, 1.0, 0.0])).astype(np.float32)
     ahead = light["heading"].astype(np.float32)
     ahead -= up * (ahead * up).sum(axis=1, keepdims=True)
@@ -204,7 +214,7 @@ def _body_axes(light: Arrays) -> Floats:
 
 
 def _rotations(turn: Floats) -> Floats:
-    """Matrices float32[3, 3, n] of unit quaternions [n, 4]."""
+    """Return matrices float32[3, 3, n] of unit quaternions [n, 4]."""
     x, y, z, w = turn.T
     rows = [
         [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
@@ -215,7 +225,7 @@ def _rotations(turn: Floats) -> Floats:
 
 
 def _rotate_back(matrices: Floats, points: Floats) -> Floats:
-    """Places float32[3, n, L] by the transposes of matrices [3, 3, n]."""
+    """Return points float32[3, n, L] multiplied by the transposed matrices [3, 3, n]."""
     x, y, z = points
     return np.stack([(m[0][:, None] * x + m[1][:, None] * y) + m[2][:, None] * z for m in matrices.transpose(1, 0, 2)])
 

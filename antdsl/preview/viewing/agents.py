@@ -23,7 +23,8 @@ Arrays = dict[str, NDArray[Any]]
 
 
 class AgentPackets:
-    """The slot `frame`. Directions are unit vectors times 127, speeds mm/s, columns in the unit that the scene message names."""
+    """The slot `frame`. Directions are unit vectors times 127, speeds are in mm/s, and columns in the units that the scene
+    message names."""
 
     def __init__(self) -> None:
         self._last: tuple[World | None, int, int | None, PageInterest] = (None, 0, None, PageInterest())
@@ -58,7 +59,7 @@ class AgentPackets:
 
 
 def _current_arrays(population: Population, factors: Mapping[tuple[str, str], float]) -> Arrays:
-    """What is not remembered of a frame."""
+    """Return the arrays of a frame that are not stored with light frames."""
     name, now, rows = population.name, population.now, population.in_id_order()
     arrays: Arrays = {f"{name}/{column}": array for column, array in packet_arrays(population, OTHERS).items()}
     for (species, column), factor in factors.items():
@@ -68,7 +69,7 @@ def _current_arrays(population: Population, factors: Mapping[tuple[str, str], fl
 
 
 def _factors(world: World, program: Program, interest: PageInterest) -> dict[tuple[str, str], float]:
-    """Return the factors of the requested columns that exist."""
+    """Return the conversion factors of the requested columns that exist."""
     factors = {}
     for species, name in sorted(interest.columns):
         declared = {each.name: each for each in program.species[species].attributes} if species in program.species else {}
@@ -78,7 +79,8 @@ def _factors(world: World, program: Program, interest: PageInterest) -> dict[tup
 
 
 def _followed_feelers(world: World, program: Program, interest: PageInterest) -> tuple[Arrays, list[tuple[str, int, int]]]:
-    """Return the feelers of all followed agents, one after the other, and the agents, with how many each has."""
+    """Return the feelers of all followed agents, one after the other, and a list of these agents with the number of their
+    feelers."""
     feelers = [(who, feeler_arrays(world, program, who.species, who.agent)) for who in interest.followed]
     feelers = [(who, arrays) for who, arrays in feelers if arrays]
     owners = [(who.species, who.agent, len(arrays["feelers"])) for who, arrays in feelers]
@@ -98,8 +100,8 @@ def _items(world: World, program: Program) -> Arrays:
 
 
 def _renumber_states(arrays: Arrays, then: Plan, now: Plan) -> Arrays:
-    """Return the states renumbered from the remembered program to the one that pages know; 255 for states that it does not
-    have."""
+    """Return the states, renumbered from the stored program to the one that pages know. States that it does not have become
+    255."""
     for name, species in then.species.items() if then is not now else ():
         known = {machine.name: machine.states for machine in now.species[name].machines} if name in now.species else {}
         for machine in species.machines:
@@ -114,8 +116,8 @@ def _stored_arrays(lights: Mapping[str, Arrays]) -> Arrays:
 
 
 def feeler_arrays(world: World, program: Program, species: str, agent: int) -> dict[str, NDArray[Any]]:
-    """Return `feelers` float32 (k, 2, 3), from the agent to the end or first hit of each, and `feelers/hit` uint8 (k). Empty if
-    the agent does not exist."""
+    """Return `feelers` float32 (k, 2, 3), each from the agent to the feeler's end or first hit, and `feelers/hit` uint8 (k).
+    Return {} if the agent does not exist."""
     population = world.populations.get(species)
     row = int(population.rows_of(np.array([agent]))[0]) if population is not None else -1
     if population is None or row < 0:

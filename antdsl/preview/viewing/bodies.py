@@ -1,5 +1,5 @@
-"""The bodies that agents and items are shown with, each once; those of species as skinned meshes with the samples of the clips
-that are played, for the page to pose."""
+"""The bodies that agents and items are displayed with, each sent once. Bodies of species are skinned meshes with the samples of
+the played clips. The page poses them."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ MAX_BLEND_TARGETS = 48  # of blend shapes, that pages know
 
 
 class RigPackets:
-    """The slots `rig:SPECIES`. Sent again if the body of a species, or the clips that it plays, changed."""
+    """The slots `rig:SPECIES`. Sent again if the body of a species, or the clips that it plays, change."""
 
     def __init__(self) -> None:
         self._given: dict[str, tuple[BodyOutfit, tuple[str, ...]]] = {}
@@ -49,8 +49,13 @@ class RigPackets:
 
 @dataclass(frozen=True, slots=True)
 class BodyOutfit:
-    """The abilities of a species' bodies: the `plays` of its states (clip and transform group), the `layers` that some agents
-    wear in addition to the body's own, and the transform groups of `look`. Also, whether clips blend with turn and slope."""
+    """The abilities of a species' bodies.
+
+    `plays`: clips of its states, with transform groups.
+    `layers`: the layers that some agents wear in addition to the body's own.
+    `looks`: the transform groups of `look`.
+    `leans`: whether clips blend with turn and slope.
+    """
 
     definition: Definition
     plays: tuple[PlayedClip, ...] = ()
@@ -69,22 +74,26 @@ def outfit(world: World, shot: Shot, population: Population) -> BodyOutfit:
 
 
 def rig_packet(species: str, worn: BodyOutfit, machines: tuple[str, ...] = ()) -> bytes:
-    """Return the packet of a species: its clips, and its mesh for crowds and for near agents. `idle`: the number of the base clip
-    below all others, and its seconds; absent if there is no such clip."""
+    """Return the packet of a species: its clips, and its meshes for crowds and for near agents. `idle`: the number and duration
+    (s) of the base clip below all others; absent if there is no such clip."""
     arrays, header = _rig(worn)
     return pack(f"rig:{species}", arrays, machines=list(machines), **header)
 
 
 @lru_cache(maxsize=8)
 def posed_body(worn: BodyOutfit) -> PosedBody:
-    """The body of an outfit, made once."""
+    """Return the body of an outfit. It is built once."""
     return PosedBody(worn.definition, worn.plays, worn.layers)
 
 
 @dataclass(frozen=True, slots=True)
 class BodyTraits:
-    """The traits in which bodies of agents differ apart from clips, each a number: weights of blend-shape targets, sizes of
-    transform groups, and the position of each material in its range of colours."""
+    """The properties in which the bodies of agents differ, apart from clips. Each is one number per agent.
+
+    `targets`: weights of blend-shape targets.
+    `scales`: sizes of transform groups.
+    `materials`: positions in the colour ranges of materials.
+    """
 
     targets: tuple[BlendTarget, ...] = ()
     scales: tuple[str, ...] = ()
@@ -134,19 +143,20 @@ def _rig(worn: BodyOutfit) -> tuple[Arrays, dict[str, Any]]:
 
 
 def _texel_count(table: ClipTable) -> int:
-    """Return the number of texels (four numbers each) per joint and sample: translation, rotation, and scale and shear if there
-    are any."""
+    """Return the number of texels (four numbers each) per joint and sample: one for translation, one for rotation, and further
+    ones for scale and shear if there are any."""
     return 2 + table.scaled + table.sheared
 
 
 def _clips(table: ClipTable, definition: Definition, plays: tuple[PlayedClip, ...]) -> Arrays:
-    """Return the arrays of the clips.
+    """Return the arrays of the clips. Joints are numbered by depth in the rig.
 
-    - `sample` float32[R, J, texels, 4]: the rest pose first.
-    - `parent` int32[J]: joints by depth.
-    - `clip` int32[P, 3, 4]: the first sample (-1 if the body lacks the clip), the number of samples, flags (1 loops, 2 is
-      added), the transform group; then first samples and numbers of samples of its left and right, up and down variants.
-    - `group` float32[G, J]: weights of joints, first those of the whole rig."""
+    - `sample` float32[R, J, texels, 4]: the samples, the rest pose first.
+    - `parent` int32[J]: the parent of each joint.
+    - `clip` int32[P, 3, 4]: the first sample (-1 if the body lacks the clip), the number of samples, flags (1 loops, 2 is added),
+      and the transform group. Then the first samples and numbers of samples of its left and right, up and down variants.
+    - `group` float32[G, J]: weights of joints, first those of the complete rig.
+    """
     joints, sample_rows = len(table.order), [np.array([0])]
     groups = ["", *sorted({each.on for each in plays} - {""})]
     clip_ranges: dict[str, tuple[int, int]] = {}
@@ -181,7 +191,8 @@ def _clips(table: ClipTable, definition: Definition, plays: tuple[PlayedClip, ..
 
 
 def _weights_by_depth(table: ClipTable, groups: Sequence[Iterable[tuple[int, float]]]) -> NDArray[np.float32]:
-    """Return the joint weights of G groups as float32[G, J], joints by depth. The input has joints by number."""
+    """Return the joint weights of G groups as float32[G, J], joints by depth. `groups`: pairs of a joint's number in the rig and
+    its weight."""
     weights = np.zeros((len(groups), len(table.order)), np.float32)
     for k, group in enumerate(groups):
         for joint, weight in group:
@@ -190,8 +201,12 @@ def _weights_by_depth(table: ClipTable, groups: Sequence[Iterable[tuple[int, flo
 
 
 def _variation(definition: Definition, differ: BodyTraits, table: ClipTable) -> Arrays:
-    """`scale` float32[S, J]: by how much of a group's size each joint and all that hangs on it is scaled, joints by depth;
-    `palette` float32[c, 4]: the colours of materials that vary, one material after the other."""
+    """Return two arrays.
+
+    - `scale` float32[S, J]: the weight with which the size of a transform group scales each joint, with its descendants; joints
+      by depth.
+    - `palette` float32[c, 4]: the colours of materials that vary, one material after the other.
+    """
     scale = _weights_by_depth(table, [scaled_joints(table.rig, definition.groups[name]) for name in differ.scales])
     colours = [colour for name in differ.materials for colour in definition.variation.materials[name]]
     palette = np.zeros((len(colours), 4), np.float32)
@@ -200,8 +215,12 @@ def _variation(definition: Definition, differ: BodyTraits, table: ClipTable) -> 
 
 
 def _trait_vertex_arrays(level: PosedBody, differ: BodyTraits) -> Arrays:
-    """Return `target` float32[T, v, 6]: the offsets of each blend-shape target to positions and normals. Also `paint` float32[v,
-    2]: the trait that selects a vertex's colour (-1 if it does not vary), and the first of its colours."""
+    """Return two arrays.
+
+    - `target` float32[T, v, 6]: the offsets of each blend-shape target to positions and normals.
+    - `paint` float32[v, 2]: the number of the trait that selects a vertex's colour (-1 if the colour does not vary), and the
+      index of the first of its colours.
+    """
     targets, count = _targets(level), len(level.mesh.points)
     none = np.zeros((count, 6), np.float32)
     paint = np.full((count, 2), -1, np.float32)
@@ -213,14 +232,15 @@ def _trait_vertex_arrays(level: PosedBody, differ: BodyTraits) -> Arrays:
 
 
 def _depth_order(table: ClipTable) -> NDArray[np.int32]:
-    """Return the index of each joint of the rig in the order by depth."""
+    """Return, for each joint of the rig, its index in the order by depth."""
     place = np.empty(len(table.order), np.int32)
     place[table.order] = np.arange(len(table.order))
     return place
 
 
 def _legs(legs: LegSolver | None, table: ClipTable) -> Arrays:
-    """`leg` float32[L, 2, 4]: hip, knee and foot, joints by depth, and the axis about which a straight knee bends."""
+    """Return `leg` float32[L, 2, 4]: the joints of hip, knee and foot, numbered by depth, and the axis about which a straight
+    knee bends."""
     if legs is None:
         return {}
     leg_array, place = np.zeros((legs.count, 2, 4), np.float32), _depth_order(table)
@@ -230,7 +250,8 @@ def _legs(legs: LegSolver | None, table: ClipTable) -> Arrays:
 
 
 def _leg_parts(legs: LegSolver | None, joints: int) -> NDArray[np.int32]:
-    """Return the leg part of each joint of the rig: three times the leg plus 1 for thigh, 2 for shank, 3 for foot; 0 for none."""
+    """Return the leg part of each joint of the rig: 0 for none, else three times the leg's number plus 1 for thigh, 2 for shank,
+    3 for foot."""
     part_numbers = np.zeros(joints, np.int32)
     for number, each in enumerate(legs.chains if legs is not None else ()):
         for piece, those in enumerate((each.thigh, each.shank, each.sole), 1):
@@ -272,7 +293,7 @@ def body_of_species(shot: Shot, species: str) -> Definition:
 
 
 class ItemBodyPackets:
-    """The slots `item:ITEMS:NAME`. Items that are places and no things have no body."""
+    """The slots `item:ITEMS:NAME`. Items that only mark positions have no body."""
 
     def __init__(self) -> None:
         self._given: set[tuple[str, str, int]] = set()

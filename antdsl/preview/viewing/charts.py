@@ -1,4 +1,4 @@
-"""State machines as the page draws them; a layout is made again only where words or arrows have changed."""
+"""State machines as the page draws them. A layout is computed again only if texts or arrows have changed."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from antdsl.program.model import Program
 
 
 class ChartMessages:
-    """The charts of a program. `need` names the package to install if charts cannot be laid out."""
+    """The charts of a program. `need`: the package to install if charts cannot be laid out."""
 
     def __init__(self) -> None:
         self.need = ""
@@ -38,7 +38,7 @@ class ChartMessages:
 
 
 def _without_positions(chart: Chart) -> Chart:
-    """Return a chart without its positions in the file: the input of a layout."""
+    """Return a chart without its positions in the file, as the input of a layout."""
     boxes = tuple(replace(box, details="", colour=(0.0, 0.0, 0.0)) for box in chart.boxes)
     return replace(chart, boxes=boxes, arrows=tuple(replace(arrow, details="") for arrow in chart.arrows))
 

@@ -15,7 +15,7 @@ _MAX_HISTORY_POINTS, _MAX_BRANCH_POINTS = (
 
 
 class SentCurves:
-    """What all pages have of a session's curves."""
+    """The part of a session's curves that all pages have received."""
 
     def __init__(self) -> None:
         self._timeline: Timeline | None = None
@@ -24,12 +24,12 @@ class SentCurves:
         self._branches: list[TimelineBranch] = []
 
     def forget_from(self, frame: int) -> None:
-        """Send a frame and what follows again: they are measured again."""
+        """Note that a frame and all later frames must be sent again, because they are measured again."""
         if self._upto is not None and self._upto >= frame:
             self._upto = frame - 1
 
     def new_values(self, timeline: Timeline) -> dict[str, Any] | None:
-        """Return what pages do not have yet, or None."""
+        """Return the values that pages have not received yet, or None if there are none."""
         if timeline is not self._timeline or timeline.branches != self._branches or self._upto is None:
             return self.full_history(timeline)
         fresh = []
@@ -44,7 +44,7 @@ class SentCurves:
         return _curves_message(again, {frame: timeline.curves[frame] for frame in reversed(fresh)}, None)
 
     def full_history(self, timeline: Timeline) -> dict[str, Any]:
-        """Return the whole history with its branches, and mark it as sent."""
+        """Return the complete history with its branches, and mark it as sent."""
         self._timeline, self._branches = timeline, list(timeline.branches)
         self._upto = self._had = timeline.last_frame
         branches = [
@@ -61,7 +61,7 @@ def _curves_message(
 
 
 def _curve_columns(curves: Mapping[int, Mapping[str, float]]) -> dict[str, Any]:
-    """Return one list per name, with null for frames that lack the number."""
+    """Return one list per name, with null for frames without a value."""
     names = dict.fromkeys(name for values in curves.values() for name in values)
     return {
         "frames": list(curves),

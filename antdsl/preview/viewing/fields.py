@@ -1,5 +1,5 @@
-"""Fields as numbers on their meshes, a few times a second, of those that some page looks at. A mesh is the ground, cut as fine
-as the field's cells, and a square for each cell that lies on no mesh."""
+"""Packets of fields: numbers on meshes, a few times a second, for the fields that a page displays. The mesh of a field is the
+ground, cut into faces of about the size of a cell. A cell that lies on no mesh becomes a square."""
 
 from __future__ import annotations
 
@@ -32,20 +32,19 @@ MIN_BYTE_VALUE, BYTE_DECADES = (
 
 
 def full(limit: float) -> float:
-    """Return the initial value that is displayed as full. It depends only on the program, so that a frame always looks the
-    same."""
+    """Return the initial value that is displayed as full. It depends only on the program, so a frame always looks the same."""
     return float(limit) if np.isfinite(limit) and limit > 1e-3 else _DEFAULT_FULL_VALUE
 
 
 def to_bytes(values: NDArray[np.float32]) -> NDArray[np.uint8]:
-    """Return values on a logarithmic scale with steps of 16 %; 0 for values below `LEAST`."""
+    """Return values on a logarithmic scale with steps of 16 %; 0 for values below `MIN_BYTE_VALUE`."""
     is_present = values >= MIN_BYTE_VALUE
     level = 1 + np.log10(np.where(is_present, values, MIN_BYTE_VALUE) / MIN_BYTE_VALUE) * (254 / BYTE_DECADES)
     return np.where(is_present, np.clip(np.rint(level), 1, 255), 0).astype(np.uint8)
 
 
 class FieldPackets:
-    """The slots `fieldmesh:NAME` and `field:NAME`: a byte a vertex, see `to_bytes`."""
+    """The slots `fieldmesh:NAME` and `field:NAME`. A field has one byte per vertex, see `to_bytes`."""
 
     def __init__(self) -> None:
         self._world: World | None = None
@@ -98,7 +97,8 @@ class FieldPackets:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MovingVertices:
-    """Vertices from `first` on that lie on a mesh that moves: in its triangles `corner` int64 (k, 3), by weights (k, 3)."""
+    """Vertices that lie on a moving mesh. `first`: the number of the first one. `corner` int64 (k, 3): the mesh vertices around
+    each. `weight` (k, 3): their weights."""
 
     mesh: str
     first: int
@@ -108,8 +108,13 @@ class MovingVertices:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FieldMesh:
-    """The mesh of a field. Vertices float32 (n, 3), faces uint32 (m, 3). Each vertex shows the cells `cell` int64 (n, 4), blended
-    by `share` (n, 4). Vertices are at their positions of the first frame; those of `carried` move."""
+    """The mesh of a field, with n vertices and m faces.
+
+    `position`: float32 (n, 3), at the first frame.
+    `face`: uint32 (m, 3).
+    `cell`: int64 (n, 4), the cells that each vertex displays, blended by `share` (n, 4).
+    `carried`: the vertices that move.
+    """
 
     position: NDArray[np.float32]
     face: NDArray[np.uint32]
@@ -118,7 +123,7 @@ class FieldMesh:
     carried: tuple[MovingVertices, ...] = ()
 
     def vertex_positions(self, world: World) -> NDArray[np.float32]:
-        """Where the vertices are at the world's frame."""
+        """Return the positions of the vertices at the world's frame."""
         positions = self.position.copy() if self.carried else self.position
         for each in self.carried:
             corners = vertices_at(world, each.mesh, world.frame)[each.corner]
@@ -126,7 +131,7 @@ class FieldMesh:
         return positions
 
     def vertex_values(self, values: Floats) -> NDArray[np.float32]:
-        """What the vertices show of the cells' values."""
+        """Return the value of each vertex, blended from the values of the cells."""
         result: NDArray[np.float32] = np.einsum("nk,nk->n", values.astype(np.float32)[self.cell], self.share)
         return result
 
@@ -137,7 +142,7 @@ def count_used_cells(field: Any) -> int:
 
 
 def make_field_mesh(world: World, name: str) -> FieldMesh:
-    """The mesh of a field as the world stands."""
+    """Return the mesh of a field in the current state of the world."""
     cells = world.fields[name].cells
     count = count_used_cells(world.fields[name])
     positions, normals = cells.position[:count], cells.normal[:count]
@@ -162,7 +167,8 @@ def make_field_mesh(world: World, name: str) -> FieldMesh:
 
 
 def _cut_ground(world: World, name: str, cell: float) -> tuple[Floats, NDArray[np.int64], tuple[MovingVertices, ...], float]:
-    """Return the field's meshes at the first frame, cut to edges of about one cell; their moving vertices; the longest edge."""
+    """Return the vertices and faces of the field's meshes at the first frame, cut to edges of about one cell. Also return their
+    moving vertices, and the length of the longest edge."""
     requested_names, setting = world.plan.fields[name].surfaces, world.setting
     mesh_names = [each for each in setting.surfaces if not requested_names or each in requested_names]
     rest = [setting.surfaces[each].vertices - world.origin for each in mesh_names]
@@ -203,7 +209,7 @@ def _moving_vertices(
     vertices: Floats,
     faces: NDArray[np.int64],
 ) -> MovingVertices:
-    """Return the vertices of a moving mesh: for each point a triangle that contains it, and its weights."""
+    """Return the vertices of a moving mesh. Each point has a triangle that contains it, and weights of the triangle's corners."""
     from trimesh.triangles import points_to_barycentric
 
     face = np.zeros(len(points), np.int64)
@@ -215,7 +221,8 @@ def _moving_vertices(
 def _mix_cells(
     points: Floats, point_normals: Floats, positions: Floats, normals: Floats, cell: float
 ) -> tuple[NDArray[np.int64], Floats]:
-    """Return the nearest cells of each point that face its side, and the share of each, which falls with distance."""
+    """Return the nearest cells of each point that face the point's side, and the share of each cell, which falls with
+    distance."""
     from scipy.spatial import cKDTree
 
     distance, near = cKDTree(positions).query(points, k=[min(k, len(positions)) for k in range(1, _CELLS_PER_VERTEX + 1)])
@@ -229,7 +236,7 @@ def _mix_cells(
 def _squares(
     positions: Floats, normals: Floats, cell: float, which: NDArray[np.int64]
 ) -> tuple[Floats, NDArray[np.int64], NDArray[np.int64], Floats]:
-    """A square for each cell, across its normal."""
+    """Return a square for each of the cells `which`, perpendicular to the cell's normal."""
     other = np.where(np.abs(normals[:, :1]) < 0.9, np.array([[1.0, 0.0, 0.0]]), np.array([[0.0, 0.0, 1.0]]))
     right = np.cross(normals, other)
     right /= np.maximum(np.linalg.norm(right, axis=1, keepdims=True), 1e-12)

@@ -1,6 +1,6 @@
-"""Ground and obstacles as meshes, once; those that move again in each frame, and without faces where there are none any more.
-Curves as their points, and flows as arrows on the ground. Solids in pieces of a few bricks each; a piece is sent again when
-something was dug in it."""
+"""Packets of geometry. Ground and obstacles are meshes, sent once. Moving ones are sent in each frame; removed ones are sent
+without faces. Curves are sent as points, and flows as arrows on the ground. Solids are sent in pieces of a few bricks each. A
+piece is sent again after agents dig in it."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _SOLVED_FLOW_INTERVAL_SECONDS = 1.0  # seconds after which flows that are solved
 
 
 class MeshPackets:
-    """The slots `mesh:NAME`. A mesh that an edit left alone is not sent again."""
+    """The slots `mesh:NAME`. A mesh that an edit does not change is not sent again."""
 
     def __init__(self) -> None:
         self._world: World | None = None
@@ -160,7 +160,7 @@ class SolidPackets:
                 yield from self._piece_packets(name, piece, [], volume)
 
     def _piece_packets(self, name: str, piece: int, bricks: Iterable[Piece], volume: Volume) -> SlotPackets:
-        """Return the packet of a piece; nothing for a piece without faces that is not displayed."""
+        """Return the packet of a piece, or no packet for a piece without faces that is not displayed."""
         vertices, faces = join_pieces(list(bricks))
         if not len(faces) and (name, piece) not in self._shown:
             return
@@ -173,7 +173,7 @@ class SolidPackets:
 
 
 def _piece_number(brick: int, shape: tuple[int, int, int]) -> int:
-    """The number of the piece that a brick is in."""
+    """Return the number of the piece that contains a brick."""
     at = np.unravel_index(brick, shape)
     a, b, c = (-(-side // _BRICKS_PER_PIECE) for side in shape)
     return int(np.ravel_multi_index([int(k) // _BRICKS_PER_PIECE for k in at], (a, b, c)))

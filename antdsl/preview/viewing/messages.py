@@ -1,4 +1,4 @@
-"""The messages about a session, except the scene message: texts and states, not arrays."""
+"""The messages about a session, except the scene message. They contain texts and states, not arrays."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def scene_file_name(live: Live) -> str:
 
 
 def texts(live: Live) -> JsonMessage:
-    """All programs and scenes, as they are on the disk."""
+    """Return the message with all programs and scenes, as they are on the disk."""
     entries, known_paths = [], set()
     for each in live.compiler.files():
         path = Path(os.path.realpath(each))
@@ -47,7 +47,7 @@ def problems(live: Live) -> JsonMessage:
 
 
 def _problems(live: Live, report: Report) -> list[JsonMessage]:
-    """Return the findings that fit, and the number of further ones."""
+    """Return the messages of as many findings as the limit allows, and one about the number of further findings."""
     selected = visible_diagnostics(report)
     entries, omitted_count = (
         [live.screen.names.problem_message(each) for each in selected],
@@ -67,12 +67,12 @@ def outcome(live: Live, of: str, result: Outcome, file: str = "") -> JsonMessage
 
 
 def stops(live: Live) -> JsonMessage:
-    """The frames at which play was stopped, and why."""
+    """Return the message with the frames at which play was stopped, and the reasons."""
     return {"op": "stops", "stops": [{"frame": frame, "line": why} for frame, why in live.session.timeline.stops.items()]}
 
 
 def status(live: Live, rate: float, hash: str | None) -> JsonMessage:
-    """Return the state of the session; with empty values while the scene has errors."""
+    """Return the state of the session. Its values are empty while the scene has errors."""
     fields: JsonMessage = {
         "op": "status", "frame": 0, "first": 0, "head": 0, "playing": False, "speed": live.speed, "rate": round(rate, 1),
         "edited": False, "fault": None, "paused_by": None, "paused_agents": None, "hash": hash, "agents": 0, "transitions": {},

@@ -1,5 +1,5 @@
-"""Short names of files for the page, which never receives a path of this machine. Also, positions in texts as browsers count
-them."""
+"""Short names of files for the page, which never receives a path of this machine. Also computes positions in texts as browsers
+count them."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ MAX_SHOWN_TEXT_BYTES = 1 << 20  # of one file that is shown
 
 
 class FileNames:
-    """Short names: the relative path for files below the scene's folder, `<steering>` for the library, the last path part for
-    others."""
+    """Short names of files: the relative path of files below the scene's folder, `<steering>` for a library file, the last path
+    component for others."""
 
     def __init__(self, scene: Path) -> None:
         self._folder = Path(os.path.realpath(scene)).parent
@@ -45,7 +45,7 @@ class FileNames:
         return self._names[real]
 
     def problem_message(self, diagnostic: Diagnostic) -> dict[str, Any]:
-        """Return a finding with its location; the file is null if there is none."""
+        """Return the message of a finding with its location. The file is null if the finding has no location."""
         fields: dict[str, Any] = {
             "code": diagnostic.code, "severity": diagnostic.severity, "message": self._shorten_paths(diagnostic.message),
             "help": self._shorten_paths(diagnostic.help or ""),
@@ -61,27 +61,27 @@ class FileNames:
         return fields
 
     def _shorten_paths(self, words: str) -> str:
-        """Words less the way to the scene's folder."""
+        """Return the words with the path of the scene's folder removed."""
         for prefix in self._ways:
             words = words.replace(prefix, "")
         return words
 
 
 def is_library(path: Path) -> bool:
-    """Whether a file is one of those that come with antdsl."""
+    """Return whether a file comes with antdsl."""
     library = library_file(path.stem) if path.suffix == ".ant" else None
     return library is not None and Path(os.path.realpath(library)) == path
 
 
 def utf16_length(text: str) -> int:
-    """The length of a text as a browser counts it; every line end is one."""
+    """Return the length of a text as a browser counts it, in UTF-16 units. Every line end counts as one."""
     text = text.replace("\r\n", "\n")
     return len(text) + sum(letter > "\uffff" for letter in text)
 
 
 def open_text(path: Path, opened: Callable[[Path], int]) -> str | None:
-    """Return the text of a program or a scene with the same line ends as its readers use, even if it has errors; None if there is
-    none. `opened` gives a handle on a regular file, or raises OSError."""
+    """Return the text of a program or a scene, even if it has errors; None if there is no such file. Line ends are those that the
+    readers of programs and scenes use. `opened` returns a handle on a regular file, or raises OSError."""
     try:
         data = read_handle(opened(path), MAX_SHOWN_TEXT_BYTES)
     except OSError:

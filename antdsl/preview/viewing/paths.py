@@ -1,4 +1,4 @@
-"""Planned paths: where agents will be in the frames to come, of agents with paths that some page shows."""
+"""Planned paths: the positions of agents in the coming frames, for the agents with paths that a page displays."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ _UPDATE_INTERVAL_SECONDS = 0.1  # seconds between two of them while time goes on
 
 
 class PathPackets:
-    """The slot `paths`: each agent's places from frame `frame` of the header on; NaN where the agent does not exist."""
+    """The slot `paths`: the positions of each agent, from the header's `frame` on. NaN where the agent does not exist."""
 
     def __init__(self) -> None:
         self._last: tuple[int, PageInterest] | None = None
@@ -39,7 +39,7 @@ class PathPackets:
 
 
 def _paths(view_state: ViewState) -> dict[str, NDArray[Any]]:
-    """By species `NAME/id` int32 (n) and `NAME/path` float32 (n, frames, 3)."""
+    """Return, for each species NAME, `NAME/id` int32 (n) and `NAME/path` float32 (n, frames, 3)."""
     ahead, interest, arrays = view_state.ahead, view_state.interest, dict[str, NDArray[Any]]()
     if not ahead.frames:
         return arrays

@@ -1,4 +1,4 @@
-"""The scene message: what a page can display, colour by, set and switch."""
+"""The scene message: everything that a page can display, set, switch, and colour agents by."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ _FOCAL_LENGTH_MM = 35.0  # mm, as for pictures
 
 
 def scene(live: Live, box: BoundingBox, charts: list[dict[str, Any]], charts_need: str) -> dict[str, Any]:
-    """All of it as the session's program is now."""
+    """Return the scene message for the session's current program."""
     session, names = live.session, live.screen.names
     world, program = session.world, session.shot.program
     low, high = box.of(session)
@@ -44,8 +44,8 @@ def scene(live: Live, box: BoundingBox, charts: list[dict[str, Any]], charts_nee
 
 
 class BoundingBox:
-    """The box around all ground, solids and agents, relative to the world's origin. It is unchanged while ground and solids are.
-    Pages reset their view when the box changes."""
+    """The box around all ground, solids and agents, relative to the world's origin. It does not change as long as ground and
+    solids do not. Pages reset their view when the box changes."""
 
     def __init__(self) -> None:
         self._about: tuple[list[list[float]], bool] = [], False

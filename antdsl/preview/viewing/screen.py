@@ -1,5 +1,5 @@
-"""What all pages have received so far, and what is due: at most so often a second, only what changed, and nothing without
-clients."""
+"""The state of all pages: what they have received, and what is due. Updates have a limited rate, contain only changes, and stop
+without clients."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ _RATE_WINDOW_SECONDS = 1.0  # seconds of steps that the rate is measured over
 
 
 class PageScreen:
-    """Updates the pages. Used only by the live thread. `due`: when `refresh` has work again."""
+    """Sends updates to the pages. Used only by the live thread. `due`: the time at which `refresh` has work again."""
 
     def __init__(self, live: Live) -> None:
         self.live, self.names = live, FileNames(live.compiler.scene)
@@ -74,29 +74,29 @@ class PageScreen:
             store_poses(self.live.session)
 
     def needs_look_ahead(self, session: Session) -> bool:
-        """Return whether some page shows planned paths."""
+        """Return whether any page displays planned paths."""
         return bool(self._wanted.planned) or (self._wanted.planned_of_all and len(session.world) <= MAX_PLANNED_AGENTS)
 
     def on_look_ahead(self) -> None:
-        """There is more, or less, of the time to come."""
+        """Note that the set of simulated future frames changed."""
         self._moved = True
 
     def on_new_world(self) -> None:
-        """Another world, maybe of another program or with other values: one has gone back in time, or on to an edit."""
+        """Note that the session has another world: it went back in time, or an edit gave it another program or other values."""
         self._program = self._moved = True
 
     def on_seek_end(self) -> None:
-        """Note that the session reached its target frame: values set by hand may differ from those at the frame where it
-        started."""
+        """Note that the session reached its target frame. Values set by hand may differ from those at the frame where the seek
+        began."""
         self._program = True
         self.on_action()
 
     def on_action(self) -> None:
-        """Note that something happened that pages may need to show."""
+        """Note that an event happened that pages may have to display."""
         self._moved, self._told_at = True, -inf
 
     def edited(self, *, files: bool) -> None:
-        """Note that the program changed, or an attempt was made; `files`: texts may have changed."""
+        """Note that the program changed, or that a change was attempted. `files`: whether texts of files may have changed."""
         self._program, self._files = True, self._files or files
         self._hash = None  # a param may be another one at the same frame
         if self.live.is_open:
@@ -108,7 +108,7 @@ class PageScreen:
         self._moved = True
 
     def greet(self, client: Client) -> None:
-        """Tell and show one page everything."""
+        """Send the complete state to one page."""
         self.on_look()
         client.tell(messages.hello(self.live))
         if len(self.live.clients) == 1:
@@ -139,7 +139,7 @@ class PageScreen:
     # --- telling -----------------------------------------------------------------------------------------------------
 
     def refresh(self, now: float) -> None:
-        """Tell and show what is due."""
+        """Send everything that is due at the time `now` (s)."""
         live = self.live
         self.due = inf
         if not live.clients:
@@ -169,7 +169,7 @@ class PageScreen:
             self.due = min(self.due, self._told_at + _REPORT_INTERVAL)
 
     def _show_packets(self, session: Session, now: float) -> set[str]:
-        """Send all pages the slots that changed, and return those slots."""
+        """Send the slots that changed to all pages, and return these slots."""
         self._shown_at = now
         going = session.playing or self.live.is_seeking
         view_state, sent = ViewState(session, self.live.ahead, self._wanted, self.live.light, now, going), set()
@@ -182,7 +182,8 @@ class PageScreen:
         return sent
 
     def _tell_scene(self, laid: bool) -> bool:
-        """Send the scene message if it changed, with charts only if they are `laid` out; return `laid`."""
+        """Send the scene message if it changed, and return `laid`. `laid`: lay out the current charts; otherwise the message
+        repeats the previous charts."""
         scene_message = self._scene_message(laid)
         if scene_message != self._scene:
             self._scene = scene_message
@@ -217,7 +218,7 @@ class PageScreen:
         return (len(self._steps) - 1) / over if over > 0 else 0.0
 
     def _hash_now(self) -> str | None:
-        """Return the hash of the session's world while it is paused and displayed; else None."""
+        """Return the hash of the session's world if the session is paused and displays this world; else None."""
         live = self.live
         if not live.is_open or live.session.playing or live.is_seeking or live.light is not None:
             return None

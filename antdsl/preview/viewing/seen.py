@@ -1,4 +1,4 @@
-"""The input and the interface of the views that make packets."""
+"""The input and the interface of the views that create packets."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ SlotPackets = Iterator[tuple[str, bytes]]
 
 @dataclass(frozen=True, slots=True)
 class PageInterest:
-    """All that some page looks at."""
+    """The union of what all pages display."""
 
     columns: frozenset[tuple[str, str]] = frozenset()  # species and attribute
     fields: frozenset[str] = frozenset()
@@ -45,8 +45,14 @@ class PageInterest:
 
 @dataclass(frozen=True, slots=True)
 class ViewState:
-    """A snapshot: the session and the frames ahead, what pages look at, the remembered frame shown instead of the session's own,
-    the clock."""
+    """A snapshot of what views depend on.
+
+    `session` and `ahead`: the session, and its simulated future frames.
+    `interest`: what pages display.
+    `light`: the stored frame that is displayed instead of the session's own, or None.
+    `now`: the time in seconds.
+    `going`: whether the session plays or is on its way to a frame.
+    """
 
     session: Session
     ahead: Ahead
@@ -65,6 +71,6 @@ class ViewState:
 
 
 class PacketMaker(Protocol):
-    """Makes the packets of one kind, and returns only those that changed."""
+    """Creates the packets of one kind, and returns only those that changed."""
 
     def packets(self, view_state: ViewState) -> SlotPackets: ...

@@ -1,4 +1,4 @@
-"""The units of numbers that go to the page: those that authors use."""
+"""The units of numbers for the page: the units that authors use."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from antdsl.scene.quantities import QuantityError, parse_quantity
 
 
 def unit_for(declared: AttributeDecl | ItemAttribute) -> str:
-    """Return the unit of the default in the text, else a usual one."""
+    """Return the unit of the declared default value, or else a usual unit."""
     if declared.type.kind is not TypeKind.NUMBER:
         return ""
     default = declared.default
@@ -21,13 +21,13 @@ def unit_for(declared: AttributeDecl | ItemAttribute) -> str:
 
 
 def base_units(unit: str, unit_mm: float, dt: float) -> float:
-    """Base units in one of a unit."""
+    """Return the number of base units in one `unit`."""
     known = measure(unit) if unit else None
     return 1.0 if known is None else known.factor * unit_mm**known.u * dt**known.step
 
 
 def constant_in_base_units(value: Constant, unit_mm: float, dt: float) -> float:
-    """A constant of the program in base units."""
+    """Return a constant of the program in base units."""
     return float(value.number * unit_mm**value.u * dt**value.step)
 
 

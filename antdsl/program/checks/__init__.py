@@ -1,4 +1,4 @@
-"""Checks that look at a whole program once its types are known. A new check is one function and one entry here."""
+"""Checks that examine the complete program once all types are known. A new check is one function and one entry in this file."""
 
 from __future__ import annotations
 

@@ -1,5 +1,4 @@
-"""Reports numbers that are drawn in a condition. Every step draws again, so the frame rate changes how often the condition
-holds."""
+"""Reports random draws inside conditions. Every step draws again, so the frame rate changes how often the condition holds."""
 
 from __future__ import annotations
 
@@ -52,8 +51,8 @@ def _has_draw(part: OperationExpr) -> bool:
 
 
 def _walk_through(root: Expr, through: Collection[str]) -> Iterator[Expr]:
-    """Yield an expression and its parts, through the listed operations and the names of values, each named value once. Sets are
-    not entered."""
+    """Yield an expression and its parts. The walk enters only the operations in `through` and the values of names, each named
+    value once. It does not enter sets."""
     stack: list[Expr] = [root]
     named: set[int] = set()
     while stack:
@@ -69,7 +68,7 @@ def _walk_through(root: Expr, through: Collection[str]) -> Iterator[Expr]:
 
 
 def _chance_rate(part: OperationExpr) -> str | None:
-    """Return `uniform(0, 1) < 0.1` as a chance per second."""
+    """Return the text of `uniform(0, 1) < 0.1` as a chance per second."""
     left, right = part.args
     assert left is not None and right is not None
     name = part.name

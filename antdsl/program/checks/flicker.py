@@ -1,4 +1,4 @@
-"""Two states that lead to each other for the same values: an agent would alternate between them in every step."""
+"""Reports two states that lead to each other for the same values. An agent would alternate between these states in every step."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ def check_flicker(checked: CheckContext, report: Report) -> None:
 
 
 def _opposite_changes(machine: Machine) -> Iterator[tuple[tuple[State, Transition], tuple[State, Transition]]]:
-    """Yield each transition from a state to a later one with each transition back."""
+    """Yield all pairs of opposite transitions: one from a state to a later state, and one from the later state back."""
     for state in machine.states:
         for change in state.transitions:
             other = machine.states[change.target] if change.target is not None else None
@@ -55,7 +55,7 @@ def _has_wait(state: State, change: Transition) -> bool:
 
 
 def _is_overlapping(reader: ConditionReader, one: Expr, other: Expr) -> bool:
-    """Return whether both conditions compare the same value with constants, and some value satisfies both."""
+    """Return whether both conditions compare the same value with constants, and at least one value satisfies both."""
     try:
         cases = [reader.cases(one), reader.cases(other)]
     except UNREADABLE_CONDITION_ERRORS:
@@ -67,7 +67,8 @@ def _is_overlapping(reader: ConditionReader, one: Expr, other: Expr) -> bool:
 
 
 def _changes_test(machine: Machine, edge: tuple[State, Transition], test: Expr) -> bool:
-    """Return whether a transition sets a value that the opposite condition reads, or restarts its clock."""
+    """Return whether a transition sets a value that the condition `test` of the opposite transition reads, or restarts its
+    clock."""
     state, change = edge
     assert change.target is not None
     blocks = (state.exit, change.actions, machine.states[change.target].enter)

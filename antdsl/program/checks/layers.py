@@ -1,4 +1,6 @@
-"""Layers without a line for what states steer, and lines without effect: no strength is left, or a condition never holds."""
+"""Reports species that steer in states but have no layer `state`, and layers without effect.
+
+A layer has no effect if earlier layers always leave no strength, or if its condition never holds."""
 
 from __future__ import annotations
 
@@ -47,7 +49,7 @@ def check_idle_layers(checked: CheckContext, report: Report) -> None:
 
 
 def _check_priorities(reader: ConditionReader, species: Species, report: Report) -> None:
-    """Report layers below one that always takes the whole budget. In a sum every layer counts."""
+    """Report layers below a layer that always uses the complete priority budget. Layers that are summed are not reported."""
     lines = tuple(layer for layer in species.layers.layers if not layer.faces)  # to face a way takes no strength
     enough = {"budget": 1.0, "first": 1e-6}.get(species.layers.mode)
     if enough is None:
@@ -64,7 +66,7 @@ def _check_priorities(reader: ConditionReader, species: Species, report: Report)
 
 
 def _min_layer_strength(species: Species, layer: Layer) -> float:
-    """The least length of a layer's push that is known for certain."""
+    """Return the smallest possible length of a layer's push; 0 if nothing is known."""
     if layer.push is not None:
         return strength(layer.push)
     if len(species.machines) != 1:
@@ -77,7 +79,7 @@ def _min_layer_strength(species: Species, layer: Layer) -> float:
 
 
 def strength(push: Expr) -> float:
-    """Return the smallest length of a push in any case; 0 if nothing is known."""
+    """Return the smallest possible length of a push; 0 if nothing is known."""
     if isinstance(push, BindingRef) and push.binding.role in ("let", "argument") and push.binding.value is not None:
         return strength(push.binding.value)
     if isinstance(push, InlinedBehaviour):

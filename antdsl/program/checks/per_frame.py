@@ -1,8 +1,9 @@
-"""Values that change by a fixed amount each time: a state's lines run in every step, so the speed of change depends on the frame
-rate.
+"""Reports values that change by a fixed amount per step, so that the speed of change depends on the frame rate.
 
-The check looks for assignments that read what they set, a `keep` computed from its previous value, and amounts a second that are
-none. It examines what each comes to as steps get shorter."""
+The check uses the limit of each value as steps get shorter. It examines:
+- assignments that read the attribute they set,
+- each `keep` that is computed from its previous value,
+- added amounts that should be per second but are not."""
 
 from __future__ import annotations
 
@@ -52,7 +53,7 @@ def _check_lines(state: State, report: Report) -> None:
 def _check_rate(
     line: Assign | EffectRequest | Give, amount: Expr, own: str, per_second: bool, begins: str, report: Report
 ) -> None:
-    """Of what a line adds, which is times `dt`."""
+    """Report an amount that a state adds, if it is not an amount per second. The language multiplies such amounts by `dt`."""
     if not per_second or is_rate(amount, own):
         return
     single_amount = (
@@ -70,7 +71,8 @@ def _is_dt(expr: Expr | None) -> bool:
 
 
 def _check_assignment(line: Assign, driven: bool, report: Report) -> None:
-    """`driven`: another line of the state adds to the attribute."""
+    """Report an assignment of which the effect depends on the frame rate. `driven`: another line of the state adds to the
+    attribute."""
     name, value = line.attribute, line.value
     makers = find_changers(value, name, driven)
     if not makers:
@@ -111,7 +113,8 @@ def _check_memory(keep: Binding, then: Expr, report: Report) -> None:
 
 
 def _added_rate_text(value: Expr, own: str) -> str:
-    """`+= 24 /s` for `x + 1`, `+= (gain - 0.1) * 24 /s` for `x + gain - 0.1`; empty for anything else."""
+    """Return a rewrite that adds a rate: `+= 24 /s` for `x + 1`, `+= (gain - 0.1) * 24 /s` for `x + gain - 0.1`. Empty for other
+    forms."""
     if not isinstance(value, OperationExpr) or value.name not in ("add", "sub"):
         return ""
     left, right = value.args
@@ -133,7 +136,8 @@ def _added_rate_text(value: Expr, own: str) -> str:
 
 
 def _rate_free_text(op: Expr, own: OwnValue) -> str:
-    """Return the same operation for any length of a step; empty if the text does not determine it."""
+    """Return the text of an operation with the same effect per second at any step length. Empty if the source does not determine
+    it."""
     if not isinstance(op, OperationExpr) or len(op.args) < 2 or op.args[0] is None or op.args[1] is None:
         return ""
     left, right = op.args[:2]
@@ -154,7 +158,7 @@ def _rate_free_text(op: Expr, own: OwnValue) -> str:
 
 
 def _is_vanishing(op: Expr, own: str) -> bool:
-    """Return whether the value is multiplied by `dt`, as in `x * dt`, so that it vanishes in a short step."""
+    """Return whether the operation multiplies the value by `dt`, as in `x * dt`. The value then vanishes in a short step."""
     return (
         isinstance(op, OperationExpr)
         and op.name == "mul"
@@ -168,7 +172,8 @@ def _decay(own: Expr, factor: Expr, power: int) -> str:
 
 
 def _mix_text(op: OperationExpr, own: OwnValue) -> str:
-    """Return the rewrite of `mix(x, goal, 0.1)`, which covers a tenth of the distance in each step."""
+    """Return a rewrite of `mix(x, goal, 0.1)` that does not depend on the frame rate. The original covers a tenth of the distance
+    per step. Empty if there is none."""
     a, z, share = op.args
     assert a is not None and z is not None and share is not None
     known = constant_behind(share)
@@ -182,7 +187,8 @@ def _mix_text(op: OperationExpr, own: OwnValue) -> str:
 
 
 def _share(factor: Expr, power: int) -> str:
-    """`exp(-dt / 0.4 s)` for a factor in each step."""
+    """Return a text such as `exp(-dt / 0.4 s)`, which replaces a constant factor per step. Empty if the factor has no such
+    form."""
     known = constant_behind(factor)
     if known is None or known.u or known.number <= 0 or known.number == 1 or known.type.dim != Dimension():
         return ""
@@ -194,7 +200,8 @@ def _exp(rate: float) -> str:
 
 
 def _per_second_text(text: str) -> str:
-    """An amount a step as one a second: `1` as `24 /s`, `2 mm` as `48 mm/s`, `gain` as `gain * 24 /s`."""
+    """Convert the text of an amount per step to an amount per second: `1` to `24 /s`, `2 mm` to `48 mm/s`, `gain` to `gain * 24
+    /s`."""
     literal = QUANTITY_PATTERN.fullmatch(text)
     if literal is not None and "/" not in text:
         return f"{float(literal[1]) * FILM_FPS:.6g} {literal[2] or ''}/s"
@@ -210,7 +217,8 @@ def _is_inside(span: Span, outer: Span) -> bool:
 
 
 def _replace_part(outer: Span, span: Span, text: str) -> str:
-    """The text of a place with a part of it replaced."""
+    """Return the text of `outer` on one line, with the part at `span` replaced by `text`. Empty if `span` is not inside
+    `outer`."""
     if not _is_inside(span, outer):
         return ""
     prefix, suffix = outer.text[: span.start - outer.start], outer.text[span.end - outer.start :]

@@ -1,4 +1,4 @@
-"""Reports every use of the unit `step`, for `check --strict`: values per step, or in steps, depend on the frame rate."""
+"""Reports every use of the unit `step`, for `check --strict`. Values per step, or in steps, depend on the frame rate."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def check_step_units(checked: CheckContext, report: Report) -> None:
 
 
 def _all_files(files: Sequence[FileNames]) -> Iterator[FileNames]:
-    """The files of the program and those that they use by path, each once."""
+    """Yield the files of the program and the files that they use by path, each once."""
     stack, visited = list(files), set[int]()
     while stack:
         file = stack.pop()
@@ -45,7 +45,7 @@ def _all_files(files: Sequence[FileNames]) -> Iterator[FileNames]:
 def _replacement(
     node: nodes.Quantity, power: float, around: nodes.Setting | nodes.AnimalProperty | None
 ) -> tuple[Fix | None, str]:
-    """Return the replacement for a quantity in steps, and the text that describes it."""
+    """Return a fix for a quantity in steps, and the help text about it. The fix is None if there is no replacement."""
     if isinstance(around, nodes.Setting) and around.name.text == "keeps":
         share = node.value * (0.01 if "%" in node.unit else 1.0)
         if not 0 < share < 1:

@@ -1,5 +1,7 @@
-"""States that no change leads to or out of, and changes that cannot happen: never reached, or with a condition that never holds
-or always holds, as far as its comparisons with constants show."""
+"""Reports states that no transition enters or leaves, and transitions that cannot happen.
+
+A transition cannot happen if it is never reached, or if its condition never or always holds. The analysis uses comparisons with
+constants only."""
 
 from __future__ import annotations
 
@@ -74,7 +76,8 @@ def _report_shadowed(reader: ConditionReader, change: Transition, first: Transit
 
 
 def _is_hiding(reader: ConditionReader, first: Transition, change: Transition) -> bool:
-    """Whether the upper one happens whenever the lower one could. One that takes something may find nothing to take."""
+    """Return whether transition `first` happens whenever `change`, a later one, could happen. A transition that takes something
+    hides nothing, because the take may fail."""
     if first.take is not None or not _is_earlier(first.delay, change.delay) or not _is_earlier(first.held, change.held):
         return False
     if change.condition is not None and is_never(reader, change.condition):
@@ -83,7 +86,7 @@ def _is_hiding(reader: ConditionReader, first: Transition, change: Transition) -
 
 
 def _is_earlier(first: Expr | None, other: Expr | None) -> bool:
-    """Return whether the first waiting time has passed whenever the other has."""
+    """Return whether the waiting time `first` has always passed when the waiting time `other` has passed."""
     if first is None:
         return True
     a, b = constant_behind(first), (constant_behind(other) if other is not None else None)
@@ -113,8 +116,8 @@ def _check_change(reader: ConditionReader, change: Transition, report: Report) -
 
 
 def _check_clip_waits(species: Species, machine: Machine, state: State, report: Report) -> None:
-    """Report transitions that wait for the clip of a state without a clip. A transition `from any` may be meant for other
-    states."""
+    """Report transitions that wait for the clip of a state without a clip. Transitions `from any` are not reported: they may be
+    meant for other states."""
     if any(isinstance(line, Play) for line in state.body):
         return
     for change in state.transitions:
@@ -129,12 +132,12 @@ def _check_clip_waits(species: Species, machine: Machine, state: State, report: 
 
 
 def _conjuncts(test: Expr) -> list[Expr]:
-    """What all has to hold for a condition to."""
+    """Return the conditions that a condition joins by `and`; all of them must hold."""
     if isinstance(test, OperationExpr) and test.name == "and":
         return [part for arg in test.args if arg is not None for part in _conjuncts(arg)]
     return [test]
 
 
 def _is_truth_word(test: Expr) -> bool:
-    """`true` and `false` as words are meant so."""
+    """Return whether a condition is the word `true` or `false`. The author means such a condition to be constant."""
     return isinstance(test, Constant)

@@ -1,5 +1,6 @@
-"""What is declared and never used, or only set or only read: params, attributes, lets, fields, behaviours, events; and a program
-that declares nothing that could act."""
+"""Reports declarations that are never used, only set, or only read, and programs that declare nothing that could act.
+
+The declarations are params, attributes, lets, fields, behaviours and events."""
 
 from __future__ import annotations
 
@@ -60,7 +61,7 @@ def _check_species(checked: CheckContext, species: Species, report: Report) -> N
 
 
 def _check_behaviours(checked: CheckContext, report: Report) -> None:
-    """Report behaviours that nothing calls, in files with a species; a file of behaviours alone is there for others."""
+    """Report behaviours that no code calls, in files with a species. A file of behaviours alone is a library for other files."""
     for file in checked.files:
         if not any(isinstance(item, nodes.Species) for item in file.node.items):
             continue
@@ -86,7 +87,7 @@ def check_unused_memory(checked: CheckContext, report: Report) -> None:
 
 
 def _field_users(program: Program) -> Iterator[object]:
-    """Yield everything that can name a field: states one by one, as they are what changes during edits."""
+    """Yield every part of a program that can name a field. States come one by one, because edits mostly change single states."""
     for species in program.species.values():
         yield from (state for machine in species.machines for state in machine.states)
         yield (*species.attributes, *species.lets, *species.latches, *species.handlers, species.layers)
@@ -94,7 +95,7 @@ def _field_users(program: Program) -> Iterator[object]:
 
 
 def _used_names(root: object) -> tuple[frozenset[str], frozenset[str]]:
-    """The things that are named as values below `root`, and the fields that something is laid into."""
+    """Return the names of things that are used as values below `root`, and the names of fields that an effect deposits into."""
     every, laying = list(parts(root)), feeding_effects("field")
     return (
         frozenset(each.name for each in every if isinstance(each, ThingRef)),
@@ -133,7 +134,7 @@ def check_events(checked: CheckContext, report: Report) -> None:
 
 
 def _report_unheard(checked: CheckContext, event: str, span: Span, report: Report) -> None:
-    """Report species of which agents receive an event that they do not notice."""
+    """Report each species that receives an event but neither handles it nor tests for it."""
     for name in checked.declared.species:
         if checked.is_used("told", f"{event} {name}") and not checked.is_used("heard", f"{event} {name}"):
             advice = f"write `on {event} {{ … }}` in `species {name}`, or test for it there: `when {event} -> …`"

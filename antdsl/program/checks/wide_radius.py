@@ -1,4 +1,4 @@
-"""Neighbours in such a wide radius that all agents are in it: each agent would go through the whole crowd in every step."""
+"""Reports neighbour radii that contain all agents: each agent would then go through the complete crowd in every step."""
 
 from __future__ import annotations
 
@@ -44,14 +44,15 @@ def check_wide_radius(checked: CheckContext, report: Report) -> None:
 
 
 def _is_radius_search(part: SetExpr, only_the_nearest: bool) -> bool:
-    """Return whether a set goes through the agents within a radius. The nearest one of all is found without that."""
+    """Return whether a set examines all agents within a radius. The search for the nearest agent alone is faster, so it does not
+    count."""
     if part.source == "neighbours":
         return True
     return part.source == "all" and part.element.type.kind is TypeKind.AGENT and not (only_the_nearest and part.where is None)
 
 
 def _named_values(expr: Expr) -> list[Expr]:
-    """Return an expression and, if it is a name, the expressions behind it."""
+    """Return an expression and, if it is a name, the chain of expressions that the name stands for."""
     exprs = [expr]
     while isinstance(expr, BindingRef) and expr.binding.role in ("argument", "let") and expr.binding.value is not None:
         expr = expr.binding.value
@@ -66,7 +67,7 @@ def _radius(expr: Expr, params: Mapping[str, Param]) -> Constant | None:
 
 
 def _max_body_size(species: Species, params: Mapping[str, Param]) -> float:
-    """The largest that a body can be, in mm, as far as the program shows."""
+    """Return the largest possible body size in mm, as far as the program determines it."""
     written = next((a.default for a in species.attributes if a.name == "size"), None)
     high = range_of(written, params, {}).high if written is not None else _DEFAULT_BODY_SIZE_MM
     return high if 0 < high < limits.MAX_NUMBER else _DEFAULT_BODY_SIZE_MM

@@ -1,4 +1,5 @@
-"""One attribute, one writer: two machines that run in parallel may both add to an attribute, but not both set it."""
+"""Reports two machines that set one attribute. Machines run in parallel, so both may add to an attribute, but only one may set
+it."""
 
 from __future__ import annotations
 
@@ -27,7 +28,7 @@ def check_writers(checked: CheckContext, report: Report) -> None:
 
 
 def _written_attributes(machine: Machine) -> Iterator[tuple[str, Span, bool]]:
-    """Attributes that a machine writes, and whether it sets them or only adds."""
+    """Yield each attribute that a machine writes, the span, and whether the line sets the attribute instead of adding to it."""
     for state in machine.states:
         blocks = [state.body, state.enter, state.exit, *(change.actions for change in state.transitions)]
         for block in blocks:

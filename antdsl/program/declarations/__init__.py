@@ -1,5 +1,7 @@
-"""The declarations of a program, checked: one file for each kind.
+"""Checks the declarations of a program, with one file for each kind.
 
-`species` has the order: params, attributes, latches, handlers, machines, layers. `statements` checks the lines of a state or an
-action. `behaviours` expands behaviours in place of their calls. `world` checks things and their fields, `specs` the expectations
-of runs."""
+- `species`: params, attributes, latches, handlers, machines and layers, in this order.
+- `statements`: the lines of a state or an action.
+- `behaviours`: replaces each call of a behaviour by its expansion.
+- `world`: things and their fields.
+- `specs`: the expectations about runs."""

@@ -1,4 +1,4 @@
-"""Values that a line adds: a rate per second if it runs in every step, an amount if it happens once."""
+"""Types values that a line adds: a rate per second if the line runs in every step, an amount if it runs once."""
 
 from __future__ import annotations
 
@@ -16,8 +16,10 @@ from antdsl.syntax import nodes
 
 @dataclass(frozen=True, slots=True)
 class StatementContext:
-    """The context of statements. `body`: they run in each step. `commuting`: they are in a handler, where several events may
-    arrive at once."""
+    """The context of statements.
+
+    - `body`: the statements run in each step.
+    - `commuting`: they are in a handler, where several events may arrive in one step."""
 
     body: bool
     commuting: bool = False
@@ -37,8 +39,10 @@ def amount_or_rate(
     suffix: str = "",
     level: bool = False,
 ) -> Expr | None:
-    """Return the added value: a rate per second in a state's body, else an amount; with `level` always an amount. `prefix` and
-    `suffix`: the author's words around it."""
+    """Return the typed value that a line adds: a rate per second in a state's body, else an amount.
+
+    - `level`: always an amount.
+    - `prefix`, `suffix`: the source text around the value, for messages."""
     per_second = ValueType(type.kind, combine_dimensions(type.dim, Dimension(time=1), -1))
     want = per_second if block.body else type
     expr = value(scope, node, want)

@@ -1,5 +1,7 @@
-"""What a state shows of its agents: a clip (`play walk`), and what a change says of how one gives way to the next; a layer
-that they wear, a channel of the body, what their head looks at."""
+"""Checks the lines of a state that change the appearance of its agents.
+
+These lines play a clip (`play walk`), wear a layer, set a channel of the body, or turn a group of joints towards a point. A
+transition may also set how long the previous clip fades out."""
 
 from __future__ import annotations
 
@@ -30,7 +32,7 @@ _MAX_ANGLE = 3.1415927  # rad
 
 
 def wear(scope: NameScope, line: nodes.Ask, block: StatementContext) -> model.Wear | None:
-    """`wear helmet`, `wear load when load > 0`; None after a complaint."""
+    """Check a line such as `wear helmet` or `wear load when load > 0`. Return None after an error."""
     assert line.name is not None
     when = None if line.when is None else condition(scope, line.when, "`when`")
     if _is_misplaced(scope, line, block) or (when is not None and when.type.kind is TypeKind.BAD):
@@ -39,7 +41,7 @@ def wear(scope: NameScope, line: nodes.Ask, block: StatementContext) -> model.We
 
 
 def channel(scope: NameScope, line: nodes.Ask, block: StatementContext) -> model.Channel | None:
-    """`channel jaw = load`; None after a complaint."""
+    """Check a line such as `channel jaw = load`. Return None after an error."""
     assert line.name is not None and line.amount is not None
     value = value_of_type(scope, line.amount, NUMBER_TYPE, f"`channel {line.name.text}`")
     if _is_misplaced(scope, line, block) or value.type.kind is TypeKind.BAD:
@@ -48,7 +50,7 @@ def channel(scope: NameScope, line: nodes.Ask, block: StatementContext) -> model
 
 
 def look(scope: NameScope, line: nodes.Ask, block: StatementContext) -> model.Look | None:
-    """`look head(at: meal, within: 60 deg, over: 0.2 s)`; None after a complaint."""
+    """Check a line such as `look head(at: meal, within: 60 deg, over: 0.2 s)`. Return None after an error."""
     assert line.name is not None
     arguments_by_slot = arrange_arguments(scope, "look", _LOOK_SLOTS, line, f"look {line.name.text}")
     if arguments_by_slot is None:
@@ -72,7 +74,7 @@ def look(scope: NameScope, line: nodes.Ask, block: StatementContext) -> model.Lo
 
 
 def check_duplicates(scope: NameScope, node: nodes.State) -> None:
-    """Report a state that sets a channel twice, or turns one transform group to two places."""
+    """Report a state that sets one channel twice, or turns one transform group towards two points."""
     first: dict[tuple[str, str], nodes.Ask] = {}
     for line in node.body:
         if not isinstance(line, nodes.Ask) or line.verb not in ("channel", "look") or line.name is None:
@@ -86,7 +88,7 @@ def check_duplicates(scope: NameScope, node: nodes.State) -> None:
 
 
 def _is_misplaced(scope: NameScope, line: nodes.Ask, block: StatementContext) -> bool:
-    """Whether a line stands in an action, after a complaint."""
+    """Return whether a line is in an action instead of a state's body; report an error if so."""
     if not block.body:
         form = f"{line.verb} {line.name.text if line.name is not None else ''}"
         advice = f"write `{' '.join(line.span.text.split())}` as a line of the state itself"
@@ -95,7 +97,8 @@ def _is_misplaced(scope: NameScope, line: nodes.Ask, block: StatementContext) ->
 
 
 def play(scope: NameScope, line: nodes.Ask, block: StatementContext) -> model.Play | None:
-    """`play walk`, `play walk(speed: 0.5)`, `play wave(on: arms, weight: 0.8)`; None after a complaint."""
+    """Check a line such as `play walk`, `play walk(speed: 0.5)` or `play wave(on: arms, weight: 0.8)`. Return None after an
+    error."""
     assert line.name is not None
     clip = line.name.text
     arguments_by_slot = arrange_arguments(scope, "play", _CLIP_SLOTS, line, f"play {clip}") if line.arguments else {}
@@ -126,7 +129,7 @@ def play(scope: NameScope, line: nodes.Ask, block: StatementContext) -> model.Pl
 
 
 def _without_names(line: nodes.Ask) -> nodes.Ask:
-    """The line without the arguments that are names of the body's, which are no expressions."""
+    """Return the line without the arguments that are names of clips or transform groups. Such names are not expressions."""
     named = [
         isinstance(each, nodes.Argument) and each.name is not None and each.name.text in _NAME_ARGUMENTS
         for each in line.arguments
@@ -135,7 +138,7 @@ def _without_names(line: nodes.Ask) -> nodes.Ask:
 
 
 def _name_argument(scope: NameScope, clip: str, argument: str, node: nodes.Expr) -> str | None:
-    """Return a name of the body in an argument; None after an error."""
+    """Return the name of a clip or transform group in an argument; None after an error."""
     if isinstance(node, nodes.NameRef):
         return node.name.text
     what, sample = ("a transform group", "arms") if argument == "on" else ("a clip", f"{clip}_{argument}")
@@ -145,7 +148,7 @@ def _name_argument(scope: NameScope, clip: str, argument: str, node: nodes.Expr)
 
 
 def _is_valid_value(scope: NameScope, clip: str, argument: str, expr: Expr) -> bool:
-    """Return whether a value suits its argument; report an error for an unsuitable constant."""
+    """Return whether a value is allowed for its argument; report an error if not."""
     known = constant_behind(expr)
     text = " ".join(expr.span.text.split())
     words, help = "", ""
@@ -164,7 +167,7 @@ def _is_valid_value(scope: NameScope, clip: str, argument: str, expr: Expr) -> b
 
 
 def check_single_clip(scope: NameScope, node: nodes.State) -> None:
-    """Complain about a state that plays several clips."""
+    """Report a state that plays several clips."""
     lines = [line for line in node.body if isinstance(line, nodes.Ask) and line.verb == "play"]
     for line in lines[1:]:
         message = f"`{node.name.text}` plays a clip already, and a state can play only one"

@@ -1,4 +1,4 @@
-"""A line with a verb of the world, checked by the row of its verb: the thing it names, its arguments, and where it may appear."""
+"""Checks a line with a verb of the world by the verb's row: the named thing, the arguments, and where the line may appear."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ WrittenArguments = dict[str, nodes.Expr]
 
 
 def ask(scope: NameScope, line: nodes.Ask, block: StatementContext) -> model.EffectRequest | None:
-    """The statement, or None after a complaint."""
+    """Return the checked statement, or None after an error."""
     row = EFFECT_BY_OPERATION[line.verb]
     of = line.name.text if line.name is not None else ""
     form = f"{row.op} {of}".rstrip()
@@ -56,7 +56,7 @@ def ask(scope: NameScope, line: nodes.Ask, block: StatementContext) -> model.Eff
 
 
 def argument_type(arg: ArgumentRow) -> ValueType:
-    """Return the type of an argument. For an added value or an attribute of the agent, it is the type after the first word."""
+    """Return the type of an argument. For the argument kinds `added T` and `own U`, it is the type T or U."""
     first, _, rest = arg.type.partition(" ")
     if first == "own" and (unit := measure(rest)) is not None:
         return ValueType(TypeKind.NUMBER, unit.dim)
@@ -100,7 +100,7 @@ def _argument_value(
 
 
 def _recipient(scope: NameScope, row: Effect, line: nodes.Ask, node: nodes.Expr) -> Expr:
-    """Return the one agent that a line addresses, of a species that handles its event."""
+    """Return the agent that a line addresses with `to`. Report an error if it is not a single agent of a known species."""
     expr = value(scope, node)
     if expr.type.kind is TypeKind.BAD:
         return expr
@@ -119,7 +119,7 @@ def _recipient(scope: NameScope, row: Effect, line: nodes.Ask, node: nodes.Expr)
 
 
 def _own_attribute(scope: NameScope, row: Effect, arg: ArgumentRow, node: nodes.Expr) -> str | None:
-    """The attribute of the agent's that an argument names."""
+    """Return the name of the agent's own attribute that an argument names; None after an error."""
     species, want = scope.species, argument_type(arg)
     assert species is not None
     name = node.name.text if isinstance(node, nodes.NameRef) else ""
@@ -140,7 +140,7 @@ def _own_attribute(scope: NameScope, row: Effect, arg: ArgumentRow, node: nodes.
 
 
 def _reports_missing(scope: NameScope, row: Effect, line: nodes.Ask, written: WrittenArguments, form: str) -> bool:
-    """Report a line without brackets that needs them."""
+    """Report required arguments that a line lacks. Return whether there are any."""
     missing = [arg for arg in row.args if arg.default is None and not arg.optional and arg.name not in written]
     if missing:
         shape = ", ".join(f"{arg.name}: {arg.sample or '…'}" for arg in missing)
@@ -150,7 +150,8 @@ def _reports_missing(scope: NameScope, row: Effect, line: nodes.Ask, written: Wr
 
 
 def _is_declared(scope: NameScope, row: Effect, name: nodes.Name | None) -> bool:
-    """Return whether the thing that a line names is declared; report an error if not. An event is declared by being emitted."""
+    """Return whether the thing that a line names is declared; report an error if not. An event needs no declaration, but must not
+    be a built-in one."""
     if name is None:
         return True
     declared, text = scope.declared, name.text
@@ -179,8 +180,8 @@ def _is_declared(scope: NameScope, row: Effect, name: nodes.Name | None) -> bool
 
 
 def _combines_by_max(scope: NameScope, name: str) -> bool:
-    """Return whether a field has `combine max`. Nothing is added there, so a line of a state may set a lower bound for its
-    cell."""
+    """Return whether a field has `combine max`. Such a field adds no amounts, so a state's line may give a minimum for the
+    agent's cell."""
     field = scope.declared.fields.get(name)
     said = [s.value for s in field.settings if s.name.text == "combine"] if field is not None else []
     return any(isinstance(each, nodes.NameRef) and each.name.text == "max" for each in said)

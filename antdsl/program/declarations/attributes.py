@@ -1,4 +1,5 @@
-"""Attributes of a species: their initial values and types, ordered so that an attribute comes after those that it starts from."""
+"""Checks the attributes of a species: initial values and types, with each attribute ordered after those that its initial value
+reads."""
 
 from __future__ import annotations
 
@@ -37,7 +38,7 @@ _TOO_EARLY_REASON = "starting values are computed before the animal has sensed a
 
 
 def attributes(scope: NameScope, node: nodes.Species) -> list[model.AttributeDecl]:
-    """Return built-in and own attributes, ordered so that an attribute comes after those that it starts from."""
+    """Return built-in and own attributes. Each comes after the attributes that its initial value reads."""
     declared: dict[str, nodes.Declaration | nodes.AnimalProperty] = {}
     for name, row in BUILTIN_ATTRIBUTE_BY_NAME.items():
         if row.settable and row.default is not None:
@@ -102,7 +103,8 @@ def _is_settable(scope: NameScope, member: nodes.AnimalProperty) -> bool:
 
 
 def _correct_place(word: str) -> str | None:
-    """Return where a line belongs that begins with a sense or another word of the language; no attribute can have such a name."""
+    """Return the right place for a line that begins with a sense or another word of the language. Such words cannot be attribute
+    names."""
     if word in SENSE_REPLACEMENTS:
         return f"write the sense where its value is needed: {SENSE_REPLACEMENTS[word].replace('X', 'food')}"
     if word in BUILTINS_BY_NAME or word in REDUCER_HELP:

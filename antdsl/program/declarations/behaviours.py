@@ -1,4 +1,4 @@
-"""Behaviours: each is checked once alone, and put in place of every call with the types of that call."""
+"""Checks each behaviour once alone, and replaces each call by the behaviour's expansion with the types of the call."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ _MAX_NESTED_OPERATIONS = 100  # of behaviours inside behaviours, counted in oper
 
 
 def measure_behaviour(report: Report, info: BehaviourInfo) -> None:
-    """Compute the sizes of a behaviour and of all that it calls, from the bottom up; a circle of calls is reported once, with its
+    """Compute the size and depth of a behaviour and of all behaviours that it calls. A cycle of calls is reported once, with the
     names."""
     stack: list[tuple[BehaviourInfo, int]] = [(info, 0)]
     path: list[BehaviourInfo] = []
@@ -184,7 +184,7 @@ def declared_type(scope: NameScope, written_type: nodes.TypeName) -> ValueType:
 
 
 def _body(scope: NameScope, info: BehaviourInfo) -> tuple[list[Binding], Expr]:
-    """The lets and keeps of a behaviour in text order, then its result."""
+    """Return the lets and keeps of a behaviour in text order, and the expression of its result."""
     bindings: list[Binding] = []
     local = dict(scope.locals)
     for line in info.node.body:
@@ -223,7 +223,7 @@ def _keep(scope: NameScope, line: nodes.Keep) -> Binding:
 
 
 def call_behaviour(scope: NameScope, node: nodes.Call, want: ValueType | None) -> Expr:
-    """The behaviour put in place of its call."""
+    """Return the expansion of a behaviour for a call."""
     info = _called_behaviour(scope, node.function)
     if info is None:
         type_arguments(scope, node)
@@ -247,14 +247,15 @@ def call_behaviour(scope: NameScope, node: nodes.Call, want: ValueType | None) -
 
 
 def call_implicitly(scope: NameScope, info: BehaviourInfo, node: nodes.Call) -> Expr:
-    """Return a behaviour without arguments, expanded for a call that the language itself makes; `node` gives the place."""
+    """Return the expansion of a behaviour without arguments, for a call that the language itself makes. `node` gives its
+    location."""
     if not check_behaviour(scope.declared, info) or not _is_allowed(scope, info, node):
         return bad_expression(node.span)
     return _expand_call(scope, info, node, {})
 
 
 def _bind_names(scope: NameScope, info: BehaviourInfo, node: nodes.Call) -> None:
-    """Bind the names in a call: a module, the behaviour, and its arguments."""
+    """Record the declarations of the names in a call: the module, the behaviour, and its arguments."""
     path, name, function = info.file.node.source.path, info.node.name.text, node.function
     if isinstance(function, nodes.Member) and isinstance(function.owner, nodes.NameRef):
         scope.bind(function.owner.span, "alias", scope.file.node.source.path, function.owner.name.text)
@@ -285,7 +286,8 @@ def _called_behaviour(scope: NameScope, function: nodes.Expr) -> BehaviourInfo |
 
 
 def _is_allowed(scope: NameScope, info: BehaviourInfo, node: nodes.Call) -> bool:
-    """Return whether the call may appear here. Memory and draws are not allowed everywhere, and the expanded size is limited."""
+    """Return whether the call is allowed at this place; report an error if not. Memory and draws are not allowed everywhere, and
+    the expanded size is limited."""
     name, declared = info.node.name.text, scope.declared
     if info.keeps and scope.no_keep:
         help = "call it in a separate line: `steer …`, or a line of `layers`"
@@ -307,7 +309,8 @@ def _is_allowed(scope: NameScope, info: BehaviourInfo, node: nodes.Call) -> bool
 
 
 def _check_call(scope: NameScope, info: BehaviourInfo, node: nodes.Call, argument_nodes: Mapping[str, nodes.Expr]) -> Expr:
-    """Type a call inside a behaviour that is checked alone: the arguments count, its body was checked separately."""
+    """Return the type of a call inside a behaviour that is checked alone. Only the arguments are checked; the called body is
+    checked separately."""
     quiet = scope.with_changes(report=Report())
     for argument in info.node.arguments:
         if argument.name.text in argument_nodes:

@@ -1,4 +1,4 @@
-"""States and transitions of a species, checked and put in evaluation order."""
+"""Checks the states and transitions of a species, and puts the transitions in evaluation order."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ MachineMember = nodes.State | nodes.Start | nodes.Change | nodes.Let | nodes.Lat
 
 
 def machine(scope: NameScope, names: MachineNames, members: Sequence[object], span: Span) -> model.Machine:
-    """A machine with its states; `span` is where it is named."""
+    """Return a checked machine with its states. `span`: the location of its name."""
     scope = scope.with_changes(machine=names)
     states = [m for m in members if isinstance(m, nodes.State)]
     known = (names.key, *(scope.species.bindings.values() if scope.species is not None else ()))
@@ -54,7 +54,7 @@ def machine(scope: NameScope, names: MachineNames, members: Sequence[object], sp
 def _changes_from_any(
     scope: NameScope, names: MachineNames, changes: Sequence[nodes.Change]
 ) -> list[tuple[nodes.Change, model.Transition | None]]:
-    """The changes `from any`."""
+    """Return the transitions `from any`, each with its checked form or None after an error."""
     scope = scope.with_changes(keys=StableKeys(f"{names.key}.{model.FROM_ANY_KEY}"))
     return [(node, _general_transition(scope, names, node)) for node in changes]
 
@@ -78,7 +78,8 @@ def _start(scope: NameScope, names: MachineNames, members: Sequence[object], spa
 
 
 def _state_index(scope: NameScope, names: MachineNames, state: nodes.Name) -> int | None:
-    """The index of a state, or of the one that was probably meant."""
+    """Return the index of a state. For an unknown name, report an error and return the index of the most similar name, or
+    None."""
     species, _, machine = names.key.partition(".")
     if state.text in names.states:
         scope.bind(state.span, "state", species, machine, state.text)
@@ -109,7 +110,7 @@ def _state(scope: NameScope, names: MachineNames, node: nodes.State, index: int,
 
 
 def _lets(scope: NameScope, node: nodes.State) -> dict[str, Binding | Expr]:
-    """Return the lets of a state in text order. They are snapshots of the start of the step, like those of the species."""
+    """Return the lets of a state in text order. Like the lets of a species, they are snapshots of the start of the step."""
     local: dict[str, Binding | Expr] = dict(scope.locals)
     assert scope.species is not None
     for line in node.body:
@@ -176,8 +177,8 @@ def _general_transition(scope: NameScope, names: MachineNames, node: nodes.Chang
 
 
 def _applies_to(node: nodes.Change, change: model.Transition, state: str, index: int) -> bool:
-    """Return whether a transition applies in a state: `from any` leaves out its exceptions and never leads into the current
-    state."""
+    """Return whether a transition applies in a state. A transition `from any` omits its excepted states, and never leads into the
+    current state."""
     return change.target != index and all(name.text != state for name in node.any_except or ())
 
 
@@ -200,7 +201,8 @@ def _change(scope: NameScope, names: MachineNames, node: nodes.Change, path: str
 
 
 def _delay(scope: NameScope, node: nodes.Expr | None) -> Expr | None:
-    """Check that `after T` is the whole condition. In `after 1 s and meal` the time is read as part of the condition."""
+    """Return the time of `after T`, which must be the complete condition. In `after 1 s and meal`, the parser reads the time as
+    part of the condition, which is an error."""
     time = _leftmost(node)
     if node is None or time is None or time is node:
         return _duration(scope, node, "`after`")
@@ -212,7 +214,8 @@ def _delay(scope: NameScope, node: nodes.Expr | None) -> Expr | None:
 
 
 def _hold_time(scope: NameScope, node: nodes.Expr | None) -> Expr | None:
-    """`held T` ends a condition. In `meal held 1 s and scent > 1` it stands in the middle."""
+    """Return the time of `held T`, which must end the condition. In `meal held 1 s and scent > 1` it is in the middle, which is
+    an error."""
     time = _leftmost(node)
     if node is None or time is None or time is node:
         return _duration(scope, node, "`held`")

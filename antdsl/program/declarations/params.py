@@ -1,5 +1,6 @@
-"""Params of a species: a value, and the range in which it may change. If the three numbers do not match, the finding marks the
-one that contradicts the other two."""
+"""Checks the params of a species: each has a value, and a range within which it may change.
+
+If the value and the two ends do not match, the finding marks the number that contradicts the other two."""
 
 from __future__ import annotations
 
@@ -23,7 +24,7 @@ from antdsl.syntax import nodes
 
 @dataclass(frozen=True, slots=True)
 class _ParamNumber:
-    """One of the three numbers: its text and its value."""
+    """The value or one end of the range: its syntax node and its constant."""
 
     node: nodes.Expr
     const: Constant
@@ -34,7 +35,7 @@ class _ParamNumber:
 
     @property
     def unit(self) -> str:
-        """The unit as written."""
+        """Return the unit as in the source."""
         return unit_spelling(self.node)
 
 
@@ -65,7 +66,7 @@ def param(scope: NameScope, node: nodes.Declaration) -> model.Param | None:
 
 
 def _constant(scope: NameScope, node: nodes.Expr, who: str) -> Constant | None:
-    """A constant."""
+    """Return the constant value of an expression; report an error and return None if it is not constant."""
     expr = value(scope, node)
     constant = constant_behind(expr)
     if constant is None and expr.type.kind is not TypeKind.BAD:
@@ -75,8 +76,7 @@ def _constant(scope: NameScope, node: nodes.Expr, who: str) -> Constant | None:
 
 
 def _unify_types(scope: NameScope, node: nodes.Declaration, three: list[_ParamNumber]) -> list[_ParamNumber]:
-    """Return the value and both ends, of one type. One of another type is reported, and taken as if it had the unit of the
-    others."""
+    """Return the value and both ends with one type. A number of another type is reported, and gets the type of the others."""
     types = [each.const.type for each in three]
     if types[0] == types[1] == types[2]:
         _check_order(scope, node, three)
@@ -106,7 +106,7 @@ def _with_type_of(const: Constant, reference: Constant) -> Constant:
 
 
 def _report_odd_type(scope: NameScope, three: Sequence[_ParamNumber], odd: int, expected: ValueType, who: str) -> None:
-    """One of another type than the two others."""
+    """Report the number `three[odd]`, which has another type than the other two."""
     node, type = three[odd].node, three[odd].const.type
     if (type.kind, expected.kind) != (TypeKind.NUMBER, TypeKind.NUMBER):
         report_mismatch(scope.report, node, type, expected, who)
@@ -120,8 +120,8 @@ def _report_odd_type(scope: NameScope, three: Sequence[_ParamNumber], odd: int, 
 
 
 def _fitting_text(three: Sequence[_ParamNumber], odd: int) -> str | None:
-    """Return a replacement for the odd number with which all three match: its number with another unit, or the nearest other
-    number."""
+    """Return a replacement for the number `three[odd]` with which all three match. It is the number with another unit, or else
+    the nearer of the other two numbers."""
     others = [each for each in three if each is not three[odd]]
 
     def fit(const: Constant) -> bool:
@@ -137,7 +137,8 @@ def _fitting_text(three: Sequence[_ParamNumber], odd: int) -> str | None:
 
 
 def _values_by_unit(node: nodes.Expr, others: Sequence[_ParamNumber]) -> dict[str, Constant]:
-    """Return the value of a number with each unit of the others, and with all units of their dimension."""
+    """Return the constant for the number in `node` with each possible unit: the units of the other numbers, and all units of
+    their dimension."""
     if not isinstance(node, (nodes.Number, nodes.Quantity)):
         return {}
     type = others[0].const.type
@@ -148,13 +149,14 @@ def _values_by_unit(node: nodes.Expr, others: Sequence[_ParamNumber]) -> dict[st
 
 
 def _number_text(node: nodes.Expr) -> str:
-    """A number as written, without its unit."""
+    """Return the source text of a number without its unit."""
     end = node.unit_span.start if isinstance(node, nodes.Quantity) else node.span.end
     return node.span.source.text[node.span.start : end].rstrip()
 
 
 def _is_consistent(consts: Sequence[Constant]) -> bool:
-    """Whether a value and both ends are of one type and in order, as far as that is known without a scene."""
+    """Return whether a value and both ends have one type and are in order. If their order depends on the scene, the result is
+    True."""
     value, low, high = consts
     if not value.type == low.type == high.type:
         return False
@@ -185,7 +187,8 @@ def _missing_units_text(bare: Sequence[_ParamNumber], unit_numbers: Sequence[_Pa
 
 
 def _common_unit(three: Sequence[_ParamNumber], unit_numbers: Sequence[_ParamNumber]) -> str | None:
-    """The unit with which the bare ones go together with the others: one that is written, or another of the dimension."""
+    """Return a unit with which the numbers without a unit match the others. It is a unit in the source, or another one of the
+    same dimension."""
     by_unit = [_values_by_unit(each.node, unit_numbers) for each in three]
     for unit in next(constants for each, constants in zip(three, by_unit, strict=True) if each.is_unitless):
         if _is_consistent(
@@ -214,7 +217,8 @@ def _report_no_unit(
 
 
 def _check_order(scope: NameScope, node: nodes.Declaration, three: list[_ParamNumber]) -> None:
-    """Whether the value lies between the ends, as far as that is known without a scene."""
+    """Report a range that ends before it begins, and a value outside the range. Numbers that depend on the scene are not
+    checked."""
     value, low, high = three
     if len({(each.const.u, each.const.step) for each in three}) > 1 or node.range is None:
         return
@@ -255,7 +259,7 @@ def _limit_text(end: _ParamNumber, low: _ParamNumber) -> str:
 
 
 def _text_within_limits(three: Sequence[_ParamNumber]) -> str | None:
-    """The same number with the unit of the ends, where that lies inside."""
+    """Return the value's number with the unit of the ends, if this lies inside the range; else None."""
     value, low, high = three
     units = {each.unit for each in (low, high)} - {""}
     node = value.node

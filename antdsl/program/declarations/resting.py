@@ -1,4 +1,4 @@
-"""States that steer nothing. If other states of the species steer, agents in these states stand still, by the library's
+"""Finds states that steer nothing. If other states of the species steer, agents in these states stand still, by the library's
 `halt()`."""
 
 from __future__ import annotations
@@ -14,10 +14,11 @@ HALT_LIBRARY, HALT_BEHAVIOUR = "steering", "halt"
 
 
 def rest(scope: NameScope, machines: Sequence[model.Machine], name: nodes.Name) -> model.RestingPush | None:
-    """Return the push of agents in states that steer nothing; None if every state steers, or none of any machine does.
+    """Return the push for agents in states that steer nothing. None if a machine steers in all of its states, or if no machine
+    steers at all.
 
-    A machine that never steers, such as one of moods, says nothing about moving. If several steer, it is enough that one of them
-    does so now, so that it may steer alone. `name` is the species' own, which stands for the implicit call."""
+    A machine that never steers, such as one for moods, does not count. An agent stands still only if none of the other machines
+    steers in its current state. `name`: the name of the species, which is the location of the implicit call."""
     silent: dict[str, tuple[int, ...]] = {}
     for machine in machines:
         quiet = tuple(state.index for state in machine.states if not is_steering(state))

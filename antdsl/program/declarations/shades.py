@@ -1,4 +1,4 @@
-"""`fuzzy NAME { A and B -> 0.8; C -> 0.1 }`: rules with shades of truth, put together into one number."""
+"""Checks `fuzzy NAME { A and B -> 0.8; C -> 0.1 }`: rules with degrees of truth, combined into one number."""
 
 from __future__ import annotations
 
@@ -13,11 +13,12 @@ from antdsl.syntax import nodes
 
 
 def fuzzy_mean(scope: NameScope, node: nodes.Fuzzy) -> Expr:
-    """Return the mean of the rules' outputs, each weighted by how true its rule is; 0 if none is true at all.
+    """Return the mean of the rules' outputs, each weighted by the degree of truth of its rule; 0 if all degrees are 0.
 
-    This is a weighted mean of singletons: zero-order Sugeno (Takagi and Sugeno, Fuzzy identification of systems, IEEE Trans. SMC
-    15(1), 1985, section II). The outputs there are linear, and may be here, because any number can follow the arrow. The
-    arguments of the operation are degree, output, degree, output, …"""
+    This is zero-order Sugeno inference, a weighted mean of singletons (Takagi and Sugeno, Fuzzy identification of systems, IEEE
+    Trans. SMC 15(1), 1985, section II). In the paper the outputs are linear functions. They may be here too, because any number
+    can follow the arrow.
+    The arguments of the operation are degree, output, degree, output, …"""
     if not node.rules:
         message = f"`fuzzy {node.name.text}` has no rules"
         return scope.reject("empty-fuzzy", message, node.span, "write rules such as `near and fast -> 0.8`")
@@ -43,7 +44,7 @@ def fuzzy_mean(scope: NameScope, node: nodes.Fuzzy) -> Expr:
 
 
 def _degree(scope: NameScope, node: nodes.Expr) -> Expr:
-    """How true a rule is: a shade from 0 to 1, or a yes or no, which is 1 or 0."""
+    """Return the degree of truth of a rule: a shade from 0 to 1, or a bool as 1 or 0."""
     expr = value(scope, node, BOOL_TYPE)
     if expr.type.kind is not TypeKind.NUMBER:
         return truth(scope, node, expr, "a rule")

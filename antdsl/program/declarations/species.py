@@ -1,4 +1,4 @@
-"""A species: params, attributes, lets and latches with their types, then handlers, machines and layers."""
+"""Checks a species: first params and attributes, lets and latches with their types, then handlers, machines and layers."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ _PURE_LET_REASON = "a `let` only names a value"
 
 @dataclass(slots=True)
 class SpeciesDraft:
-    """A species under construction: its own names first, so that others may refer to them; `complete` adds the rest."""
+    """A species under construction: its own names, so that other species may refer to them. `complete` adds the other members."""
 
     names: SpeciesNames
     node: nodes.Species
@@ -55,7 +55,7 @@ class SpeciesDraft:
 
 
 def draft(declared: Declarations, file: FileNames, node: nodes.Species) -> SpeciesDraft:
-    """Params and attributes of a species."""
+    """Check the params and attributes of a species."""
     names = declared.species[node.name.text]
     scope = NameScope(declared, file, StableKeys(names.name), declared.report, species=names, no_keep=_PURE_LET_REASON)
     _check_names(scope, node)
@@ -79,7 +79,7 @@ def _drafted(
 
 
 def _members_of_kind(node: nodes.Species, *kinds: type) -> list[Any]:
-    """Members of a species and of its machines, in text order."""
+    """Return the members of some kinds, of a species and of its machines, in text order."""
     members: list[object] = []
     for member in node.members:
         members.append(member)
@@ -89,7 +89,7 @@ def _members_of_kind(node: nodes.Species, *kinds: type) -> list[Any]:
 
 
 def _check_names(scope: NameScope, node: nodes.Species) -> None:
-    """Check that names are unique and not words of the language."""
+    """Report names that occur twice or are words of the language."""
     spans_by_name: dict[str, Span] = {}
     for member in _members_of_kind(node, nodes.Declaration, nodes.ParamDecl, nodes.Let, nodes.Latch, nodes.Fuzzy):
         each = member.declaration if isinstance(member, nodes.ParamDecl) else member
@@ -111,7 +111,7 @@ def _check_names(scope: NameScope, node: nodes.Species) -> None:
 
 
 def complete(work: SpeciesDraft) -> model.Species:
-    """Lets, latches, handlers, machines and layers, now that the attributes of all species are known."""
+    """Check lets, latches, handlers, machines and layers. The attributes of all species must be known."""
     names, key = work.names, ("species", work.node.name, work.node.help, work.node.members, *work.attributes, *work.params)
     species, names.bindings = cached_part(work.scope.declared, key, lambda: (_completed(work), names.bindings))
     names.pending.clear()
@@ -148,7 +148,7 @@ def _completed(work: SpeciesDraft) -> model.Species:
 
 
 def _with_relaxation(scope: NameScope, attribute: model.AttributeDecl, node: nodes.Declaration | None) -> model.AttributeDecl:
-    """Return the attribute with the value that it returns to, and the species that it is stored about."""
+    """Return the attribute with its rest value and, for a pair value, the species of the other agents."""
     if node is None or (node.relax is None and node.each is None):
         return attribute
     to = over = None
@@ -192,7 +192,7 @@ def _expressions_of(member: nodes.Let | nodes.Latch | nodes.Fuzzy) -> list[nodes
 
 
 def _bindings(scope: NameScope, node: nodes.Species) -> list[Binding]:
-    """Return lets, latches and rules, each after those that it uses."""
+    """Return lets, latches and fuzzy values. Each comes after the bindings that it uses."""
     names = scope.species
     assert names is not None
     declared: dict[str, nodes.Let | nodes.Latch | nodes.Fuzzy] = {}
@@ -243,7 +243,8 @@ def _handlers(scope: NameScope, written: tuple[nodes.On, ...]) -> list[model.Han
 
 
 def _handler(scope: NameScope, node: nodes.On, events: dict[str, StableKeys]) -> model.Handler:
-    """`events`: keys of the handlers so far, by event; two of one event must not share their draws."""
+    """Check a handler. `events`: the keys of the earlier handlers by event, because two handlers of one event must not share
+    random draws."""
     names, event = scope.species, node.event.text
     assert names is not None
     keys = events.setdefault(event, StableKeys(f"{names.name}.on.{event}"))
@@ -277,7 +278,8 @@ def _handler(scope: NameScope, node: nodes.On, events: dict[str, StableKeys]) ->
 
 
 def _partner_species(scope: NameScope, node: nodes.On) -> str:
-    """Return the species of the other agent in a collision: the agent's own, or the one that is named; "" after an error."""
+    """Return the species of the other agent in a collision: the named species, or the agent's own by default. "" after an
+    error."""
     assert scope.species is not None
     if node.species is None:
         return scope.species.name
@@ -297,7 +299,7 @@ def _partner_species(scope: NameScope, node: nodes.On) -> str:
 
 
 def _check_distinct_name(scope: NameScope, variable: nodes.Name) -> None:
-    """Report a name in the brackets of a collision that already has another meaning."""
+    """Report a name in the brackets of `on collision(…)` that already has another meaning."""
     if variable.text in scope.declared.species:
         message = f"`{variable.text}` is a species, but the name in brackets is the other agent"
         scope.report.error("wrong-argument", message, variable.span, f"write `on collision(other: {variable.text})`")
@@ -340,7 +342,7 @@ def _layers(scope: NameScope, node: nodes.Species) -> model.LayerStack:
 
 
 def _layer(scope: NameScope, node: nodes.Layer, counts: dict[str, int]) -> model.Layer:
-    """Check a layer. Its name is its first word: `separate`, and `separate#2` for a second one."""
+    """Check a layer. Its key is its first word, such as `separate`; a second layer with this word has the key `separate#2`."""
     text = " ".join(node.push.span.text.split())
     steered = isinstance(node.push, nodes.NameRef) and node.push.name.text == "state" and not node.faces
     word = _layer_word(node.push)

@@ -1,4 +1,4 @@
-"""Specs: scene, duration, seeds and params, and the expectations for the whole and for each agent."""
+"""Checks specs: scene, duration, seeds, params, and the expectations about the complete run and about each agent."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ _SETTING_WORDS = ("seeds", "pass", "set", "until")  # what is expected is anothe
 
 @dataclass(slots=True)
 class _SpecCheck:
-    """One spec on its way."""
+    """The state of the check of one spec."""
 
     declared: Declarations
     names: FileNames
@@ -58,7 +58,7 @@ class _SpecCheck:
 def check_spec(
     declared: Declarations, names: FileNames, spec: nodes.Spec, params: Mapping[str, Param], fields: Mapping[str, Field]
 ) -> Spec:
-    """Return a spec with the types of all its expressions. Reports names that cannot be used in a spec."""
+    """Return a spec with the types of all its expressions. Report names that are not allowed in a spec."""
     if spec.scene is not None and not spec.scene.text.endswith((".yaml", ".yml")):
         words = f"`{spec.scene.text}` is not the name of a scene"
         declared.report.error("not-a-scene", words, spec.scene.span, 'write `on "scene.yaml"`')
@@ -117,7 +117,7 @@ def _time(
 
 
 def _pass_share(work: _SpecCheck, line: nodes.SpecLine) -> float | None:
-    """The share of the seeds that must pass."""
+    """Return the share of the seeds that must pass, from 0 to 1; None after an error."""
     assert line.condition is not None
     expr = value_of_type(outer_scope(work.declared, work.names, "spec"), line.condition, NUMBER_TYPE, "`pass`")
     known = constant_behind(expr)
@@ -211,7 +211,7 @@ def _add_change(work: _SpecCheck, line: nodes.SpecLine) -> None:
 
 
 def _bind_target(scope: NameScope, target: nodes.Expr | nodes.Text, owner: str, value: str) -> None:
-    """Bind the names in `forager.smell` or `trail.half_life`; `owner` and `value` are their kinds."""
+    """Record the declarations of the two names in `forager.smell` or `trail.half_life`. `owner` and `value` are their kinds."""
     if isinstance(target, nodes.Member) and isinstance(target.owner, nodes.NameRef):
         name, word = target.owner.name.text, target.name.text
         scope.bind(target.owner.span, owner, name)
@@ -270,7 +270,7 @@ def _add_expectation(work: _SpecCheck, line: nodes.SpecLine, species: str | None
 
 
 def _allows_time(work: _SpecCheck, line: nodes.SpecLine) -> bool:
-    """Return whether `held` and `sooner` can be judged here; report an error if not."""
+    """Return whether the line may have `held` or `sooner`; report an error if not."""
     report = work.declared.report
     if line.held is not None and line.kind in ("always", "for"):
         words = f"`{line.kind}` with `held` fails in the first frame, where nothing has held yet"
@@ -285,7 +285,8 @@ def _allows_time(work: _SpecCheck, line: nodes.SpecLine) -> bool:
 
 
 def _is_judgeable(work: _SpecCheck, line: nodes.SpecLine, species: str | None, expr: Expr, at_end: bool) -> bool:
-    """Return whether the line can be judged; report an error if not."""
+    """Return whether a condition of the line can be judged; report an error if not. `at_end`: the condition uses a measure of the
+    complete run."""
     report, text = work.declared.report, quote_source(expr.span)
     if species is None and expr.rate > ChangeRate.STEP:
         names = [name for name, each in work.declared.species.items() if each.node is not None] or ["walker"]
@@ -306,7 +307,7 @@ def _is_judgeable(work: _SpecCheck, line: nodes.SpecLine, species: str | None, e
 
 
 def _readings(expr: Expr, node: nodes.Expr) -> Iterator[ExpectationReading]:
-    """Yield the sides of all comparisons of a condition, and its other values, in text order."""
+    """Yield the values that a failure message reports, in text order: both sides of comparisons, and other values."""
     units = [part.unit for part, _ in written_nodes(node) if isinstance(part, nodes.Quantity)]
     stack: list[Expr] = [expr]
     while stack:
@@ -325,7 +326,7 @@ def _readings(expr: Expr, node: nodes.Expr) -> Iterator[ExpectationReading]:
 
 
 def _display_unit(part: Expr, units: list[str]) -> str:
-    """A unit for a number: the first that the author wrote of its dimension, or a usual one."""
+    """Return a unit for the display of a number: the first unit of its dimension in the source, or a default unit."""
     if part.type.kind is not TypeKind.NUMBER:
         return ""
     for unit in units:

@@ -1,4 +1,5 @@
-"""Statements of a state or an action, checked: rates if a line runs every step, amounts if it happens once."""
+"""Checks the statements of a state or an action. An added value is a rate if the line runs in every step, an amount if it runs
+once."""
 
 from __future__ import annotations
 
@@ -114,7 +115,7 @@ def _assign(scope: NameScope, line: nodes.Assign, block: StatementContext) -> mo
 def _assigned_attribute(
     scope: NameScope, name: nodes.Name, block: StatementContext, line: nodes.Assign
 ) -> tuple[str, ValueType] | None:
-    """The attribute that a bare name on the left stands for."""
+    """Return the attribute that a bare name on the left of an assignment stands for, and its type; None after an error."""
     species, report, text = scope.species, scope.report, name.text
     assert species is not None
     scope.bind_own(name.span, name.text)
@@ -179,8 +180,8 @@ def _give(scope: NameScope, line: nodes.Give, block: StatementContext) -> model.
 
 
 def take(scope: NameScope, line: nodes.Take) -> model.Take | None:
-    """Check `take 1 load from meal` or `take all load from grass`. It is the part of a transition that is settled among all
-    agents that claim it."""
+    """Check `take 1 load from meal` or `take all load from grass`. Such a take is part of a transition, and all agents that claim
+    the same amount compete for it."""
     source = scope.type_expression(line.source, ValueType(TypeKind.PLACE)) if isinstance(line.source, nodes.NameRef) else None
     if source is None or source.type.kind is not TypeKind.FIELD:
         source = place(scope, line.source, "`from`")
@@ -225,7 +226,7 @@ def take(scope: NameScope, line: nodes.Take) -> model.Take | None:
 
 
 def _is_field_amount(scope: NameScope, node: nodes.Expr, expr: Expr, attribute: nodes.Name, own: ValueType) -> bool:
-    """Whether the agent's attribute is a plain number, as a field's cells hold."""
+    """Return whether the agent's attribute is a plain number, as in the cells of a field; report an error if not."""
     if own.kind is TypeKind.BAD or is_compatible(NUMBER_TYPE, own):
         return own.kind is not TypeKind.BAD
     a = model.AttributeRef(own, model.ChangeRate.AGENT, attribute.span, None, attribute.text)
@@ -261,7 +262,7 @@ def _own_amount_type(scope: NameScope, name: nodes.Name, why: str) -> ValueType 
 
 
 def _has_attribute(scope: NameScope, node: nodes.Expr, item_expr: Expr, attribute: nodes.Name, own: ValueType) -> bool:
-    """Whether the item has the attribute, of the same dimension."""
+    """Return whether the item has the attribute with the same dimension; report an error if not."""
     if item_expr.type.kind is TypeKind.BAD:
         return False
     if item_expr.type.kind is not TypeKind.ITEM:

@@ -1,4 +1,4 @@
-"""The world's things and their fields: what a program needs from a scene, checked without one."""
+"""Checks the things of the world and the fields: all that a program needs from a scene. It needs no scene itself."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ from antdsl.syntax.words import WORD_SETTING_VALUES
 
 
 def outer_scope(declared: Declarations, names: FileNames, path: str) -> NameScope:
-    """A place outside of every species."""
+    """Return a scope outside of every species."""
     return NameScope(declared, names, StableKeys(path), declared.report, no_keep="nothing is remembered outside a species")
 
 
@@ -97,7 +97,7 @@ def _attribute(declared: Declarations, names: FileNames, item: nodes.WorldItem, 
 
 
 def check_world_species(declared: Declarations) -> None:
-    """`world { species rabbit { … } }` against the species itself, where both are checked together."""
+    """Compare `world { species rabbit { … } }` with the declaration of the species itself, if both are checked together."""
     for thing in declared.things.values():
         species = declared.species.get(thing.name)
         if thing.kind != "species" or species is None or species.node is None:
@@ -124,7 +124,7 @@ def check_world_species(declared: Declarations) -> None:
 
 
 def declare_fields(declared: Declarations, names: FileNames) -> list[nodes.FieldDecl]:
-    """Add a file's fields; a field of two files must be written alike in both."""
+    """Add a file's fields to the declarations and return them. Two files may declare the same field only with equal text."""
     added: list[nodes.FieldDecl] = []
     for item in names.node.items:
         if not isinstance(item, nodes.FieldDecl):
@@ -146,7 +146,7 @@ def declare_fields(declared: Declarations, names: FileNames) -> list[nodes.Field
 
 
 def check_field(declared: Declarations, names: FileNames, node: nodes.FieldDecl) -> model.Field | None:
-    """A field with its settings; None when it has no cell size to speak of."""
+    """Return a field with its settings; None if it has no valid cell size."""
     report = declared.report
     scope = outer_scope(declared, names, f"field.{node.name.text}")
     surfaces = tuple(name.text for name in node.surfaces if _is_ground(declared, name))
@@ -227,7 +227,7 @@ def _setting_rule(
 
 
 def is_run_constant(report: Report, expr: Expr, who: str) -> bool:
-    """Return whether a value is equal for all agents and all steps; report an error otherwise."""
+    """Return whether a value is equal for all agents and in all steps; report an error if not."""
     if expr.rate <= ChangeRate.RUN:
         return True
     differs = "changes from step to step" if expr.rate is ChangeRate.STEP else "differs from agent to agent"
@@ -237,7 +237,7 @@ def is_run_constant(report: Report, expr: Expr, who: str) -> bool:
 
 
 def _keep_factor(scope: NameScope, node: nodes.Setting) -> Expr | None:
-    """`keeps 90 %/step` is the factor 0.9 for each step."""
+    """Return the factor per step of the setting `keeps`: 0.9 for `keeps 90 %/step`."""
     expr = value(scope, node.value)
     if expr.type.kind is TypeKind.BAD:
         return None
@@ -256,7 +256,8 @@ def _keep_factor(scope: NameScope, node: nodes.Setting) -> Expr | None:
 
 
 def _word_number(scope: NameScope, node: nodes.Setting) -> Expr | None:
-    """Return the number of a setting's word among the allowed words."""
+    """Return the index of a setting's word among the allowed words, as a constant; report an error and return None for another
+    word."""
     setting = node.name.text
     words = WORD_SETTING_VALUES[setting]
     word = node.value.name.text if isinstance(node.value, nodes.NameRef) else ""

@@ -1,5 +1,6 @@
-"""Which name means what: the first half of a check.
+"""Resolves names: the first half of a check.
 
-`collect` goes over all files once and gathers what they declare and which behaviours they can call. `ordering` puts declarations
-after those that they use. `scope` returns what a name means at a place of the text. `missing` reports a thing of the world that
-is not declared, with the line to write."""
+- `collect`: goes over all files once, and gathers their declarations and the behaviours that each file can call.
+- `ordering`: puts each declaration after the declarations that it uses.
+- `scope`: the names that are visible at a place of the text, and their meanings.
+- `missing`: reports an undeclared thing of the world, with the line that declares it."""

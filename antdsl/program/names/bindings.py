@@ -1,11 +1,12 @@
-"""The resolved meaning of each name of a program, above all for editors.
+"""The resolved meaning of each name of a program, mainly for editors.
 
-A declaration has a key: its kind and the names that lead to it, equal in all files that are checked together, such as ("own",
-"forager", "load"). The kinds are `thing attribute field species own machine state let event behaviour inner alias`. An `own` is a
-param, attribute, let, latch or fuzzy of a species. An `inner` is an argument or line of a behaviour.
+Each declaration has a key: its kind and the names that lead to it, such as ("own", "forager", "load"). The key is equal in all
+files that are checked together.
+The kinds are `thing attribute field species own machine state let event behaviour inner alias`. An `own` is a param, attribute,
+let, latch or fuzzy value of a species. An `inner` is an argument or line of a behaviour.
 
-A name that the language gives to items, hits and agents is ("item-given", "radius"), ("hit-given", …) or ("given", …). Other
-words of the language are not listed: a name without a binding that is such a word has its built-in meaning."""
+Items, hits and agents have built-in names with keys such as ("item-given", "radius"), ("hit-given", …) and ("given", …). Other
+words of the language have no binding: a name without a binding has its built-in meaning."""
 
 from __future__ import annotations
 
@@ -18,8 +19,9 @@ NameKey = tuple[str, ...]
 
 
 class NameUse(NamedTuple):
-    """A place where a name is used, and the declaration that it stands for: its key, or its place where only a part of the text
-    sees it, as the `n` of `sum(n in …)`. In `take 1 load from meal` one name has two uses."""
+    """One use of a name, and its declaration: the key, or the span if the name is visible in part of the text only, such as `n`
+    in `sum(n in …)`.
+    In `take 1 load from meal`, the name `load` has two uses."""
 
     span: Span
     declared: NameKey | Span
@@ -27,6 +29,6 @@ class NameUse(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class NameBindings:
-    """Every use of a name that could be resolved, in the order of checking; one may be listed again."""
+    """All uses of names that were resolved, in the order of checking. A use may occur twice."""
 
     uses: tuple[NameUse, ...] = ()

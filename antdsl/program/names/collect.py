@@ -1,4 +1,4 @@
-"""The first pass over the files: which behaviours each can call, and the names that all of them declare."""
+"""The first pass over the files: finds the behaviours that each file can call, and the names that all files declare."""
 
 from __future__ import annotations
 
@@ -53,13 +53,12 @@ LIBRARY_NAMES = ("steering",)
 
 
 def module_key(using: nodes.File, written: str) -> str:
-    """Return the name under which a used file is looked up: its path relative to the file that uses it, in the form of
-    `Source.path`."""
+    """Return the key of a file that is used by path: its path relative to the file that uses it, in the form of `Source.path`."""
     return posixpath.normpath(posixpath.join(posixpath.dirname(using.source.path.replace("\\", "/")), written))
 
 
 class FileLoader:
-    """Finds the behaviours that files use; each library and module is looked at once."""
+    """Finds the behaviours that files use. Each library and module is read once."""
 
     def __init__(self, report: Report, library: LibraryFinder, modules: Mapping[str, nodes.File] | None) -> None:
         self.report = report
@@ -82,7 +81,7 @@ class FileLoader:
         return names
 
     def library_of(self, behaviour: str) -> str | None:
-        """The library that has a behaviour of that name, whether it is used or not."""
+        """Return the name of the library that has a behaviour of this name, or None. The library need not be in use."""
         for name in LIBRARY_NAMES:
             node = self.library(name)
             if node is not None and any(isinstance(item, nodes.Behaviour) and item.name.text == behaviour for item in node.items):
@@ -90,7 +89,7 @@ class FileLoader:
         return None
 
     def library_behaviour(self, library: str, behaviour: str) -> BehaviourInfo | None:
-        """A behaviour of a library that the language itself needs, whether the library is used or not."""
+        """Return a library's behaviour that the language itself needs, or None. The library need not be in use."""
         names = self.libraries.get(library)
         if names is None and (node := self.library(library)) is not None:
             names = self.libraries[library] = self.file(node)
@@ -155,7 +154,7 @@ class FileLoader:
 
 
 def declare(declared: Declarations, names: FileNames) -> None:
-    """Names of a file's fields, species, machines, states and events. The world's things are declared by `world.py`."""
+    """Add the names of a file's fields, species, machines, states and events. `world.py` adds the things of the world."""
     report = declared.report
     for item in names.node.items:
         if isinstance(item, nodes.Species):
@@ -174,7 +173,7 @@ def declare(declared: Declarations, names: FileNames) -> None:
 
 
 def check_free(report: Report, name: nodes.Name) -> bool:
-    """Whether a name may be declared; complains when it is a word of the language."""
+    """Return whether a name may be declared. Report an error if it is a word of the language."""
     if name.text in _RESERVED_NAMES:
         message = f"`{name.text}` is a word of the language"
         report.error("reserved-name", message, name.span, f"call it otherwise, such as `my_{name.text}`")
@@ -183,7 +182,8 @@ def check_free(report: Report, name: nodes.Name) -> bool:
 
 
 def check_free_in_species(report: Report, name: nodes.Name, value: Span) -> bool:
-    """Like `free`, for members of a species, where built-in names are taken too."""
+    """Like `check_free`, for members of a species, which may not have built-in names either. `value`: the span of the declared
+    value."""
     builtin = BUILTIN_ATTRIBUTE_BY_NAME.get(name.text)
     if builtin is None:
         return check_free(report, name)
@@ -199,7 +199,7 @@ def check_free_in_species(report: Report, name: nodes.Name, value: Span) -> bool
 
 
 def _declare_machines(report: Report, species: SpeciesNames, node: nodes.Species) -> None:
-    """Machines of a species with their states: those written in `machine`, and `main` for states straight in the species."""
+    """Add the machines of a species with their states: each `machine`, and `main` for states directly in the species."""
     loose = tuple(m for m in node.members if isinstance(m, nodes.State))
     if loose:
         _declare_machine(report, species, "main", loose)
@@ -229,7 +229,7 @@ def _declare_machine(report: Report, species: SpeciesNames, name: str, states: t
 
 
 def _events(species: nodes.Species) -> Iterator[tuple[str, Span]]:
-    """Events that a species raises or handles."""
+    """Yield the events that a species emits or handles."""
     for actions in action_blocks(species):
         for action in actions:
             if (event := raised_event(action)) is not None:
@@ -240,13 +240,13 @@ def _events(species: nodes.Species) -> Iterator[tuple[str, Span]]:
 
 
 def raised_event(part: object) -> nodes.Name | None:
-    """The event that a line raises."""
+    """Return the name of the event that a line emits, or None."""
     row = EFFECT_BY_OPERATION.get(part.verb) if isinstance(part, nodes.Ask) else None
     return part.name if isinstance(part, nodes.Ask) and row is not None and row.target == "event" else None
 
 
 def action_blocks(species: nodes.Species) -> Iterator[tuple[object, ...]]:
-    """Every list of statements in a species."""
+    """Yield every list of statements in a species."""
     members: list[object] = list(species.members)
     for machine in species.members:
         if isinstance(machine, nodes.Machine):

@@ -1,4 +1,4 @@
-"""All that a file declares by name, from its tree: the other ends of the checker's bindings."""
+"""Finds all declarations of a file in its syntax tree. The bindings of the checker refer to their keys."""
 
 from __future__ import annotations
 
@@ -16,7 +16,8 @@ DeclarationIterator = Iterator["Declaration"]
 
 @dataclass(frozen=True, slots=True)
 class Declaration:
-    """`key` is kind, owners and name; `name` the place to go to, `node` all of it."""
+    """A declaration. `key`: kind, owners and name. `name`: the location that an editor jumps to. `node`: the complete
+    declaration."""
 
     key: NameKey
     name: nodes.Name
@@ -24,14 +25,14 @@ class Declaration:
 
 
 def declarations(file: nodes.File) -> DeclarationIterator:
-    """Return the declarations of a file. The first of equal keys counts, as in the checker: the `species` itself before its entry
-    in `world`."""
+    """Return the declarations of a file. Of equal keys, the first counts, as in the checker: the `species` itself comes before
+    its entry in `world`."""
     for item in sorted(file.items, key=lambda item: isinstance(item, nodes.World)):
         yield from _LISTER_BY_ITEM[type(item)](file.source.path, item)
 
 
 def declaration(member: object) -> Any:
-    """Return the node that declares a name of the species, or None."""
+    """Return the declaring node of a species member, or None if the member declares no name."""
     if isinstance(member, nodes.ParamDecl):
         return member.declaration
     return member if isinstance(member, (nodes.Declaration, nodes.Let, nodes.Latch, nodes.Fuzzy)) else None
@@ -87,7 +88,7 @@ def _members(species: str, machine: str, members: tuple[object, ...]) -> Declara
 
 
 def _no_declarations(path: str, item: nodes.Spec) -> DeclarationIterator:
-    """A spec declares nothing."""
+    """Return no declarations, because a spec declares no names."""
     return iter(())
 
 

@@ -1,4 +1,4 @@
-"""A name that is not declared, in the place of a thing of the world: the line of `world` that it lacks."""
+"""Finds the line of `world` that declares an unknown name, where the name must be a thing of the world."""
 
 from __future__ import annotations
 
@@ -18,8 +18,9 @@ _DECLARATION_LINES: dict[TypeKind, tuple[str, tuple[str, ...]]] = {
 
 
 def missing_thing(scope: NameScope, name: str, want: ValueType | None) -> tuple[str, Fix | None] | None:
-    """Return what to write for an unknown name in the place of a thing of the world: a declared one, or its declaration. None if
-    the place needs no thing of the world."""
+    """Return help and a fix for an unknown name: a similar declared name, or the line that declares it.
+
+    `want`: the expected type. The result is None if the expected type is not a thing of the world."""
     if want is None or want.kind not in _DECLARATION_LINES:
         return None
     word, kinds = _DECLARATION_LINES[want.kind]
@@ -38,7 +39,7 @@ def missing_thing(scope: NameScope, name: str, want: ValueType | None) -> tuple[
 
 
 def _append_fix(world: Span, line: str) -> Fix | None:
-    """The line put behind the last one of a block."""
+    """Return a fix that adds a line at the end of a `world` block; None if the block has no closing bracket."""
     text, source = world.text, world.source
     if not text.endswith("}"):
         return None

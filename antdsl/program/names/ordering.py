@@ -19,9 +19,9 @@ def order_declarations(
     uses: Callable[[T], Iterable[object]],
     name_of: Callable[[T], nodes.Name],
 ) -> tuple[list[T], set[str]]:
-    """Return the declarations in an order in which each follows those that it uses, and the names in a cycle.
+    """Return the declarations, each after the declarations that it uses, and the names in a cycle.
 
-    `uses` gives the trees in which to look for names. A cycle is reported once, and cut for the order."""
+    `uses`: returns the trees to search for used names. A cycle is reported once. One of its uses is ignored in the order."""
     graph = {name: _used_names(each, declared, uses) for name, each in declared.items()}
     ordered_names: set[str] = set()
     circular: set[str] = set()

@@ -1,4 +1,5 @@
-"""What names mean at a place of the text: `Declarations` holds what all files declare, `Scope` what one place can see."""
+"""The meaning of names at a place of the text. `Declarations`: the declarations of all files. `NameScope`: the names that are
+visible at one place."""
 
 from __future__ import annotations
 
@@ -21,7 +22,7 @@ TypingRules = Mapping[type, Callable[["NameScope", object, "ValueType | None"], 
 
 @dataclass(slots=True)
 class MachineNames:
-    """States of a machine by name, with their index; `key` is `species.machine`, as in the type of a state."""
+    """The states of a machine: their indices by name. `key`: `species.machine`, as in the type of a state."""
 
     name: str
     key: str
@@ -30,7 +31,7 @@ class MachineNames:
 
 @dataclass(slots=True)
 class SpeciesNames:
-    """What a species declares by name; `attributes` and `params` get their types as they are checked."""
+    """The declared names of a species. `attributes` and `params` get their types as they are checked."""
 
     name: str
     node: nodes.Species | None
@@ -44,7 +45,8 @@ class SpeciesNames:
 
 @dataclass(slots=True)
 class BehaviourInfo:
-    """A behaviour with all that its calls need. `size` and `depth` count nested behaviours as expanded."""
+    """A behaviour with all information that its calls need. `size`: operations, `depth`: nesting, both with nested behaviours
+    expanded."""
 
     node: nodes.Behaviour
     file: FileNames
@@ -58,7 +60,7 @@ class BehaviourInfo:
 
 @dataclass(slots=True)
 class FileNames:
-    """The behaviours that one file can call: its own, those of the libraries it uses, and those of its modules by their alias."""
+    """The behaviours that one file can call: its own, those of its libraries, and those of its modules by alias."""
 
     node: nodes.File
     own: dict[str, BehaviourInfo] = field(default_factory=dict)
@@ -74,7 +76,7 @@ class FileNames:
 
 @dataclass(slots=True)
 class Declarations:
-    """All declarations of the files of one program, the uses of them, and the findings so far."""
+    """All declarations in the files of one program, all uses of them, and the findings so far."""
 
     rules: TypingRules
     report: Report
@@ -96,9 +98,11 @@ class Declarations:
 
 
 def is_known_missing(scope: NameScope, kind: str, name: nodes.Name, owner: str = "") -> bool:
-    """Return whether a name was reported as missing already; from now on it is. A missing name is missing everywhere: that is one
-    mistake, and the places are noted. `kind` separates names of different kinds; `owner` is a species to which such a name
-    belongs wherever it is used."""
+    """Return whether a missing name was reported earlier. If not, mark it as reported, and the caller reports it. All its places
+    are recorded.
+
+    - `kind`: separates names of different kinds.
+    - `owner`: the species to which the name belongs wherever it is used; "" for the species at this place."""
     around = (scope.file.node.source.path, scope.species.name if scope.species else "", scope.behaviour or "")
     where = (kind, *((owner,) if owner else around), name.text)
     if where in scope.declared.unknown:
@@ -109,7 +113,8 @@ def is_known_missing(scope: NameScope, kind: str, name: nodes.Name, owner: str =
 
 
 class StableKeys:
-    """Names for memories and draws that stay when lines move: a path in the text, and the k-th of its word there."""
+    """Generates keys for memories and draws that do not change when lines move. A key has a path, a word, and the count of this
+    word so far."""
 
     __slots__ = ("counts", "path")
 
@@ -124,7 +129,7 @@ class StableKeys:
 
 @dataclass(frozen=True, slots=True)
 class NameScope:
-    """One place of the text. `inside(…)` makes a new one wherever something about the place changes."""
+    """The names that are visible at one place of the text. `with_changes(…)` returns a copy for another place."""
 
     declared: Declarations
     file: FileNames
@@ -146,22 +151,23 @@ class NameScope:
         return replace(self, **changes)
 
     def type_expression(self, node: nodes.Expr, want: ValueType | None = None) -> Expr:
-        """Return the expression with its type. `want` gives `none` and bare names their meaning; it is not enforced."""
+        """Return the expression with its type. `want`: the expected type, which gives `none` and bare names their meaning. It is
+        not enforced."""
         return self.declared.rules[type(node)](self, node, want)
 
     def reject(self, code: str, message: str, span: Span, help: str | None = None, **details: object) -> Expr:
-        """Report an error about an expression, and return what stands for it."""
+        """Report an error about an expression, and return its replacement."""
         self.report.error(code, message, span, help, **details)
         return bad_expression(span)
 
     def bind(self, span: Span, *key: str) -> None:
-        """Record what the name at a place was resolved to. Names in an expanded behaviour are not recorded: they are not at that
-        place of the text."""
+        """Record the declaration of the name at a span. Names in an expanded behaviour are not recorded, because they are
+        elsewhere in the text."""
         if self.behaviour is None or self.generic:
             self.declared.bound.append(NameUse(span, key))
 
     def bind_local(self, span: Span, declared: Span) -> None:
-        """Like `bind`, for a name that is declared in the surrounding text."""
+        """Like `bind`, for a name that is declared in the surrounding text, at the span `declared`."""
         if self.behaviour is None or self.generic:
             self.declared.bound.append(NameUse(span, declared))
 
@@ -173,13 +179,14 @@ class NameScope:
             return
 
     def bind_own(self, span: Span, name: str, own: SpeciesNames | None = None) -> None:
-        """Like `bind`, for a name that can only be a member of a species: this one or another."""
+        """Like `bind`, for a name that can only be a member of a species. `own`: the species, if it is not the one at this
+        place."""
         own = own or self.species
         if own is not None and (name in own.attributes or name in own.params or name in own.bindings or name in own.pending):
             self.bind(span, "own", own.name, name)
 
     def bind_value(self, span: Span, owner: ValueType, name: str) -> None:
-        """Like `bind`, for an existing value of an item, agent or hit."""
+        """Like `bind`, for a value that an item, agent or hit has."""
         if owner.kind is TypeKind.AGENT:
             self.bind(span, *(("given", name) if name in BUILTIN_ATTRIBUTE_BY_NAME else ("own", owner.of or "", name)))
         elif owner.kind is TypeKind.HIT or owner.of == "hit":
@@ -190,7 +197,7 @@ class NameScope:
             self.bind(span, *(("attribute", owner.of or "", name) if own else ("item-given", name)))
 
     def bind_unreadable(self, name: nodes.Name, owner: ValueType) -> None:
-        """Like `bind`, for a declared value that cannot be read this way: a param of one agent, a value of all items."""
+        """Like `bind`, for a declared value that cannot be read here, such as a param of one agent or a value of all items."""
         one = ValueType(TypeKind.ITEM, of=owner.of)
         if owner.kind in (TypeKind.AGENT, TypeKind.SPECIES) and owner.of in self.declared.species:
             self.bind_own(name.span, name.text, self.declared.species[owner.of])
@@ -202,7 +209,7 @@ class NameScope:
 
 
 def bad_expression(span: Span) -> Expr:
-    """Stands for what was complained about already."""
+    """Return the expression that replaces one with a reported error."""
     return ThingRef(BAD_TYPE, ChangeRate.CONST, span, "?")
 
 
@@ -211,7 +218,8 @@ def rate_of(parts: Iterable[Expr | None]) -> ChangeRate:
 
 
 def type_from_words(words: str, of: str | None = None) -> ValueType | None:
-    """The type behind a word of `TYPE_BY_WORD`, or behind `angle / time` as the vocabulary writes it; None if there is none."""
+    """Return the type for a word of `TYPE_BY_WORD`, or for words such as `angle / time` in the vocabulary; None if there is
+    none."""
     if "/" in words:
         top, below = (TYPE_BY_WORD.get(part.strip()) for part in words.split("/"))
         if not isinstance(top, Dimension) or not isinstance(below, Dimension):
@@ -229,7 +237,8 @@ def type_from_words(words: str, of: str | None = None) -> ValueType | None:
 
 
 def attributes_of(declared: Declarations, type: ValueType) -> dict[str, ValueType]:
-    """The values of an item, agent or hit that can be read by name; for an agent of any species, those that every animal has."""
+    """Return the types of the values of an item, agent or hit that can be read by name. For an agent of unknown species, these
+    are the built-in ones."""
     if type.kind is TypeKind.HIT or (type.kind is TypeKind.ITEM and type.of == "hit"):
         return _types_by_name(HIT_ATTRIBUTE_TYPES)
     if type.kind is TypeKind.ITEM:
@@ -257,7 +266,7 @@ def did_you_mean(word: str, candidates: Iterable[str], otherwise: str | None = N
 
 
 def list_names(names: Iterable[str], most: int = 12) -> str:
-    """`a`, `b`, `c` … for a help line."""
+    """Return a list of names for a help line, such as `a`, `b`, `c` …, with at most `most` names."""
     names = sorted(names)
     return ", ".join(f"`{name}`" for name in names[:most]) + (", …" if len(names) > most else "")
 

@@ -1,7 +1,6 @@
-"""The colours that an artist may use after a state's label.
+"""The colours that an artist may write after a state's label, as sRGB values by name.
 
-The input is a word, the output are display (sRGB) values. The checker asks whether a word is a colour; caches and pictures use
-the numbers."""
+The checker uses the names; caches and pictures use the values."""
 
 from collections.abc import Mapping
 from types import MappingProxyType
@@ -91,10 +90,10 @@ DEFAULT_COLOUR_NAMES: tuple[str, ...] = (
 
 
 def rgb(name: str) -> RgbTriple | None:
-    """Display values 0..255 of the colour called `name`; None when no colour has that name."""
+    """Return the sRGB values 0..255 of the colour `name`; None if there is no such colour."""
     return COLOUR_BY_NAME.get(name)
 
 
 def default_rgb(index: int) -> RgbTriple:
-    """Return the colour of the `index`-th state (from 0) without a declared colour."""
+    """Return the sRGB values 0..255 for a state without a declared colour. `index`: the index of the state, from 0."""
     return COLOUR_BY_NAME[DEFAULT_COLOUR_NAMES[index % len(DEFAULT_COLOUR_NAMES)]]

@@ -1,11 +1,11 @@
-"""The arrays of agents, items and frames, one row each.
+"""The table of the arrays of agents, items and frames, with one row each.
 
-A row says what an array holds and where it goes. The store of a population, the state hash, checkpoints, reloads, frames of a
-cache, exports, packets of the preview and the table of `docs/cache.md` are made from the rows. Registers that a program declares
-have no row of their own: their names, types and roles are in its plan.
+A row defines an array and its uses. Made from the rows: the store of a population, the state hash, checkpoints, reloads, frames
+of a cache, exports, packets of the preview and the table of `docs/cache.md`.
+Registers that a program declares have no rows; their names, types and roles are in the plan.
 
-Rows are data. Functions that compute derived arrays are in tables of their own packages under the name of the row: `VALUES` in
-`antdsl.outputs.cache.agent_arrays`, `VALUES` in `antdsl.preview.agent_columns`."""
+Rows are data. Functions that compute derived arrays are in the tables `VALUES` of `antdsl.outputs.cache.agent_arrays` and
+`antdsl.preview.agent_columns`, by the name of the row."""
 
 from __future__ import annotations
 
@@ -18,19 +18,22 @@ Shape = tuple[int | str, ...]
 
 @dataclass(frozen=True, slots=True)
 class Column:
-    """An array. `kind`: `fixed`, an array that every population has; `register`, a register of the plan, or one per axis;
-    `derived`, computed for frames and packets. `type` is a NumPy type code, `shape` that of one row, `unit` that of the values in
-    the world, `zero` the value in new rows.
+    """An array.
 
-    `checkpointed`, `hashed`: whether it is part of checkpoints and of the state hash, if it is not derived. `migrated`: a reload
-    copies it, whatever the program says, and newborns have such registers from their parents. `inherited`: the parent's array
-    that a newborn has a fixed one from.
-
-    `saved`: a frame has it by `default`, on `request` in the scene's `output`, or `always` if there is something to save.
-    `called`: its name there, if that is not `name`; words in capitals stand for names of the scene. `of`: what a row of it is
-    about, an agent of any `species`, an agent of `one` species, a `pair`, an `event`, an `item` or a `part` of a thing.
-    `exports`: the formats that have an attribute of their own for it; others write it under its name, if they write all arrays
-    of agents. `packet`: its name and type in the preview's packet of a frame. `light`: the preview stores it for all frames."""
+    - `kind`: `fixed`: in every population. `register`: a register of the plan, or one per axis. `derived`: computed for frames
+      and packets.
+    - `type`: a NumPy type code. `shape`: the shape of one row. `unit`: the unit of the values in the world.
+    - `zero`: the value in new rows.
+    - `checkpointed`, `hashed`: whether it is in checkpoints and in the state hash, if it is not derived.
+    - `migrated`: a reload always copies it, and newborns inherit such registers from their parents.
+    - `inherited`: for a fixed array, the array of the parent from which a newborn gets its value.
+    - `saved`: whether a frame has it: by `default`, on `request` in the scene's `output`, or `always` if there are values.
+    - `called`: its name in frames, if that is not `name`. Words in capitals stand for names of the scene.
+    - `of`: the meaning of a row: an agent of any `species`, an agent of `one` species, a `pair`, an `event`, an `item` or a
+      `part` of a thing.
+    - `exports`: the formats with a separate attribute for it. Formats that write all arrays of agents write it under its name.
+    - `packet`: its name and type in the preview's packet of a frame.
+    - `light`: the preview stores it for all frames."""
 
     name: str
     kind: Kind
@@ -52,30 +55,30 @@ class Column:
 
     @property
     def frame_name(self) -> str:
-        """Its name in frames."""
+        """Return the name of the array in frames."""
         return self.called or self.name
 
     @property
     def frame_type(self) -> str:
-        """Its type in frames, which have float32 for positions of agents."""
+        """Return the type of the array in frames, where positions of agents are float32."""
         return "f4" if self.type == "f8" and self.of == "species" else self.type
 
     @property
     def field(self) -> str:
-        """The last part of its name."""
+        """Return the last part of the array's name."""
         return self.name.rpartition(".")[2]
 
     @property
     def registers(self) -> tuple[str, ...]:
-        """The names of its registers."""
+        """Return the names of the plan's registers that make up the array."""
         return tuple(f"{self.name}.{axis}" for axis in "xyz") if self.shape else (self.name,)
 
     def dimensions(self, **sizes: int) -> tuple[int, ...]:
-        """Return its shape with the sizes that have names."""
+        """Return the shape of one row as numbers. `sizes`: the values of named sizes."""
         return tuple(sizes[size] if isinstance(size, str) else size for size in self.shape)
 
     def factor(self, scale: float) -> float:
-        """Return what values are multiplied with in frames. `scale`: scene units per millimetre."""
+        """Return the factor from values in the world to values in frames. `scale`: scene units per millimetre."""
         return scale if self.unit.startswith("mm") else 1.0
 
 
@@ -112,7 +115,8 @@ AGENTS = (
 
 
 def _family(prefix: str, of: str, *columns: tuple[str, str, Shape, str], kind: Kind = "derived") -> tuple[Column, ...]:
-    """Return rows of arrays that are always saved, with names that begin alike: name, type, shape and help of each."""
+    """Return rows of arrays that are always saved. `prefix`: the start of their names. `columns`: name, type, shape and help of
+    each."""
     return tuple(Column(f"{prefix}{name}", kind, type, shape, help, of=of, saved="always") for name, type, shape, help in columns)
 
 

@@ -1,4 +1,4 @@
-"""Default values in the vocabulary, written in the language: `360 deg`, `0 .. 1`, `mass * max_speed / response`."""
+"""Parses default values of the vocabulary, which are in the language: `360 deg`, `0 .. 1`, `mass * max_speed / response`."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ _NAME_PATTERN = re.compile("[a-z_]+")
 
 
 def default_values(scope: NameScope, text: str, span: Span) -> tuple[Expr, ...]:
-    """The value of a default, two for a range; `span` is the place that it stands for."""
+    """Return the expression of a default, or both ends of a range. `span`: the location that errors refer to."""
     return tuple(scope.type_expression(parse_product(part.strip(), span)) for part in text.split(".."))
 
 
 def parse_product(text: str, span: Span) -> nodes.Expr:
-    """Terms joined by `*` and `/` with blanks around them, from left to right."""
+    """Return the syntax tree of terms joined by `*` and `/`, from left to right. Each sign must have blanks around it."""
     words = re.split(r" ([*/]) ", text)
     node = parse_term(words[0], span)
     for sign, term in zip(words[1::2], words[2::2], strict=True):

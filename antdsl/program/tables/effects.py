@@ -1,9 +1,11 @@
-"""The requests that an agent may make of the world, one row each. A row defines the checks of its line, the plan's statement with
-its checks and text, and the record of a step. It also defines the trace, the costs and the editor's words.
+"""The table of the requests that an agent may make of the world, with one row each.
 
-The syntax of its line is the row of the same word in `antdsl.syntax.verbs`. The function that settles it is in
-`SETTLER_BY_EFFECT` of `antdsl.runtime.phases`. Requests that are settled among several agents (`take`, `give`) and statements
-that change only the agent itself have no row."""
+A row defines the checks of the request's line, the statement of the plan with its checks and text, and the record of a step. It
+also defines the trace, the costs and the editor's words.
+The syntax of the line is the row of the same word in `antdsl.syntax.verbs`. The function that resolves the request is in
+`SETTLER_BY_EFFECT` of `antdsl.runtime.phases`.
+Two kinds of statements have no row: `take` and `give`, which are resolved among several agents, and statements that change only
+the agent itself."""
 
 from __future__ import annotations
 
@@ -16,18 +18,25 @@ from antdsl.program.tables.rows import ArgumentRow, UseCost
 
 @dataclass(frozen=True, slots=True)
 class Effect:
-    """`target`: the kind of what it names, "" for none. `args`: what follows the name; one of type `added A` is written without
-    brackets, one of type `agent` after the word `to`. `computed`: the operands of the plan, by name, if `OPERAND_LOWERERS` of
-    `antdsl.plan.lowering.actions` has a function that computes them. `phase`: the phase of a step that resolves it. `help`: for
-    the editor; `meaning`: for readers of plans. `too_often`: what is wrong with its line in a state's body; "" if it may be
-    there. `last`: the agent is removed after it. `draws`: random numbers depend on its place in the text. `feeds`: it supplies
-    what it names with what others look for, as a field gets scent and an event is raised.
+    """A request to the world.
 
-    `plan_text` is its line of a plan and `trace` that of a trace. `{of}` is what it names, `{own}` the agent's register that it
-    fills after the blocks. `{receiver}` (in a trace) is the species of the one agent that it is for; operands are by name. A part
-    in square brackets is left out if one of these is missing. `refused`: the name of the fault if an operand is not finite; "" if
-    that does not matter. `above_0`: nothing is requested if the first operand is 0 or less; `quiet_at_0`: a trace omits a first
-    operand of 0."""
+    - `target`: the kind of the thing that it names; "" for none.
+    - `args`: its arguments. An argument of type `added A` is written without brackets, one of type `agent` after the word `to`.
+    - `computed`: the names of the plan's operands, if a function of `OPERAND_LOWERERS` in `antdsl.plan.lowering.actions` computes
+      them.
+    - `phase`: the phase of a step that resolves it.
+    - `help`: text for the editor. `meaning`: text for readers of plans.
+    - `too_often`: the text of the error if its line is in a state's body; "" if it is allowed there.
+    - `last`: the agent is removed after it.
+    - `draws`: it uses random numbers that depend on its place in the text.
+    - `feeds`: it adds to the named thing what other agents sense, as a deposit adds scent to a field or `emit` raises an event.
+    - `refused`: the name of the fault for an operand that is not finite; "" if such operands are allowed.
+    - `above_0`: a first operand of 0 or less requests nothing. `quiet_at_0`: a trace omits a first operand of 0.
+    - `plan_text`, `trace`: templates of its line in a plan and in a trace, with operands by name.
+
+    The templates have further names. `{of}` is the named thing. `{own}` is the agent's register that it fills after the blocks.
+    `{receiver}` (traces only) is the species of the one agent that receives it. A part in square brackets is left out if one of
+    its values is missing."""
 
     op: str
     target: str
@@ -49,22 +58,22 @@ class Effect:
 
     @property
     def numbers(self) -> tuple[ArgumentRow, ...]:
-        """Return the arguments that are computed; the others name an attribute."""
+        """Return the arguments that are computed. The others name an attribute."""
         return tuple(arg for arg in self.args if not arg.type.startswith("own "))
 
     @property
     def operands(self) -> tuple[str, ...]:
-        """What the plan's statement has, by name."""
+        """Return the names of the operands of the plan's statement."""
         return self.computed or tuple(arg.name for arg in self.numbers)
 
     @property
     def agents(self) -> frozenset[str]:
-        """Operands that are the id of an agent."""
+        """Return the names of the operands that are ids of agents."""
         return frozenset() if self.computed else frozenset(arg.name for arg in self.numbers if arg.type == "agent")
 
     @property
     def optional(self) -> frozenset[str]:
-        """Operands that may be missing."""
+        """Return the names of the operands that may be missing."""
         return frozenset() if self.computed else frozenset(arg.name for arg in self.numbers if arg.optional)
 
 
@@ -133,17 +142,17 @@ EFFECT_BY_OPERATION: dict[str, Effect] = {row.op: row for row in _EFFECT_ROWS}
 
 
 def effects_of_phase(phase: str) -> tuple[str, ...]:
-    """The effects that a phase of a step settles, in the order of the table."""
+    """Return the effects that a phase of a step resolves, in the order of the table."""
     return tuple(row.op for row in EFFECT_BY_OPERATION.values() if row.phase == phase)
 
 
 def feeding_effects(kind: str) -> frozenset[str]:
-    """Return the effects that add to the thing they name, a `field` or an `event`."""
+    """Return the effects that add to the thing that they name. `kind`: the kind of the thing, `field` or `event`."""
     return frozenset(row.op for row in EFFECT_BY_OPERATION.values() if row.feeds and row.target == kind)
 
 
 def fill_template(template: str, values: Mapping[str, str | None]) -> str:
-    """A template with its values; a part in square brackets is left out where one of its values is None."""
+    """Return a template filled with values. A part in square brackets is left out if one of its values is None."""
 
     def part(match: re.Match[str]) -> str:
         inner = match.group(1)

@@ -1,4 +1,4 @@
-"""Words from other tools, as calls and as names, and their replacements in this language."""
+"""Words from other tools, as calls and as names, with their replacements in this language."""
 
 from __future__ import annotations
 
@@ -59,8 +59,8 @@ _UNBRACKETED_NODES = (nodes.Number, nodes.Quantity, nodes.NameRef, nodes.Call, n
 
 
 def call_replacement(node: nodes.Call, word: str) -> tuple[str, bool] | None:
-    """Return the replacement for a call of such a word, and whether it uses the arguments as in the source. If their number does
-    not match, letters stand for them."""
+    """Return the replacement for a call of a word from another tool, and whether it uses the arguments in the source. If the
+    number of arguments does not match, letters stand for them."""
     if word in NAME_REPLACEMENTS and not node.arguments:
         return NAME_REPLACEMENTS[word], True
     form = CALL_REPLACEMENTS.get(word)

@@ -1,6 +1,6 @@
-"""Rows of the tables of the language: an argument, a callable word, a sense, a set, a request to the world.
+"""Classes for the rows of the language's tables: an argument, a callable word, a sense, a set, a request to the world.
 
-Rows are data. The functions that lower, compute and settle are in tables of their own packages, under the same `op`."""
+Rows are data. The functions that lower, compute and resolve them are in tables of other packages, under the same `op`."""
 
 from __future__ import annotations
 
@@ -13,14 +13,18 @@ from typing import Any
 class ArgumentRow:
     """One argument.
 
-    - `type`: a type word, or one of the following. `number A`: a number of any dimension, equal for every A of the call;
-      `vector A` likewise. `range A`: two such numbers, in two places of the operation. `count`: a whole constant.
-      `any A`: anything, all of one type. `condition`: a bool about the element.
-    - In statements also: `added T`, a rate per second in a state and an amount elsewhere; `own U`, the name of an
-      attribute of the agent, in a unit or of a type.
-    - `default`: written in the language. `optional`: may be absent (None).
-    - `above`, `is_integer`: a constant must be above this, and be whole.
-    - `called`: its name in messages. `sample`: an example for statements."""
+    - `type`: a type word, or one of the following.
+    - `number A`: a number of any dimension, equal for every A of the call. `vector A`: likewise for vectors.
+    - `range A`: two such numbers, which fill two arguments of the operation.
+    - `count`: a whole constant. `any A`: a value of any type, equal for every A. `condition`: a bool about the element.
+    - `added T` (in statements): a rate per second in a state, else an amount.
+    - `own U` (in statements): the name of an attribute of the agent, of unit or type U.
+    - `default`: an expression of the language.
+    - `optional`: may be absent (None).
+    - `variadic`: may be repeated.
+    - `above`: the value of a constant must be above this. `is_integer`: it must be whole.
+    - `called`: its name in messages.
+    - `sample`: an example for statements."""
 
     name: str
     type: str
@@ -35,9 +39,14 @@ class ArgumentRow:
 
 @dataclass(frozen=True, slots=True)
 class UseCost:
-    """The cost of a use for `antdsl check --cost`: a rough weight (one addition is 1), a text with `{thing}` (the named thing)
-    and `{count}`, and the heading. `times`: the index of the argument that multiplies the weight; `often` is used if that is not
-    a constant. `within`: the index of the argument with the distance. `named`: counts only if a thing of the world is named."""
+    """The cost of a use for `antdsl check --cost`.
+
+    - `weight`: a rough weight; one addition is 1.
+    - `words`: a text with `{thing}` (the named thing) and `{count}`.
+    - `heading`: the heading that lists it.
+    - `times`: the index of the argument that multiplies the weight. `often`: the multiplier if this argument is not a constant.
+    - `within`: the index of the argument with the distance.
+    - `named`: the use counts only if it names a thing of the world."""
 
     weight: float
     words: str
@@ -50,11 +59,15 @@ class UseCost:
 
 @dataclass(frozen=True, slots=True)
 class BuiltinRow:
-    """A word of the language for an operation of the typed tree, `op`.
+    """A word of the language for `op`, an operation of the typed tree.
 
-    `form`: by a `call`, by the bare `name`, or as the `value` of a thing, if its name is in the place of a value. `called`: its
-    name, if that is not `op`. `part`: which result of its sense it is. `sense`: it depends on the agent, whatever the arguments.
-    `draws`: it takes a random number. `interval`: the range of its values. `sample`: how it looks in a line."""
+    - `form`: a `call`, a bare `name`, or the `value` of a thing, if the thing's name is used where a value is expected.
+    - `called`: the word, if it is not `op`.
+    - `part`: the result of its sense that it stands for.
+    - `sense`: it depends on the agent, even if the arguments do not.
+    - `draws`: it uses a random number.
+    - `interval`: the range of its values.
+    - `sample`: an example in a line."""
 
     args: tuple[ArgumentRow, ...]
     result: str
@@ -82,10 +95,12 @@ _ARG = re.compile(
 
 
 def word(signature: str, help: str, op: str = "", **details: Any) -> BuiltinRow:
-    """Return the row of a word by its signature, as an editor shows it: `clamp(x: number A, to: range A) -> number A`.
+    """Return the row of a word from its signature in the form of an editor: `clamp(x: number A, to: range A) -> number A`.
 
-    `a…: any A` may be given several times, `to: place?` may be absent, and `most: whole number > 0 = 10` must be whole and above
-    0, and is 10 where nothing is given. `op`: its operation, if that has another name."""
+    - `a…: any A`: may be repeated.
+    - `to: place?`: may be absent.
+    - `most: whole number > 0 = 10`: must be whole and above 0; the default is 10.
+    - `op`: the operation, if its name is not the word."""
     parts = _SIGNATURE.fullmatch(signature)
     assert parts is not None, signature
     args = tuple(_argument(each) for each in parts["args"].split(", ") if each)
@@ -102,7 +117,7 @@ def _argument(text: str) -> ArgumentRow:
 
 @dataclass(frozen=True, slots=True)
 class ResultPart:
-    """A result of a sense: its kind as a letter of the plan's table (f, b, i, l); a vector has size 3."""
+    """One result of a sense. `kind`: a letter of the plan's table (f, b, i, l). `size`: 3 for a vector."""
 
     name: str
     kind: str = "f"
@@ -111,11 +126,13 @@ class ResultPart:
 
 @dataclass(frozen=True, slots=True)
 class SenseRow:
-    """An operation of the plan that reads the world from the agent's position, and the words for it.
+    """An operation of the plan that reads the world at the agent's position, with its words in the language.
 
-    `of`: the kind of thing that its first attribute names, "" for none. `attrs`: further attributes. `operands`: kinds, one
-    letter each. `trace`: the trace text of the results, by the names of the parts; without it, three or more numbers are all
-    listed. `nothing`: the trace text if the first part is false. `quiet`: left out of traces."""
+    - `of`: the kind of thing that its first attribute names; "" for none.
+    - `operands`: the kinds of the operands, one letter each. `attrs`: further attributes.
+    - `trace`: the trace text of the results, by the names of the parts. Without it, three or more numbers are all listed.
+    - `nothing`: the trace text if the first result is false.
+    - `quiet`: left out of traces."""
 
     op: str
     of: str
@@ -130,19 +147,19 @@ class SenseRow:
 
     @property
     def kinds(self) -> str:
-        """Kinds of all numbers it gives, a letter each."""
+        """Return the kinds of all result numbers, one letter each."""
         return "".join(part.kind * part.size for part in self.results)
 
     @property
     def results_text(self) -> str:
-        """Return the results and their meaning, as in the plan's table."""
+        """Return the results and their meaning as text, as in the plan's table."""
         if len(self.kinds) == 1:
             return self.meaning
         names = (f"{part.name}{axis} {part.kind}" for part in self.results for axis in ("xyz" if part.size == 3 else ("",)))
         return f"({', '.join(names)}): {self.meaning}"
 
     def place(self, part: str) -> tuple[int, int]:
-        """Return the index of a result among all numbers, and its size."""
+        """Return the index of a result among all result numbers, and its size."""
         first = 0
         for each in self.results:
             if each.name == part:
@@ -153,8 +170,11 @@ class SenseRow:
 
 @dataclass(frozen=True, slots=True)
 class SetSense:
-    """A word that returns a set. `op` is the source of a set in the typed tree, `sets` the operations of the plan that it can
-    become. `rows` is what it takes, distinguished by the kind of the first argument."""
+    """A word that returns a set.
+
+    - `op`: the source of the set in the typed tree.
+    - `sets`: the operations of the plan to which it can be lowered.
+    - `rows`: its signatures, distinguished by the kind of the first argument."""
 
     op: str
     rows: tuple[BuiltinRow, ...]

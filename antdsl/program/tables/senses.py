@@ -1,4 +1,4 @@
-"""The senses: each a row that defines the words, types, costs, ranges, plan, trace and the editor's help.
+"""The table of the senses. Each row defines the words, types, costs, ranges, plan operation, trace and editor help of one sense.
 
 To add a sense, add a row here and a function of the same `op` in `antdsl.runtime.sensing`. Only a sense with computed operands
 needs a separate rule in `antdsl.plan.lowering.rules.senses`."""
@@ -310,6 +310,6 @@ GENERIC_WORDS = (
 
 
 def find_words(how: str) -> tuple[BuiltinRow, ...]:
-    """Return the words of senses with one syntax: by a `call`, by a bare `name`, or as the `value` of a thing."""
+    """Return the words of senses with one form: a `call`, a bare `name`, or the `value` of a thing."""
     every = (*(word for sense in _SENSE_ROWS for word in sense.words), *GENERIC_WORDS)
     return tuple(word for word in every if word.form == how)

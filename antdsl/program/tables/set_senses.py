@@ -1,5 +1,5 @@
-"""The words that give a set, one row each. `SET_CHECKERS` of `antdsl.program.types.sets` and the lowering of sets evaluate
-them."""
+"""The table of the words that return a set, with one row each. `SET_CHECKERS` of `antdsl.program.types.sets` checks them, and the
+lowering of sets converts them."""
 
 from __future__ import annotations
 

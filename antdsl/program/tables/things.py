@@ -1,5 +1,7 @@
-"""The kinds of things of the world, one row each. Type words, checks, lowering, message texts for programs and scenes, the plan's
-lists and the editor's help come from them. The class that reads a kind from a scene is in `antdsl.scene.kinds`."""
+"""The table of the kinds of things of the world, with one row each.
+
+From the rows come type words, checks, lowering, message texts for programs and scenes, the plan's lists and the editor's help.
+The class that reads a kind from a scene is in `antdsl.scene.kinds`."""
 
 from __future__ import annotations
 
@@ -9,14 +11,21 @@ from typing import Literal
 
 @dataclass(frozen=True, slots=True)
 class KindOfThing:
-    """`word`: as `world { … }` declares it. `called`: in messages, where "a" and the word are not enough. `replaces`: kinds of
-    arguments that it may replace. `typed`: what it is as the type of an argument; "" if it is no type word. In a scene it is
-    `scene_form` as such, in messages `scene`, in an editor `snippet`.
+    """A kind of thing of the world.
 
-    `nearest`: the operation of the plan that finds its nearest point, "" if it has no position; `touching`: the one that says
-    whether agents touch it, if another one does. `has_values`: each of them has attributes. `is_ground`: agents walk on it.
-    `blocks`: agents cannot walk through it. `is_dug`: agents change its shape, and its total is a volume. `look`: in pictures, of
-    meshes without a look of their own."""
+    - `word`: its word in `world { … }`.
+    - `called`: its name in messages, such as `a curve`; "" if types have other words for it.
+    - `replaces`: the kinds of arguments for which it is also allowed.
+    - `typed`: its meaning as the type of an argument; "" if it is no type word.
+    - `scene_form`: words for its definition in a scene, such as `a mesh`.
+    - `scene`: an example of the definition, for messages. `snippet`: the same with placeholders, for an editor.
+    - `nearest`: the operation of the plan that finds its nearest point; "" if it has no position.
+    - `touching`: the operation that tests whether agents touch it, if that is not `nearest`.
+    - `has_values`: each of its members has attributes.
+    - `is_ground`: agents walk on it.
+    - `blocks`: agents cannot walk through it.
+    - `is_dug`: agents change its shape, and its total is a volume.
+    - `look`: the default look of its meshes in pictures."""
 
     word: str
     help: str
@@ -37,7 +46,7 @@ class KindOfThing:
 
     @property
     def has_faces(self) -> bool:
-        """Return whether it is made of triangles or voxels that agents can sense."""
+        """Return whether the thing consists of triangles or voxels that agents can sense."""
         return self.nearest == "obstacle.near"
 
 
@@ -86,5 +95,5 @@ BLOCKING = tuple(row.word for row in _THING_ROWS if row.blocks)
 
 
 def replacements(kind: str) -> tuple[str, ...]:
-    """Return the kinds of things that can be an argument of a kind: the kind itself first."""
+    """Return the kinds of things that are allowed as an argument of a kind. The kind itself comes first."""
     return (kind, *(row.word for row in _THING_ROWS if kind in row.replaces))

@@ -1,4 +1,4 @@
-"""Units and dimensions: the value of a quantity in base units, and the words for a dimension."""
+"""Units and dimensions: converts quantities to base units, and gives words for dimensions."""
 
 from __future__ import annotations
 
@@ -28,12 +28,12 @@ def scale_dimension(dim: Dimension, power: float) -> Dimension:
 
 
 def combine_dimensions(a: Dimension, b: Dimension, power: float = 1) -> Dimension:
-    """The dimension of `a * b ** power`."""
+    """Return the dimension of `a * b ** power`."""
     return Dimension(a.length + b.length * power, a.time + b.time * power, a.mass + b.mass * power, a.angle + b.angle * power)
 
 
 def measure(unit: str) -> UnitMeasure | None:
-    """Return the value of `mm/s`, `%/s`, `/step` or `mm^2/s`; None for an unknown unit."""
+    """Return the value of a unit such as `mm/s`, `%/s`, `/step` or `mm^2/s`; None for an unknown unit."""
     dim, factor, u, step, position = Dimension(), 1.0, 0.0, 0.0, 0
     text = unit.replace(" ", "")
     for part in _UNIT_PART_PATTERN.finditer(text):
@@ -79,7 +79,7 @@ _DIMENSION_NAMES: dict[Dimension, str] = {
 
 
 def default_unit(dim: Dimension) -> str:
-    """A unit one may write for a dimension: `mm`, `deg/s`, `/s`; empty for a plain number."""
+    """Return a usual unit of a dimension: `mm`, `deg/s`, `/s`; empty for a plain number."""
     if dim == FORCE_DIMENSION:
         return "uN"
     top: list[str] = []
@@ -96,18 +96,18 @@ def with_article(words: str) -> str:
 
 
 def dimension_words(dim: Dimension) -> str:
-    """`a length`, `a number without a unit`, `a value in mm*g`."""
+    """Return words for a dimension: `a length`, `a number without a unit`, `a value in mm*g`."""
     name = _DIMENSION_NAMES.get(dim)
     return with_article(name) if name else f"a value in `{default_unit(dim)}`"
 
 
 def format_number(value: float) -> str:
-    """A number as one would write it: `30`, `0.05`."""
+    """Return a number in its usual form: `30`, `0.05`."""
     return f"{value:.12g}"
 
 
 def with_unit(value: float, dim: Dimension) -> str:
-    """Return `30 mm` for 30 and a length: the author's number with a unit of the given dimension."""
+    """Return a number with the default unit of a dimension: `30 mm` for 30 and a length."""
     unit = default_unit(dim)
     return f"{format_number(value)} {unit}".strip()
 

@@ -1,7 +1,7 @@
 """Every built-in word of the language, as tables: units, types, built-in names, and built-in operations with costs and ranges.
 
-The checker types calls by these tables, the lowering has one rule per operation name, the editor shows the help. To add an
-operation, add one row here and one rule in `plan/lowering/rules`; senses are rows of `program/tables/senses`."""
+The checker uses the tables to type calls, the lowering has one rule per operation, and the editor displays the help. To add an
+operation, add one row here and one rule in `plan/lowering/rules`. Senses are rows of `program/tables/senses`."""
 
 from __future__ import annotations
 
@@ -26,7 +26,8 @@ FORCE_DIMENSION = Dimension(length=1, time=-2, mass=1)
 
 @dataclass(frozen=True, slots=True)
 class UnitRow:
-    """`factor` to base units (mm, s, g, rad); `u` and `step` are powers of the scene's unit and of dt."""
+    """A unit. `factor`: its value in base units (mm, s, g, rad). `u`, `step`: powers of the scene's unit and of dt that multiply
+    the value."""
 
     dim: Dimension
     factor: float
@@ -78,7 +79,7 @@ TYPE_BY_WORD: dict[str, Dimension | str] = {
 
 @dataclass(frozen=True, slots=True)
 class BuiltinAttribute:
-    """A name that every agent has. `settable` ones are written without `=` in a species and may be assigned."""
+    """An attribute that every agent has. If it is `settable`, a species declares it without `=`, and statements may assign it."""
 
     type: str
     settable: bool

@@ -1,5 +1,7 @@
-"""The types of expressions: dimension, kind and rate, and the findings about them.
+"""Types expressions: finds dimension, kind and rate of each, and reports errors.
 
-`rules` maps each node to the function that types it. `expressions` has literals and names, `operators` operators, `calls` and
-`arguments` calls. `sets` has sets and reductions over them, `states` questions about states, `aggregates` expressions that only
-specs can use. `folding` does arithmetic on constants. `descriptions` has shared texts of findings."""
+- `rules`: maps each node class to the function that types it.
+- `expressions`: literals and names. `operators`: operators. `calls`, `arguments`: calls.
+- `sets`: sets and reductions over them. `states`: questions about states.
+- `aggregates`: expressions that only specs can use.
+- `folding`: arithmetic on constants. `descriptions`: texts that several findings share."""

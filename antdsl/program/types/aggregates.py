@@ -50,7 +50,7 @@ _VOLUME_TYPE = ValueType(TypeKind.NUMBER, Dimension(length=3))
 
 
 class SpecRules:
-    """The rules of specs, ahead of those of the language, while one condition is checked."""
+    """The rules of specs, which override those of the language while a condition of a spec is checked."""
 
     def __init__(self, declared: Declarations, compares: bool = False) -> None:
         self.plain = declared.rules
@@ -94,7 +94,7 @@ class SpecRules:
         return AtStart(expr.type, expr.rate, span, expr)
 
     def _other_run(self, scope: NameScope, expr: Expr, span: Span) -> Expr:
-        """Return the value of a number about the whole in the reference run."""
+        """Return the value of a number of the reference run. It must be about the complete run, not about one agent."""
         if expr.type.kind is TypeKind.BAD:
             return bad_expression(span)
         if self.inside or scope.species is not None or expr.type.kind is not TypeKind.NUMBER or expr.rate > ChangeRate.STEP:
@@ -142,7 +142,7 @@ class SpecRules:
         )  # fmt: skip
 
     def _reports_unnamed_agent(self, scope: NameScope, owner: str, node: nodes.Member) -> bool:
-        """Return whether `forager.load` names no single forager; report an error then."""
+        """Return whether a text such as `forager.load` fails to name a single agent; report an error if so."""
         kind, name = _thing_kind(scope.declared, owner), node.name.text
         type = ValueType(TypeKind.AGENT if kind is TypeKind.SPECIES else TypeKind.ITEM, of=owner)
         params = scope.declared.species[owner].params if kind is TypeKind.SPECIES else {}
@@ -279,7 +279,8 @@ class SpecRules:
         return bad_expression(node.span)
 
     def _set_aggregate(self, scope: NameScope, reduction: ReduceExpr) -> Expr:
-        """Type `count(n in forager: n.load > 0)`: a set of all is a whole; anything nearer needs an agent as its owner."""
+        """Type `count(n in forager: n.load > 0)`. A set of all agents is a population; a smaller set needs an agent as its
+        owner."""
         over = reduction.over
         if self._reports_nesting(scope, reduction.span):
             return bad_expression(reduction.span)
@@ -306,7 +307,7 @@ def _result_type(how: str, body: Expr | None) -> ValueType:
 
 
 def _uses_word(root: nodes.Expr, words: Container[str]) -> bool:
-    """Return whether a word such as `at_start` is in the expression alone, and not as `at_start(…)`."""
+    """Return whether an expression has a word such as `at_start` alone, and not as `at_start(…)`."""
     called = {id(part.function) for part, _ in written_nodes(root) if isinstance(part, nodes.Call)}
     return any(isinstance(p, nodes.NameRef) and p.name.text in words and id(p) not in called for p, _ in written_nodes(root))
 
@@ -321,7 +322,7 @@ def _is_set(scope: NameScope, node: nodes.Expr) -> bool:
 
 
 def _cell_field(declared: Declarations, operand: nodes.Expr) -> str:
-    """Return the field with the cells that a question is about, `trail.value > 0.1`; empty if it is about none."""
+    """Return the field of which an expression reads cells, as `trail` in `trail.value > 0.1`; empty if there is none."""
     members = [part for part, _ in written_nodes(operand) if isinstance(part, nodes.Member) and part.name.text == "value"]
     owners = [part.owner.name.text for part in members if isinstance(part.owner, nodes.NameRef)]
     return next((name for name in owners if name in declared.fields), "")
@@ -331,8 +332,7 @@ def _cell_field(declared: Declarations, operand: nodes.Expr) -> str:
 
 
 def _subject(scope: NameScope, node: nodes.Call, operand: nodes.Expr) -> ValueType | None:
-    """Return the species or items that a question is about: those with a value that it names, else the only ones with such
-    values."""
+    """Return the species or items that an aggregate names, else the only species with all of its values; None after an error."""
     declared = scope.declared
     owners = [part.owner for part, _ in written_nodes(operand) if isinstance(part, nodes.Member)]
     named = [owner.name.text for owner in (*owners, operand) if isinstance(owner, nodes.NameRef)]
@@ -371,7 +371,7 @@ def _thing_kind(declared: Declarations, name: str) -> TypeKind | None:
 
 
 def _has_values(declared: Declarations, species: str, operand: nodes.Expr) -> bool:
-    """Return whether a species has every value that is named bare, judged by names alone."""
+    """Return whether a species has every value that an expression names without an owner. Only names are compared."""
     names = declared.species[species]
     states = {state for machine in names.machines.values() for state in machine.states}
     mine = {*names.attributes, *names.params, *names.bindings, *names.pending, *names.machines, *states}
@@ -384,7 +384,7 @@ def _has_values(declared: Declarations, species: str, operand: nodes.Expr) -> bo
 
 
 def _element_scope(scope: NameScope, over: ValueType, span: Span) -> tuple[NameScope, tuple[Binding, ...]]:
-    """Return the scope in which one of them is evaluated, and the name that stands for it if it is an item."""
+    """Return the scope for expressions about one agent or item of `over`, and, for an item, the binding of its name."""
     name = over.of or ""
     if over.kind is TypeKind.SPECIES:
         who = ThingRef(ValueType(TypeKind.AGENT, of=name), ChangeRate.AGENT, span, "self")

@@ -1,6 +1,7 @@
-"""Matches the arguments of a call with its parameters: written by position or by name, they are put in the order of parameters.
+"""Matches the arguments of a call, by position or by name, with the parameters, and puts them in the order of the parameters.
 
-Where a parameter is a point, items and species mean their nearest member, and anything else with a position means itself."""
+For a parameter that is a point, items or a species stand for the nearest item or agent. Other values with a position stand for
+themselves."""
 
 from __future__ import annotations
 
@@ -23,7 +24,8 @@ ArgumentsBySlot = dict[str, list[nodes.Argument]]
 
 @dataclass(frozen=True, slots=True)
 class ArgumentSlot:
-    """One parameter. `required` ones have no default and are not optional; `range`: two values with `..`."""
+    """One parameter. `required`: it has no default and is not optional. `range`: its value consists of two values joined by
+    `..`."""
 
     name: str
     required: bool
@@ -35,7 +37,7 @@ def arrange_arguments(
     scope: NameScope, called: str, slots: Sequence[ArgumentSlot], node: CallNode, form: str = ""
 ) -> ArgumentsBySlot | None:
     """Return the arguments by slot; None after an error that makes the call unusable. `form`: the text of the call up to its
-    bracket, if that is not `called`."""
+    bracket, if it is not `called`."""
     form = form or called
     for argument in node.arguments:
         if isinstance(argument, nodes.Comprehension):
@@ -106,8 +108,7 @@ def _call_text(called: str, slots: Sequence[ArgumentSlot]) -> str:
 
 
 def type_arguments(scope: NameScope, node: CallNode) -> None:
-    """Type the arguments of a call that makes no sense, so that what they use counts as used and their own mistakes are
-    reported."""
+    """Type the arguments of an invalid call. Names in them then count as used, and their own errors are reported."""
     for argument in node.arguments:
         if isinstance(argument, nodes.Comprehension):
             scope.type_expression(argument.over)
@@ -122,7 +123,7 @@ def type_arguments(scope: NameScope, node: CallNode) -> None:
 
 
 def _report_late_positions(scope: NameScope, first: nodes.Name, late: Sequence[tuple[nodes.Argument, str]]) -> None:
-    """Report arguments by place after `first`, an argument with a name. The fix adds the names for their places."""
+    """Report positional arguments after the named argument `first`. The fix adds the names of their parameters."""
     span = Span(late[0][0].span.source, late[0][0].span.start, late[-1][0].span.end)
     text, copied_end = "", span.start
     for argument, slot in late:
@@ -135,8 +136,10 @@ def _report_late_positions(scope: NameScope, first: nodes.Name, late: Sequence[t
 
 
 def _decimal_comma(slots: Sequence[ArgumentSlot], arguments: Sequence[nodes.Argument]) -> Span | None:
-    """The first number with a comma that was read as two arguments. A comma parts two of them where the call would lack something
-    with such numbers taken as one, and in a list such as `vector(1,2,3)`."""
+    """Return the first number with a decimal comma that was parsed as two arguments; None if there is none.
+
+    The comma is a decimal comma if the call is valid with the two halves joined. In a list such as `vector(1,2,3)`, it separates
+    arguments."""
     joints: dict[int, Span] = {}
     is_second_half = False  # whether the argument is a number that is the second half of one already
     tight = 0
@@ -163,7 +166,7 @@ def _decimal_comma(slots: Sequence[ArgumentSlot], arguments: Sequence[nodes.Argu
 
 @dataclass(frozen=True, slots=True)
 class _ArgumentForm:
-    """An argument as far as counting goes."""
+    """The properties of an argument that matter for counting: its name, if it has one, and whether it is a range."""
 
     name: nodes.Name | None
     range: bool
@@ -174,8 +177,8 @@ def _argument_forms(arguments: Sequence[nodes.Argument]) -> list[_ArgumentForm]:
 
 
 def _merge_range_pairs(slots: Sequence[ArgumentSlot], forms: Sequence[_ArgumentForm]) -> list[_ArgumentForm] | None:
-    """Return the arguments with two values by place, where a range is expected, as that range; None if a value has no second
-    one."""
+    """Return the arguments, with two positional values joined to a range where a range is expected. None if the second value is
+    missing."""
     paired: list[_ArgumentForm] = []
     left = list(forms)
     while left:
@@ -190,7 +193,7 @@ def _merge_range_pairs(slots: Sequence[ArgumentSlot], forms: Sequence[_ArgumentF
 
 
 def _range_fix(slots: Sequence[ArgumentSlot], arguments: Sequence[nodes.Argument]) -> tuple[str, Fix] | None:
-    """Return what to write for two values where a range is expected, if there is nothing else wrong with how many there are."""
+    """Return help and a fix for two values where a range is expected. None if the number of arguments would still be wrong."""
     place = next((n for n, slot in enumerate(slots) if slot.range), len(arguments))
     if place + 1 >= len(arguments) or not _is_valid_count(slots, _merge_range_pairs(slots, _argument_forms(arguments))):
         return None
@@ -200,7 +203,7 @@ def _range_fix(slots: Sequence[ArgumentSlot], arguments: Sequence[nodes.Argument
 
 
 def _is_valid_count(slots: Sequence[ArgumentSlot], forms: Sequence[_ArgumentForm] | None, least: int = 1) -> bool:
-    """Return whether the arguments, by place and by name, match the slots. `least`: the minimum number for a variadic call."""
+    """Return whether the arguments, by position and by name, match the slots. `least`: the minimum number for a variadic call."""
     if forms is None:
         return False
     by_name = [each.name for each in forms]
@@ -224,7 +227,7 @@ def _is_valid_count(slots: Sequence[ArgumentSlot], forms: Sequence[_ArgumentForm
 
 
 def place(scope: NameScope, node: nodes.Expr, who: str) -> Expr:
-    """An expression as a place."""
+    """Return an expression as a point."""
     expr = scope.type_expression(node, ValueType(TypeKind.PLACE))
     if expr.type.kind in (TypeKind.ITEMS, TypeKind.SPECIES):
         return nearest_of(expr, node.span)
@@ -238,12 +241,12 @@ def place(scope: NameScope, node: nodes.Expr, who: str) -> Expr:
 
 
 def element_type(things: ValueType) -> ValueType:
-    """The type of one element of all items of a name, or of a species."""
+    """Return the type of one element of a group of items, or of a species."""
     return ValueType(TypeKind.ITEM if things.kind is TypeKind.ITEMS else TypeKind.AGENT, Dimension(), things.of)
 
 
 def nearest_of(things: Expr, span: Span) -> ReduceExpr:
-    """The nearest of all items of a name, or of a species."""
+    """Return a reduction to the nearest element of a group of items, or of a species."""
     type = element_type(things.type)
     element = Binding("it", "element", type, ChangeRate.ELEMENT, span)
     over = SetExpr(

@@ -1,4 +1,4 @@
-"""Types of calls: finds the called function, matches the arguments to the tables, and returns the operation with its type."""
+"""Types calls: finds the called function, matches the arguments with the tables, and returns the operation with its type."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ _VALUES = {TypeKind(each.args[0].type): (type_from_words(each.result) or BAD_TYP
 
 
 def _use_line(file: nodes.File, library: str) -> Fix | None:
-    """A `use` below the edition and the file's help."""
+    """Return a fix that adds a `use` line below the edition and the help of a file."""
     head = file.help or file.edition
     if head is None:
         return None
@@ -39,7 +39,7 @@ def _use_line(file: nodes.File, library: str) -> Fix | None:
 
 
 def call(scope: NameScope, node: nodes.Call, want: ValueType | None) -> Expr:
-    """A call: a reduction over a set, a built-in operation, or a behaviour."""
+    """Type a call: a reduction over a set, a built-in operation, or a behaviour."""
     function = node.function
     if isinstance(function, nodes.Member):
         return call_behaviour(scope, node, want)
@@ -98,14 +98,14 @@ def _report_unknown(scope: NameScope, node: nodes.Call, name: nodes.Name, want: 
 
 
 def _first_argument_name(node: nodes.Call) -> str:
-    """Return the text of the first argument, if it is a name."""
+    """Return the text of the first argument if it is a name, else `food`."""
     first = node.arguments[0] if node.arguments else None
     named = isinstance(first, nodes.Argument) and isinstance(first.value, nodes.NameRef)
     return first.span.text if first is not None and named else "food"
 
 
 def _own_behaviour_text(node: nodes.Call, name: str, want: ValueType | None) -> str:
-    """Return how a behaviour of that name would be written, for the arguments of the call and the expected type."""
+    """Return the declaration of a behaviour `name` that fits the arguments of the call and the expected type."""
     kind = want.kind if want is not None else TypeKind.NUMBER
     gives = {TypeKind.BOOL: "bool", TypeKind.VECTOR: "push"}.get(kind, "number")
     arguments = ", ".join(f"{letter}: place" for letter, _ in zip("abcdefgh", node.arguments, strict=False))
@@ -144,9 +144,9 @@ def _slot(arg: ArgumentRow) -> ArgumentSlot:
 
 
 def _matching_row(scope: NameScope, node: nodes.Call, rows: tuple[BuiltinRow, ...]) -> tuple[BuiltinRow, nodes.Call]:
-    """Return, of several operations of one name, the one that takes the first argument and the given names.
+    """Return the row that accepts the first argument and the argument names, among several operations with one name.
 
-    Also returns the call with that argument already typed, so that nested calls are typed once."""
+    Also return the call with its first argument typed, so that nested calls are typed only once."""
     named = {a.name.text for a in node.arguments if isinstance(a, nodes.Argument) and a.name}
     fitting = [row for row in rows if named <= {a.name for a in row.args}] or list(rows)
     first = node.arguments[0] if node.arguments else None
@@ -170,7 +170,7 @@ def _default(scope: NameScope, arg: ArgumentRow, node: nodes.Call) -> list[Expr 
 def _argument(
     scope: NameScope, called: str, arg: ArgumentRow, node: nodes.Expr, variables: TypeVariables, want: ValueType | None
 ) -> list[Expr | None]:
-    """One argument as the operation wants it: a range fills two places."""
+    """Return the typed value of one argument: one expression, or two for a range."""
     word, _, variable = arg.type.partition(" ")
     who = f"`{arg.name}` of `{called}`"
     if word == "range":
@@ -213,7 +213,7 @@ def _argument(
 
 
 def check_row_limits(scope: NameScope, arg: ArgumentRow, who: str, span: Span, expr: Expr, sample: str = "") -> None:
-    """Check a constant against the limits in its row. `sample`: a correct example line."""
+    """Check a constant against the limits in its row. `sample`: a correct example line for the message."""
     known = constant_behind(expr)
     if known is None:
         return
@@ -231,7 +231,7 @@ def check_row_limits(scope: NameScope, arg: ArgumentRow, who: str, span: Span, e
 def _bind_variable(
     scope: NameScope, called: str, node: nodes.Expr, expr: Expr, variable: str, variables: TypeVariables, dims_only: bool = False
 ) -> Expr:
-    """Bind a variable of the table, or compare the value with the one that bound it before."""
+    """Bind a type variable such as `A` to the type of a value. If it is bound already, report an error for a different type."""
     expr = as_value(expr)
     if variable not in variables or variables[variable][1].type.kind is TypeKind.BAD:
         variables[variable] = (node, expr)
@@ -286,7 +286,7 @@ def _operation(
 def _result_type(
     row: BuiltinRow, variables: Mapping[str, tuple[nodes.Expr, Expr]], args: list[Expr | None] | tuple[Expr | None, ...]
 ) -> ValueType:
-    """The type that a row of the table promises, its variables filled in."""
+    """Return the result type of a row, with its type variables replaced."""
     word, _, of = row.result.partition(" ")
     if word in ("number", "vector") and of:
         kind = TypeKind(word)

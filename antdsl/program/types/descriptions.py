@@ -1,4 +1,4 @@
-"""The names of types for artists, and the errors about types and units that all parts of the checker report."""
+"""The names of types for artists, and the errors about types and units that several parts of the checker report."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ _VECTOR_PHRASES: dict[Dimension, str] = {
 
 
 def type_words(type: ValueType) -> str:
-    """`a length`, `a push or direction`, `an item of food`, `an agent of rabbit`."""
+    """Return words for a type: `a length`, `a push or direction`, `an item of food`, `an agent of rabbit`."""
     if type.kind is TypeKind.NUMBER:
         return dimension_words(type.dim)
     if type.kind is TypeKind.VECTOR:
@@ -55,7 +55,7 @@ def type_words(type: ValueType) -> str:
 
 
 def quote_source(span: Span, most: int = 40) -> str:
-    """The author's own text in backquotes, on one line, shortened if long."""
+    """Return the source text of a span in backquotes, on one line, and shortened to `most` characters."""
     text = " ".join(span.text.split())
     if len(text) > most:
         text = text[: most - 1].rstrip() + "…"
@@ -63,7 +63,8 @@ def quote_source(span: Span, most: int = 40) -> str:
 
 
 def is_compatible(actual: ValueType, expected: ValueType) -> bool:
-    """Return whether a value of one type may replace one of the other. Values with a reported error fit everywhere."""
+    """Return whether a value of type `actual` is allowed where `expected` is needed. Values with a reported error are always
+    allowed."""
     if TypeKind.BAD in (actual.kind, expected.kind):
         return True
     if actual.kind is not expected.kind:
@@ -76,8 +77,9 @@ def is_compatible(actual: ValueType, expected: ValueType) -> bool:
 def report_mismatch(
     report: Report, node: nodes.Expr, actual: ValueType, expected: ValueType, place: str, expr: Expr | None = None
 ) -> Expr:
-    """Report that `node` has another type than `place` needs: a missing unit, a wrong unit, or another kind of thing. `expr` is
-    its typed expression, if known. Returns what stands for it."""
+    """Report that `node` has another type than `place` needs: a missing unit, a wrong unit, or another kind of thing.
+
+    `expr`: its typed expression, if known. Returns a replacement for the expression."""
     if isinstance(expr, OperationExpr) and expr.name == "map_value" and expected.kind is TypeKind.VECTOR:
         text = " ".join(node.span.text.split())
         message = f"`{text}` is a map of plain numbers, and {place} wants {type_words(expected)}"
@@ -114,7 +116,8 @@ def _mismatch(node: nodes.Expr, actual: ValueType, expected: ValueType, place: s
 
 
 def _vector_units_fix(node: nodes.Expr) -> Fix | None:
-    """Return a fix for `vector(10, 0, 0)` that makes its numbers lengths, and so the vector a place."""
+    """Return a fix for `vector(10, 0, 0)` that adds a length unit to its numbers, so that the vector is a point; None if there is
+    none."""
     if not isinstance(node, nodes.Call) or node.function.span.text != "vector":
         return None
     values = [each.value for each in node.arguments if isinstance(each, nodes.Argument)]
@@ -128,7 +131,7 @@ def _is_minus(node: nodes.Expr) -> bool:
 
 
 def _own_text_fix(node: nodes.Expr, advice: str) -> Fix | None:
-    """Return the first text in backquotes of the advice as a fix, if it consists of the author's text."""
+    """Return a fix from the first text in backquotes of the advice, if it consists of the source text; else None."""
     text, match = " ".join(node.span.text.split()), re.search("`([^`…]+)`", advice)
     return Fix(node.span, match[1]) if match and text in match[1] else None
 
@@ -179,7 +182,7 @@ def _advice(node: nodes.Expr, actual: ValueType, expected: ValueType) -> str:
 def report_disagreement(
     report: Report, op: str, span: Span, left: tuple[nodes.Expr, Expr], right: tuple[nodes.Expr, Expr]
 ) -> None:
-    """Report that the two sides of an operator do not match, with the author's text of both."""
+    """Report that the types of the two operands of an operator do not match, with the source text of both."""
     (left_node, a), (right_node, b) = left, right
     both = f"{quote_source(left_node.span)} is {type_words(a.type)} and {quote_source(right_node.span)} is {type_words(b.type)}"
     message = f"{both}: `{op}` wants both alike"

@@ -1,4 +1,5 @@
-"""Types of literals, names and values of things. Calls, signs and behaviours have files of their own; `rules` joins them."""
+"""Types literals, names and values of things. Calls, operators and behaviours are in other files; `rules` has all typing
+functions."""
 
 from __future__ import annotations
 
@@ -85,8 +86,7 @@ def none_of(scope: NameScope, node: nodes.NoneOf, want: ValueType | None) -> Exp
 
 
 def reference_type(scope: NameScope, name: nodes.Name) -> ValueType | None:
-    """Return the type of one item or agent of a declared name; report an error and return None if the name cannot be referred
-    to."""
+    """Return the type of one item or agent of a declared name. Report an error and return None for other names."""
     declared = scope.declared
     thing = declared.things.get(name.text)
     if thing is not None and thing.kind == "items":
@@ -133,7 +133,7 @@ def _local(scope: NameScope, name: str, span: Span) -> Expr | None:
 
 
 def binding_value(scope: NameScope, binding: Binding, span: Span) -> Expr:
-    """A use of a named value."""
+    """Return an expression that uses a named value."""
     if binding.role == "let" and binding.snapshot and scope.no_let:
         _report_too_early(scope, binding.name, span)
     if binding.type.kind is TypeKind.SET and isinstance(binding.value, SetExpr):
@@ -146,7 +146,7 @@ def _report_too_early(scope: NameScope, name: str, span: Span) -> None:
 
 
 def report_pair_value(scope: NameScope, node: nodes.Name, owner: str = "") -> Expr:
-    """Report a pair value that is named without its other agent."""
+    """Report a pair value that is used without another agent in brackets."""
     help = f"the agent that has it reads it: `{node.text}[other]`" if owner else f"write `{node.text}[other]`"
     return scope.reject("wrong-kind", f"`{node.text}` is a value per pair: name the other agent", node.span, help)
 
@@ -178,7 +178,8 @@ def _language_word(scope: NameScope, name: str, span: Span) -> Expr | None:
 
 
 def _species_value(scope: NameScope, name: str, span: Span) -> Expr | None:
-    """Return a name of the species: a param, attribute, let, latch, or value of its machines. Behaviours do not see these."""
+    """Return the value of a name of the species: a param, attribute, let, latch, or value of a machine. None inside a
+    behaviour."""
     species = scope.species
     if species is None or scope.behaviour is not None:
         return None
@@ -240,7 +241,7 @@ def _world_value(scope: NameScope, name: str, span: Span) -> Expr | None:
 
 
 def visible_names(scope: NameScope) -> set[str]:
-    """Every name that may be written as a value at a place."""
+    """Return every name that may be used as a value at a place."""
     names = (
         set(scope.locals)
         | set(BUILTIN_ATTRIBUTE_BY_NAME)
@@ -289,7 +290,7 @@ def _report_unknown(scope: NameScope, node: nodes.NameRef, want: ValueType | Non
 
 
 def _foreign_word_fix(name: str, span: Span) -> tuple[str | None, Fix | None]:
-    """Return the replacement for a unit without its number, or for a name from other tools."""
+    """Return help and a fix for a unit without a number, or for a name from other tools."""
     unit = f"a unit follows its number and contains no spaces: `1 {name}`, `30 mm/s`" if name in UNIT_NAMES else None
     instead = NAME_REPLACEMENTS.get(name)
     if instead is None:
@@ -301,7 +302,7 @@ def _foreign_word_fix(name: str, span: Span) -> tuple[str | None, Fix | None]:
 
 
 def value_of(scope: NameScope, owner: Expr, name: str, type: ValueType, span: Span) -> Expr:
-    """`owner.name` for a value that is known to be there."""
+    """Return the expression `owner.name` for a value that is known to exist."""
     if isinstance(owner, ThingRef) and owner.name == "self":
         scope.mark_used("attribute", f"{owner.type.of}.{name}")
         return AttributeRef(type, ChangeRate.AGENT, span, None, name)
@@ -365,7 +366,7 @@ def _param_of(scope: NameScope, owner: Expr, node: nodes.Member) -> Expr:
 
 @dataclass(frozen=True, slots=True)
 class TypedArgument:
-    """Replaces an argument with a type that was needed before its turn, so that nothing is computed twice."""
+    """A node for an argument that is already typed, so that it is typed only once."""
 
     expr: Expr
     span: Span

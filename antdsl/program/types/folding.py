@@ -1,4 +1,4 @@
-"""Arithmetic on constants before a run, so that `1.5 * 40 mm` is a plain value. Also reports errors that it reveals."""
+"""Computes operations on constants before a run, so that `1.5 * 40 mm` is a plain value. Reports errors in these operations."""
 
 from __future__ import annotations
 
@@ -55,7 +55,8 @@ def _const(op: OperationExpr, value: float, u: float, step: float) -> Constant:
 
 
 def constant_behind(expr: Expr) -> Constant | None:
-    """Return the constant value of an expression, also through the argument of a behaviour; None if there is none."""
+    """Return the value of an expression that is a constant, or an argument of a behaviour with a constant value; None for
+    others."""
     while isinstance(expr, BindingRef) and expr.binding.role in ("argument", "let") and expr.binding.value is not None:
         expr = expr.binding.value
     return expr if isinstance(expr, Constant) else None

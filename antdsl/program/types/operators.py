@@ -1,4 +1,4 @@
-"""Types of signs and words between values: arithmetic, comparisons, and/or/not, `no`, `is none`, `chance`, if-then-else."""
+"""Types operators: arithmetic, comparisons, and/or/not, `no`, `is none`, `chance`, if-then-else."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def op(name: str, type: ValueType, span: Span, *args: Expr | None, site: str = "
 
 
 def value(scope: NameScope, node: nodes.Expr, want: ValueType | None = None) -> Expr:
-    """Return an expression as a value: the name of a field, flow or map stands for its value here."""
+    """Return an expression as a value. The name of a field, flow or map stands for its value at the agent."""
     return as_value(scope.type_expression(node, want))
 
 
@@ -40,7 +40,7 @@ def as_value(expr: Expr) -> Expr:
 
 
 def value_of_type(scope: NameScope, node: nodes.Expr, want: ValueType, place: str) -> Expr:
-    """Return the value of an expression of a required type; `place` describes the place for messages."""
+    """Return the value of an expression of a required type. `place`: the words for the place in messages."""
     expr = value(scope, node, want)
     if is_compatible(expr.type, want):
         return expr
@@ -48,8 +48,7 @@ def value_of_type(scope: NameScope, node: nodes.Expr, want: ValueType, place: st
 
 
 def facing_direction(scope: NameScope, node: nodes.Expr) -> Expr:
-    """Return the value of an expression that gives a direction to face: a push or a velocity, of which only the direction
-    counts."""
+    """Return the value of an expression for a direction to face: a push or a velocity. The length has no effect."""
     expr = value(scope, node, PUSH_TYPE)
     if is_compatible(expr.type, VELOCITY_TYPE):
         return expr
@@ -59,7 +58,7 @@ def facing_direction(scope: NameScope, node: nodes.Expr) -> Expr:
 
 
 def condition(scope: NameScope, node: nodes.Expr, place: str) -> Expr:
-    """Return an expression as a bool; an item, agent, hit or set is true if it is not empty."""
+    """Return an expression as a bool. An item, agent or hit is true if it is not none, a set if it is not empty."""
     if not scope.runs_once and _mentions_event(scope, node):
         scope = scope.with_changes(runs_once=True)
     return truth(scope, node, value(scope, node, BOOL_TYPE), place)
@@ -75,8 +74,8 @@ def truth(scope: NameScope, node: nodes.Expr, expr: Expr, place: str) -> Expr:
 
 
 def _mentions_event(scope: NameScope, node: nodes.Expr) -> bool:
-    """Return whether a condition mentions an event. An event lasts one step only, so a `chance` beside it is a share and not a
-    rate."""
+    """Return whether a condition mentions an event. An event lasts one step, so a `chance` in the same condition is a probability
+    and not a rate."""
     stack: list[nodes.Expr] = [node]
     while stack:
         part = stack.pop()
@@ -171,7 +170,8 @@ def _check_chance(scope: NameScope, node: nodes.Unary, expr: Expr) -> None:
 
 
 def draw_site(scope: NameScope, word: str, span: Span) -> str:
-    """Return the name of a draw. Draws inside a set are errors, because the result would depend on the order of the elements."""
+    """Return the key of a random draw. Draws inside a set are errors, because the result would depend on the order of the
+    elements."""
     if scope.sets:
         message = f"`{word}` draws a random number inside a set"
         scope.report.error("draw-in-set", message, span, "draw before the set: `let x = …`, and use `x` inside")
@@ -179,7 +179,7 @@ def draw_site(scope: NameScope, word: str, span: Span) -> str:
 
 
 def count(scope: NameScope, node: nodes.Expr, who: str) -> Expr:
-    """A whole number that is known before anything runs."""
+    """Return a whole number that is constant before a run; report an error if the expression is not."""
     expr = value(scope, node)
     if expr.type.kind is TypeKind.BAD or (scope.generic and expr.type == NUMBER_TYPE):
         return expr
@@ -207,7 +207,7 @@ def binary(scope: NameScope, node: nodes.Binary, want: ValueType | None) -> Expr
 
 
 def _logic(scope: NameScope, node: nodes.Binary) -> Expr:
-    """Type `and` or `or`: of two bools, or as the minimum or maximum of two degrees of truth."""
+    """Type `and` or `or`: a bool for two bools, or the minimum or maximum of two degrees of truth."""
     left, right = value(scope, node.left, BOOL_TYPE), value(scope, node.right, BOOL_TYPE)
     if BAD_TYPE in (left.type, right.type) and {left.type, right.type} <= {BAD_TYPE, NUMBER_TYPE}:
         return op(node.op, BAD_TYPE, node.span, left, right)  # what is wrong may have been meant as a shade of truth
@@ -282,7 +282,7 @@ def _sum(scope: NameScope, node: nodes.Binary, left: Expr, right: Expr) -> Expr:
 
 
 def _check_operands(scope: NameScope, node: nodes.Binary, left: Expr, right: Expr) -> bool:
-    """Whether both are numbers or vectors; complains about the first that is not."""
+    """Return whether both operands are numbers or vectors. Report the first that is not."""
     for part, expr in ((node.left, left), (node.right, right)):
         if expr.type.kind not in (TypeKind.NUMBER, TypeKind.VECTOR):
             report_mismatch(scope.report, part, expr.type, NUMBER_TYPE, f"`{node.op}`")

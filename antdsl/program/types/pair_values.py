@@ -1,4 +1,4 @@
-"""Types of pair values: `likes[other]`, an agent's value about another one, in declarations, reads and writes."""
+"""Types pair values such as `likes[other]`, an agent's value about another agent, in declarations, reads and assignments."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from antdsl.syntax import nodes
 
 
 def index_of(scope: NameScope, node: nodes.Index, want: ValueType | None) -> Expr:
-    """`likes[other]`: the agent's own value about another agent."""
+    """Type `likes[other]`, the agent's own value about another agent."""
     species, owner = scope.species, node.owner
     index = scope.type_expression(node.index)
     if isinstance(owner, nodes.NameRef) and species is not None and scope.behaviour is None and owner.name.text in species.each:
@@ -34,8 +34,9 @@ def pair_of(scope: NameScope, node: nodes.PairOf, want: ValueType | None) -> Exp
 
 
 def check_pair_value(scope: NameScope, attribute: AttributeDecl, to: Expr | None) -> None:
-    """Report a value per pair that is no number, that does not begin equal about all agents, or that returns to something else.
-    Agents without a stored value have the initial one for ever."""
+    """Report an invalid pair value. It must be a number, with an initial value that does not depend on the agent. It may relax
+    only to the initial value.
+    The value about an agent without a slot is always the initial value."""
     name, default = attribute.name, attribute.default
     if TypeKind.BAD in (attribute.type.kind, default.type.kind):
         return
@@ -59,8 +60,8 @@ def _is_same(one: Expr, other: Expr) -> bool:
 
 
 def pair_values_of(scope: NameScope, node: nodes.IndexAll) -> tuple[AttributeRef, SetExpr, Binding, NameScope] | None:
-    """Return the parts of `likes[n in SET]`: the value, the set, the binding of an element, and its scope; None after an
-    error."""
+    """Return the parts of `likes[n in SET]`: the value, the set, the binding of an element, and the scope of the element. None
+    after an error."""
     over = scope.type_expression(node.over)
     if over.type.kind in (TypeKind.SPECIES, TypeKind.ITEMS):
         over = complete_set(over)

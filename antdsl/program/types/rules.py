@@ -1,4 +1,4 @@
-"""The typing function of each kind of node: one row per node."""
+"""The table of typing functions, with one row for each class of node."""
 
 from __future__ import annotations
 

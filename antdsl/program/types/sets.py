@@ -1,4 +1,4 @@
-"""Types of sets and reductions over them: neighbours, all, nearest, feelers, `sum(n in SET: …)` and similar."""
+"""Types sets and reductions over them: `neighbours`, `all`, `nearest`, `feelers`, `sum(n in SET: …)` and similar."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def _arguments(scope: NameScope, node: nodes.Call, name: str, row: BuiltinRow) -
 def _optional_value(
     scope: NameScope, called: str, arg: ArgumentRow, arguments_by_slot: dict[str, list[nodes.Argument]], node: nodes.Call
 ) -> Expr | None:
-    """An argument that is a value, or its default, or None."""
+    """Return the value of an argument, its default, or None."""
     written = arguments_by_slot.get(arg.name)
     if written is None:
         return default_values(scope, arg.default, node.span)[0] if arg.default else None
@@ -54,7 +54,7 @@ def element_of(type: ValueType, name: str, node: nodes.Expr | nodes.Name) -> Bin
 
 
 def neighbours(scope: NameScope, node: nodes.Call, name: str, row: BuiltinRow) -> Expr:
-    """Type `neighbours(radius, fov, of:)`: others of the agent's species, or of another."""
+    """Type `neighbours(radius, fov, of:)`: other agents of the agent's own species, or of the species `of`."""
     arguments_by_slot = _arguments(scope, node, name, row)
     if arguments_by_slot is None:
         return bad_expression(node.span)
@@ -93,7 +93,7 @@ def _check_reach(scope: NameScope, radius: Expr | None, node: nodes.Call) -> Non
 def _count_limit(
     scope: NameScope, called: str, row: BuiltinRow, arguments_by_slot: dict[str, list[nodes.Argument]], node: nodes.Call
 ) -> Expr | None:
-    """Return how many of the nearest elements of a set count at most. A known value must be whole and at least 1."""
+    """Return the maximum number of the nearest elements of a set that count. A known value must be whole and at least 1."""
     arg = next((arg for arg in row.args if arg.name == "most"), None)
     most = _optional_value(scope, called, arg, arguments_by_slot, node) if arg is not None else None
     known = constant_behind(most) if most is not None else None
@@ -105,7 +105,7 @@ def _count_limit(
 
 
 def all_of(scope: NameScope, node: nodes.Call, name: str, row: BuiltinRow) -> Expr:
-    """`all(X, within:, with:)`."""
+    """Type `all(X, within:, with:)`."""
     arguments_by_slot = _arguments(scope, node, name, row)
     things = _things(scope, name, arguments_by_slot["of"][0].value, _SET_OWNER_KINDS) if arguments_by_slot else None
     if arguments_by_slot is None or things is None:
@@ -135,7 +135,7 @@ def _within_set(scope: NameScope, element: Binding) -> NameScope:
 
 
 def nearest(scope: NameScope, node: nodes.Call, name: str, row: BuiltinRow) -> Expr:
-    """`nearest(X, within:, with:)`, or `nearest(SET)`."""
+    """Type `nearest(X, within:, with:)` or `nearest(SET)`."""
     first = node.arguments[0].value if len(node.arguments) == 1 and isinstance(node.arguments[0], nodes.Argument) else None
     if isinstance(first, (nodes.Call, nodes.NameRef)):
         expr = scope.type_expression(first)
@@ -156,7 +156,7 @@ def _nearest_of_set(over: SetExpr, node: nodes.Call) -> ReduceExpr:
 
 
 def feelers(scope: NameScope, node: nodes.Call, name: str, row: BuiltinRow) -> Expr:
-    """`feelers(X, count, spread, reach)`: rays ahead and to either side; the hits."""
+    """Type `feelers(X, count, spread, reach)`: rays ahead and to both sides. The elements of the set are their hits."""
     arguments_by_slot = _arguments(scope, node, name, row)
     if arguments_by_slot is None:
         return bad_expression(node.span)
@@ -195,7 +195,7 @@ SET_CHECKERS: dict[str, Callable[[NameScope, nodes.Call, str, BuiltinRow], Expr]
 
 
 def reduce(scope: NameScope, node: nodes.Call, how: str) -> Expr:
-    """`sum(n in SET: …)` and its like; `count(SET)` and `any(SET)` need no body."""
+    """Type `sum(n in SET: …)` and similar reductions. `count(SET)` and `any(SET)` need no body."""
     argument = node.arguments[0]
     if isinstance(argument, nodes.Comprehension):
         over = scope.type_expression(argument.over)
@@ -233,7 +233,7 @@ def element_scope(scope: NameScope, over: SetExpr, variable: nodes.Name) -> tupl
 
 
 def complete_set(things: Expr) -> SetExpr:
-    """Return `food` as a set: all of it."""
+    """Return the set of all items or agents of a name, such as `food`."""
     element = Binding("it", "element", element_type(things.type), ChangeRate.ELEMENT, things.span)
     return SetExpr(
         ValueType(TypeKind.SET, Dimension(), things.type.of),
@@ -260,7 +260,7 @@ def _check_shadow(scope: NameScope, variable: nodes.Name) -> None:
 
 
 def reduction_body(scope: NameScope, how: str, node: nodes.Expr) -> Expr:
-    """Return the body of a reduction: a bool to count, or a number (for sums also a vector)."""
+    """Return the body of a reduction: a bool for `count` and similar, else a number, or for sums also a vector."""
     if how in ("count", "any", "every"):
         return condition(scope, node, f"`{how}`")
     expr = value(scope, node)
@@ -290,7 +290,7 @@ def _result_type(how: str, body: Expr, element: Binding) -> ValueType:
 
 
 def _check_nesting(scope: NameScope, expr: Expr, node: nodes.Call) -> None:
-    """Check that a set inside a set does not depend on the outer element: neighbours of neighbours are not supported."""
+    """Report a set inside a set that depends on the outer element. Neighbours of neighbours are not supported."""
     if not scope.sets:
         return
     used = bindings_in(expr)

@@ -1,4 +1,5 @@
-"""Asking for states and clips: `state == carry`, `mood.state`, `n.state`, `time_in_state`; `clip done`, `clip at MARK`."""
+"""Types questions about states and clips: `state == carry`, `mood.state`, `n.state`, `time_in_state`; `clip done`, `clip at
+MARK`."""
 
 from __future__ import annotations
 
@@ -35,8 +36,8 @@ def machine_value(scope: NameScope, machine: MachineNames, node: nodes.Member) -
 
 
 def state_word(scope: NameScope, owner: Expr | None, word: str, span: Span, name_span: Span | None) -> Expr:
-    """Type `state` and similar words, of the agent itself or of another. With several machines: that of this place in the text,
-    or the first."""
+    """Type `state` and similar words, of the agent itself or of the agent `owner`. Of several machines, it means the one at this
+    place in the text, or the first."""
     names = scope.species if owner is None or owner.type.of is None else scope.declared.species.get(owner.type.of)
     if isinstance(owner, ThingRef) and owner.name == "self":
         owner = None
@@ -55,8 +56,8 @@ def _machine_word(machine: MachineNames, owner: Expr | None, word: str, span: Sp
 
 
 def find_state(scope: NameScope, operand: Expr, node: nodes.Expr) -> tuple[Expr, Expr] | None:
-    """Return, for `state == carry`, the compared value and the state, in the machine that has that state; None if `node` is no
-    bare name."""
+    """Return the compared value and the state for `state == carry`, in the machine that has the state. None if `node` is no bare
+    name."""
     if not isinstance(node, nodes.NameRef) or not isinstance(operand, AttributeRef) or node.name.text in STATE_WORDS:
         return None
     species, _, machine_name = (operand.type.of or ".").partition(".")
@@ -77,7 +78,7 @@ def find_state(scope: NameScope, operand: Expr, node: nodes.Expr) -> tuple[Expr,
 
 
 def report_unknown_state(scope: NameScope, name: nodes.Name, species: str, known: list[str]) -> str | None:
-    """Report an unknown state name. Return the state that was probably meant, to continue with."""
+    """Report an unknown state name. Return the name that was probably meant, or None."""
     meant = nearest_name(name.text, known)
     if is_known_missing(scope, "state", name, species):
         return meant
@@ -87,7 +88,7 @@ def report_unknown_state(scope: NameScope, name: nodes.Name, species: str, known
 
 
 def clip_test(scope: NameScope, node: nodes.ClipTest, want: ValueType | None) -> Expr:
-    """Type `clip done` or `clip at MARK`, about the machine of this place in the text, or the first one."""
+    """Type `clip done` or `clip at MARK`, for the machine at this place in the text, or the first one."""
     names = scope.species
     if names is None or not names.machines or scope.behaviour is not None:
         words = "there is no clip here"

@@ -1,14 +1,16 @@
 """Backends that run a plan's blocks: BACKENDS by name. All give the same bits.
 
-`reference` takes one agent and one operation at a time, in plain Python. It defines the language, and `explain` runs it.
+`reference` runs one agent and one operation at a time, in plain Python. It defines the language, and `explain` uses it.
 
-`numpy_backend` runs a block over all agents of a species. `compile` turns the block once into lists of instructions over slots.
-`numpy_calls` and `numpy_statements` make a call of each. A condition becomes the rows where it holds.
+`numpy_backend` runs a block over all agents of a species. `compile` converts the block once into lists of instructions over
+    slots (values). `numpy_calls` and `numpy_statements` make a function call of each instruction. A condition becomes the rows
+    where it holds.
 
 `native` compiles the same lists to machine code, and uses NumPy until the code is ready.
 
-Elementwise operations come from one table (`numerics.elementwise`), sums over sets are exact, and draws are functions of the id.
-So no result depends on rows, chunks or threads. A backend fills an `EffectRequests`; the phases of the step apply it."""
+Elementwise operations come from one table (`numerics.elementwise`), sums over sets are exact, and random draws are functions
+of the id. So no result depends on rows, chunks or threads. A backend fills an `EffectRequests`; the phases of the step apply
+it."""
 
 from collections.abc import Callable, Mapping
 

@@ -1,8 +1,9 @@
-"""A block of the plan as lists of vectorised instructions over slots. A region is a scope: the rows where its condition holds.
+"""Converts a block of the plan into lists of vectorised instructions over slots. A slot holds one value for all rows of a
+scope. A scope consists of the rows for which a region's condition holds.
 
-A value is computed in the first scope that uses it and gathered from there into the scopes inside. Senses that the plan calls
-lazy are stored for the whole step, in arrays as long as the species. They are computed for the rows that have none yet. NumPy
-runs the instructions one by one (`numpy_calls`); machine code is made from the same lists (`native`)."""
+A value is computed in the first scope that uses it, and gathered from there into inner scopes. Senses that the plan marks as
+lazy are stored for the complete step, in arrays as long as the species. They are computed for the rows that have no value yet.
+NumPy runs the instructions one by one (`numpy_calls`). `native` makes machine code from the same lists."""
 
 from __future__ import annotations
 
@@ -38,7 +39,7 @@ SlotFunctionMaker = Callable[
 
 
 class InstructionKind(Enum):
-    """The kind of an instruction; `what` is its node or statement."""
+    """The kind of an instruction. The instruction's `what` is its node or statement."""
 
     VALUE = "value"  # a node's value for the rows of the scope
     GATHER = "gather"  # a value of the scope around, for the rows of this one
@@ -54,8 +55,12 @@ class InstructionKind(Enum):
 
 @dataclass(slots=True, eq=False)
 class BlockInstruction:
-    """`dtype`: of the buffer it may write to (None: it makes its own array). `span` is the text that it works out, `layer` the
-    number of the layer that it does so for first (-1: none)."""
+    """One instruction of a block; `what` is its node or statement.
+
+    `out`, `inputs`: slots of its result and operands.
+    `dtype`: type of the buffer for its result; None: it allocates an array.
+    `span`: the source text that it computes.
+    `layer`: number of the first layer that needs it, -1 for none."""
 
     does: InstructionKind
     what: ir.PlanNode | ir.PlanStatement
@@ -73,7 +78,10 @@ class BlockInstruction:
 
 @dataclass(slots=True, eq=False)
 class RowScope:
-    """Rows of one region: `rows` (slice or array, of the species), `picked` (of the parent's rows; None: all), `size`."""
+    """The rows of one region. `rows`, `picked` and `size` are slots.
+
+    `rows`: row numbers in the species (slice or array). `picked`: indices in the parent's rows (None: all). `size`: the number
+        of rows."""
 
     parent: RowScope | None
     rows: int
@@ -89,7 +97,7 @@ class RowScope:
 
 @dataclass(slots=True, eq=False)
 class PairScope:
-    """Values over the pairs of one set in one scope."""
+    """Values over the pairs of one set in one scope, as slots by node."""
 
     slot: int
     known: dict[ir.PlanNode, int] = field(default_factory=dict)
@@ -160,8 +168,10 @@ class BlockCompiler:
             self._emit(scope, InstructionKind.STATEMENT, statement, -1, inputs)
 
     def _layers_of(self, block: ir.Block) -> list[int]:
-        """Return the layer with the line of each statement. What a behaviour remembers is in another file, and is written before
-        the push of the layer that called it."""
+        """Return the layer that contains the line of each statement.
+
+        A statement that stores a behaviour's memory is in another file. It gets the layer that called the behaviour: that of
+        the next statement inside a layer."""
         if not self._layers:
             return [-1] * len(block.statements)
         numbers, current = [], self._layer
@@ -176,7 +186,8 @@ class BlockCompiler:
     # --- values --------------------------------------------------------------------------------------------------------
 
     def value(self, scope: RowScope, node: ir.PlanNode, afresh: bool = False) -> int:
-        """Return the slot of a node's value in a scope; emit what is missing. `afresh`: a stored node itself is computed."""
+        """Return the slot of a node's value in a scope, after emitting missing instructions. `afresh`: compute a node again
+        even if it is stored."""
         if node.rate <= ir.UpdateRate.STEP:
             return self._uniform_slot(node)
         missing: set[ir.PlanNode] = set()
@@ -209,7 +220,8 @@ class BlockCompiler:
         return scope
 
     def _known_slot(self, scope: RowScope, node: ir.PlanNode) -> int:
-        """Return the slot of a value that is known in this scope or an outer one; an outer value is gathered for this scope."""
+        """Return the slot of a value that this scope or an outer scope contains. A value of an outer scope is gathered for
+        this scope."""
         if node.rate <= ir.UpdateRate.STEP:
             return self._uniform_slot(node)
         holders = [scope]
@@ -224,7 +236,7 @@ class BlockCompiler:
         return scope.known[node]
 
     def _emit_node(self, scope: RowScope, node: ir.PlanNode) -> None:
-        """Emit one node with known operands."""
+        """Emit the instruction of one node; its operands already have slots."""
         if node.op.startswith("reduce."):
             does, inputs = InstructionKind.REDUCE, self._reduction(scope, node)
         else:
@@ -234,7 +246,7 @@ class BlockCompiler:
         scope.known[node] = slot
 
     def _emit_lazy(self, scope: RowScope, node: ir.PlanNode) -> None:
-        """Emit a lazy node: computed in a scope of the rows that lack it, stored for the step."""
+        """Emit a lazy node: computed in an inner scope of the rows without a value, and stored for the step."""
         inner = self._new_scope(scope)
         result = self.value(inner, node, afresh=True)
         slot = scope.known[node] = self.slot()
@@ -262,7 +274,7 @@ class BlockCompiler:
         return scope.pairs[node]
 
     def _pair_slot(self, scope: RowScope, pairs: PairScope, node: ir.PlanNode) -> int:
-        """Slot of a value over pairs; an agent's own is repeated for its pairs."""
+        """Return the slot of a value over pairs. A value of the agent itself is repeated for its pairs."""
         if node.rate <= ir.UpdateRate.STEP:
             return self._uniform_slot(node)
         if node in pairs.known:
@@ -282,8 +294,9 @@ class BlockCompiler:
 
 
 def _flatten(scope: RowScope, order: list[tuple[BlockInstruction, bool]]) -> None:
-    """List the instructions in execution order. One with an inner scope appears before that scope with False, and again after it
-    with True."""
+    """Append the instructions to `order` in execution order.
+
+    An instruction with an inner scope appears before that scope with False, and again after it with True."""
     for instruction in scope.code:
         order.append((instruction, False))
         if instruction.inner is not None:
@@ -292,9 +305,10 @@ def _flatten(scope: RowScope, order: list[tuple[BlockInstruction, bool]]) -> Non
 
 
 def bind_calls(compiler: BlockCompiler, maker: Callable[[BlockInstruction, BlockCompiler], SlotFunctionMaker]) -> None:
-    """Assign each elementwise result an output array, reused after its last use, and make the calls.
+    """Assign an output array to each elementwise result, reused after its last use, and make the calls.
 
-    Linear scan over the execution order (M. Poletto and V. Sarkar, TOPLAS 21(5), 1999, p. 895); no region runs twice."""
+    This is a linear scan over the execution order (M. Poletto and V. Sarkar, TOPLAS 21(5), 1999, p. 895). No region runs
+    twice."""
     order: list[tuple[BlockInstruction, bool]] = []
     _flatten(compiler.root, order)
     last: dict[int, int] = {}

@@ -1,4 +1,4 @@
-"""Times the calls of a compiled block: each alone, without what it runs inside it."""
+"""Times the calls of a compiled block. The time of a call excludes the calls inside it."""
 
 from __future__ import annotations
 
@@ -16,8 +16,10 @@ from antdsl.runtime.backends.compile import (
 
 
 class MeteredBlock:
-    """A block with calls that are timed until `end`. `seconds` has a number for each of `instructions`: of a thread's time,
-    reduced where threads run in parallel, so that their sum does not exceed the elapsed time."""
+    """A block with calls that are timed until `stop`.
+
+    `seconds`: the time of each of `instructions`. Where threads run in parallel, times are scaled so that their sum does not
+        exceed the elapsed time."""
 
     def __init__(self, compiler: BlockCompiler) -> None:
         self.instructions: list[BlockInstruction] = []
@@ -31,22 +33,22 @@ class MeteredBlock:
         self.reset()
 
     def reset(self) -> None:
-        """Count from nothing again."""
+        """Set all counters to 0."""
         self.seconds = [0.0] * len(self.instructions)
 
     def new_lane(self) -> list[float]:
-        """Return the counters of one chunk; the last number is the time of all calls inside the current one."""
+        """Return new counters for one chunk. The last number is the time of all calls inside the current one."""
         return [0.0] * (len(self.instructions) + 1)
 
     def add_lanes(self, lanes: list[list[float]], passed: float) -> None:
-        """Add the counters of the chunks in a run of the block that took `passed` seconds."""
+        """Add the counters of all chunks of one run of the block. `passed`: the elapsed time (s) of the run."""
         share = min(1.0, passed / max(sum(lane[-1] for lane in lanes), 1e-12))
         for lane in lanes:
             for k, seconds in enumerate(lane[:-1]):
                 self.seconds[k] += seconds * share
 
     def stop(self) -> None:
-        """The block's own calls again."""
+        """Restore the block's original calls."""
         for scope, calls in self._plain:
             scope.calls = calls
 

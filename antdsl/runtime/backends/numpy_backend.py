@@ -1,4 +1,4 @@
-"""The NumPy backend: structure of arrays, one pass over all agents per operation, in chunks of rows and perhaps in threads."""
+"""The NumPy backend: structure of arrays, one pass over all agents per operation, in chunks of rows and possibly in threads."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ StoredSenses = dict[ir.PlanNode, tuple[NDArray[np.bool_], list[NDArray[Any]]]]
 
 
 class NumpyBackend:
-    """Compiled once for a plan; `begin` is called at each step's start, `run` for each block of each species."""
+    """Runs a plan that is compiled once. Call `begin` at the start of each step, and `run` for each block of each species."""
 
     spare = 0  # rows behind the last one that arrays over a species have
 
@@ -74,12 +74,12 @@ class NumpyBackend:
 
     @property
     def blocks(self) -> Mapping[tuple[str, str], BlockCompiler]:
-        """The instructions of each block, by species and block."""
+        """Return the instructions of each block, by species and block."""
         return self._blocks
 
     @property
     def by(self) -> str:
-        """Return the name of what runs the blocks of this step, for the user."""
+        """Return the name of the backend that runs the blocks of this step, for the user."""
         return "NumPy"
 
     def measure(self, on: bool) -> None:
@@ -91,7 +91,7 @@ class NumpyBackend:
         self.metered = {key: MeteredBlock(compiler) for key, compiler in self._blocks.items()} if on else {}
 
     def begin(self, world: World) -> None:
-        """Values of the step, and nothing sensed yet."""
+        """Begin a step: compute its loop-invariant values and clear cached senses."""
         for name, population in world.populations.items():
             self._values[name] = self._step_values(world, name)
             n = len(population) + self.spare
@@ -205,7 +205,7 @@ class NumpyBackend:
 
 
 def constant_values(nodes: Iterable[ir.PlanNode]) -> dict[ir.PlanNode, Any]:
-    """Return the values that are constant over all steps; operands come first in `nodes`."""
+    """Return the values that are constant over all steps. In `nodes`, operands come before the nodes that use them."""
     values: dict[ir.PlanNode, Any] = {}
     with np.errstate(all="ignore"):
         for node in nodes:
@@ -215,8 +215,9 @@ def constant_values(nodes: Iterable[ir.PlanNode]) -> dict[ir.PlanNode, Any]:
 
 
 def uniform_values(world: World, nodes: list[ir.PlanNode], known: dict[ir.PlanNode, Any] | None = None) -> dict[ir.PlanNode, Any]:
-    """Return values that are equal for all agents, as NumPy scalars, together with those in `known`. Returns `known` itself if
-    `nodes` is empty. In `nodes`, operands come before the nodes that use them."""
+    """Return the values that are equal for all agents, as NumPy scalars, together with those in `known`.
+
+    `nodes`: operands come before the nodes that use them. If it is empty, `known` itself is returned."""
     if known is not None and not nodes:
         return known
     values = dict(known or {})

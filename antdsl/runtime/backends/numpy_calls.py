@@ -1,6 +1,7 @@
-"""The calls of compiled blocks: each function returns a maker of closures over the slots of one run.
+"""Function calls for the instructions of compiled blocks. Each function here returns a maker of closures over the slots of one
+run.
 
-`v` is the list of slots. Its first ones hold the world, the population, the effects, the buffers and the cached senses."""
+`v` is the list of slots. The first slots hold the world, the population, the effects, the buffers and the cached senses."""
 
 from __future__ import annotations
 
@@ -33,7 +34,7 @@ from antdsl.runtime.sensing import SENSE_FUNCTIONS
 
 
 def call(instruction: BlockInstruction, compiler: BlockCompiler) -> SlotFunctionMaker:
-    """What makes the call of an instruction."""
+    """Return the maker of an instruction's call."""
     scope, what = instruction.scope, instruction.what
     if not isinstance(what, ir.PlanNode):
         return statement(instruction) if instruction.inner is None else region(scope, instruction.inner)
@@ -78,7 +79,7 @@ def descend(v: SlotValues, scope: RowScope, inner: RowScope, picked: NDArray[np.
 
 
 def region(scope: RowScope, inner: RowScope) -> SlotFunctionMaker:
-    """`If`: the rows for which a condition holds."""
+    """Return the call of an `If`: it runs the inner scope for the rows for which the condition holds."""
 
     def make(out: int, inputs: tuple[int, ...], buffer: int | None) -> SlotFunction:
         (a,) = inputs
@@ -99,7 +100,7 @@ def region(scope: RowScope, inner: RowScope) -> SlotFunctionMaker:
 
 
 def gather(scope: RowScope, several: bool) -> SlotFunctionMaker:
-    """A value of the scope around, for the rows of this one."""
+    """Return the call that takes a value of the enclosing scope for the rows of this scope."""
     picked = scope.picked
 
     def make(out: int, inputs: tuple[int, ...], buffer: int | None) -> SlotFunction:
@@ -120,7 +121,7 @@ def gather(scope: RowScope, several: bool) -> SlotFunctionMaker:
 
 
 def keep(node: ir.PlanNode, scope: RowScope, inner: RowScope, result: int) -> SlotFunctionMaker:
-    """Return a sense that is cached for the step: computed only for rows that have no value yet."""
+    """Return the call for a sense that is cached for the step. It is computed only for rows without a value."""
 
     def make(out: int, inputs: tuple[int, ...], buffer: int | None) -> SlotFunction:
         def run(v: SlotValues) -> None:
@@ -141,7 +142,7 @@ def keep(node: ir.PlanNode, scope: RowScope, inner: RowScope, result: int) -> Sl
 
 
 def elementwise(node: ir.PlanNode) -> SlotFunctionMaker | None:
-    """A maker for an operation of the elementwise table, or None."""
+    """Return the maker for an operation of the elementwise table, or None for other nodes."""
     f = FUNCTION_BY_NAME.get(node.op)
     if f is None:
         return None
@@ -178,7 +179,7 @@ def elementwise(node: ir.PlanNode) -> SlotFunctionMaker | None:
 
 
 def leaf(node: ir.PlanNode, compiler: BlockCompiler, scope: RowScope) -> SlotFunctionMaker:
-    """Registers, draws, tuples and senses."""
+    """Return the call for a register, draw, tuple or sense."""
     rows = scope.rows
     if node.op == "get":
         index = node.attrs[0]
@@ -209,7 +210,7 @@ def leaf(node: ir.PlanNode, compiler: BlockCompiler, scope: RowScope) -> SlotFun
 
 
 def _draw(node: ir.PlanNode, compiler: BlockCompiler, scope: RowScope) -> SlotFunctionMaker:
-    """Four draws of one site come from one run of the generator."""
+    """Return the call for a random draw. Four draws of one site come from one run of the generator."""
     site, index = node.attrs
     key = (site, index >> 2)
     fresh = key not in scope.draws
@@ -229,8 +230,9 @@ def _draw(node: ir.PlanNode, compiler: BlockCompiler, scope: RowScope) -> SlotFu
 
 
 def pairs(node: ir.PlanNode, compiler: BlockCompiler, scope: RowScope) -> SlotFunctionMaker:
-    """Return the pairs of a set. A set that several regions use is cached for the step after it was computed for a whole
-    chunk."""
+    """Return the call for the pairs of a set.
+
+    A set that several regions use is cached for the step after it was computed for a complete chunk."""
     shared, root, rows = compiler.sets, compiler.root.rows, scope.rows
 
     def make(out: int, inputs: tuple[int, ...], buffer: int | None) -> SlotFunction:
@@ -250,7 +252,7 @@ def pairs(node: ir.PlanNode, compiler: BlockCompiler, scope: RowScope) -> SlotFu
 
 
 def spread(out: int, inputs: tuple[int, ...], buffer: int | None) -> SlotFunction:
-    """An agent's own value for each of its pairs."""
+    """Return the call that repeats an agent's value for each of its pairs."""
     value, pair = inputs
 
     def run(v: SlotValues) -> None:
@@ -260,8 +262,9 @@ def spread(out: int, inputs: tuple[int, ...], buffer: int | None) -> SlotFunctio
 
 
 def pair_leaf(node: ir.PlanNode, scope: RowScope) -> SlotFunctionMaker:
-    """Return a value of the other agent of a pair, or one that depends on it. A sense is evaluated at the position of the asking
-    agent."""
+    """Return the call for a value of the other agent of a pair, or a value that depends on that agent.
+
+    A sense is evaluated at the position of the requesting agent."""
     sense, rows = SENSE_FUNCTIONS.get(node.op), scope.rows
 
     def make(out: int, inputs: tuple[int, ...], buffer: int | None) -> SlotFunction:

@@ -1,4 +1,4 @@
-"""The calls that statements become in compiled blocks: what is stored, and what is requested from the rest of the world."""
+"""Function calls for the statements of compiled blocks: what is stored, and what is requested from other parts of the world."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def _row_values(v: SlotValues, scope: RowScope, value: Any) -> NDArray[Any]:
 
 
 def is_storable(value: NDArray[Any], infinite: bool) -> NDArray[np.bool_]:
-    """Return which values may be stored."""
+    """Return which values may be stored: finite ones and, with `infinite`, also +inf."""
     good: NDArray[np.bool_] = np.isfinite(value)
     return good | (value == np.inf) if infinite else good
 
@@ -73,7 +73,8 @@ def _store(statement: ir.Store, block: str, scope: RowScope) -> SlotFunctionMake
 def _finite_amounts(
     v: SlotValues, scope: RowScope, block: str, what: str, span: Any, value: Any
 ) -> tuple[NDArray[np.intp], NDArray[Any], Any]:
-    """Return the rows and values that are finite, and the mask of these rows within the scope. Records a fault for all others."""
+    """Return the rows with finite values, these values, and the mask of these rows within the scope. Record a fault for all
+    others."""
     rows, value = row_numbers(v[scope.rows]), _row_values(v, scope, value)
     good = np.isfinite(value)
     if good.all():
@@ -129,7 +130,7 @@ def _give(statement: ir.Give, block: str, scope: RowScope) -> SlotFunctionMaker:
 
 
 def _request(statement: ir.Request, block: str, scope: RowScope, order: int) -> SlotFunctionMaker:
-    """Return the call for a request to the rest of the world, by row. A row with a value that is not finite is at fault."""
+    """Return the call for a request to other parts of the world, by row. A value that is not finite is a fault."""
     row = effects.EFFECT_BY_OPERATION[statement.op]
     refused = row.refused.format(of=statement.of)
 
@@ -159,7 +160,7 @@ def _request(statement: ir.Request, block: str, scope: RowScope, order: int) -> 
 
 
 def statement(instruction: BlockInstruction) -> SlotFunctionMaker:
-    """The maker of any statement but `If`."""
+    """Return the maker for any statement except `If`."""
     what, block, scope, order = instruction.what, instruction.block, instruction.scope, instruction.order
     match what:
         case ir.Store():

@@ -1,6 +1,6 @@
-"""The reference backend: one agent at a time in plain Python, one operation at a time. It is slow; it defines what a plan means.
+"""The reference backend: plain Python, one agent and one operation at a time. It is slow, and it defines the meaning of plans.
 
-Neighbours are found by measuring the distance to all agents. Only geometry (rays, fields, curves) uses the same engines as the
+Neighbours are found by measuring the distance to all agents. Only geometry (rays, fields, curves) uses the same code as the
 other backends."""
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ STEP_BLOCKS = ("decide", "act", "blend")
 
 
 class ReferenceBackend:
-    """The same doors as the NumPy backend."""
+    """Runs a plan with the interface of the NumPy backend."""
 
     def __init__(self, plan: ir.Plan) -> None:
         self._orders = {name: statement_numbers(species) for name, species in plan.species.items()}
@@ -54,7 +54,7 @@ class ReferenceBackend:
 
 
 class NodeFault(Exception):
-    """Raised when the faulty value is reached; holds the agent's run."""
+    """The node with the faulty value was reached. Raised to end the repeated run of an agent."""
 
     def __init__(self, node: ir.PlanNode) -> None:
         super().__init__()
@@ -62,7 +62,7 @@ class NodeFault(Exception):
 
 
 class AgentRun:
-    """One agent during one block. `now[name][at]` is its register; all other arrays are indexed by its row."""
+    """The run of one block for one agent. `now[name][at]` is the agent's register; all other arrays are indexed by its row."""
 
     def __init__(
         self,
@@ -81,7 +81,7 @@ class AgentRun:
         self.watch: Callable[[str, Span | None, ir.PlanNode], None] | None = None
 
     def run(self, block: str, plan: ir.SpeciesPlan | None = None) -> None:
-        """Run a block, or that of another plan of the same species."""
+        """Run a block of the species, or of another plan of the same species."""
         tree: ir.Block = getattr(plan or self.population.plan, block)
         self.block, self.values, self.early = block, {}, _early(tree)
         self._block(tree, ())
@@ -99,7 +99,7 @@ class AgentRun:
                 getattr(self, "_" + type(statement).__name__.lower())(statement)
 
     def _finite(self, node: ir.PlanNode, what: str, span: Span | None, infinite: bool = False) -> Any:
-        """Return a value that may be stored, or None after recording a fault."""
+        """Return a value that may be stored; None after recording a fault if it may not."""
         value = self.value(node)
         if node.kind is not ir.ValueKind.F32 or np.isfinite(value) or (infinite and value == np.inf):
             return value
@@ -144,7 +144,7 @@ class AgentRun:
     # --- values --------------------------------------------------------------------------------------------------------
 
     def value(self, node: ir.PlanNode) -> Any:
-        """A node's value for this agent; each is computed once."""
+        """Return a node's value for this agent. Each node is computed once."""
         pending = [node]
         while pending:
             top = pending[-1]
@@ -210,7 +210,7 @@ class AgentRun:
         return [m for m in measured if (m[1] * hx + m[2] * hy) + m[3] * hz >= args[1] * m[4]]
 
     def _pair(self, chosen: ir.PlanNode, member: SetMember, roots: list[ir.PlanNode]) -> list[Any]:
-        """Values of some nodes for one other."""
+        """Return the values of the nodes `roots` for one other agent or item."""
         pair_values: dict[ir.PlanNode, Any] = {}
         for node in _pair_nodes(tuple(roots)):
             args = [pair_values[a] if a in pair_values else self.values[a] for a in node.args]
@@ -243,13 +243,13 @@ def _early(block: ir.Block) -> dict[tuple[int, ...], list[ir.PlanNode]]:
 
 @cache
 def _pair_nodes(roots: tuple[ir.PlanNode, ...]) -> tuple[ir.PlanNode, ...]:
-    """Return the nodes with pair rate below `roots`, operands first."""
+    """Return the nodes at or below `roots` that have one value per pair, operands first."""
     return tuple(n for n in required_nodes(roots) if n.rate == ir.UpdateRate.PAIR)
 
 
 @cache
 def _operands(node: ir.PlanNode) -> tuple[ir.PlanNode, ...]:
-    """Return the agent's values that a node needs, through sets and their bodies down to the agent's own values."""
+    """Return the agent's own values that a node needs. Sets and their bodies are searched down to such values."""
     operands: list[ir.PlanNode] = []
     pending = list(node.args)
     while pending:
@@ -262,7 +262,7 @@ def _operands(node: ir.PlanNode) -> tuple[ir.PlanNode, ...]:
 
 
 def _measure_members(positions: list[Any], own: list[Any]) -> list[SetMember]:
-    """Return the row, offset and distance of every agent from one position."""
+    """Return the row, offset (mm) and distance (mm) of every agent from one position."""
     dx, dy, dz = (theirs - mine for theirs, mine in zip(positions, own, strict=True))
     distance = np.sqrt((dx * dx + dy * dy) + dz * dz)
     return [(k, dx[k], dy[k], dz[k], distance[k]) for k in range(len(distance))]
@@ -324,8 +324,9 @@ _REDUCTION_FUNCTIONS: dict[str, Callable[[AgentRun, ir.PlanNode, ir.PlanNode, Me
 def fault_operands(
     world: World, population: Population, row: int, block: str, what: str, span: Span | None
 ) -> tuple[tuple[str, str], ...]:
-    """Run one agent's step again without effects, up to a rejected value. Return text and value of the operands that made it not
-    finite."""
+    """Run one agent's step again, without effects, up to a rejected value.
+
+    Return the text and value of the operands of the operation that made the value not finite."""
     now = {name: population.start[name][row : row + 1].copy() for name in population.now}
     for name, register in population.plan.registers.items():
         if register.role == "temp":
@@ -349,7 +350,7 @@ def fault_operands(
 
 
 def apply_claims(agent: AgentRun, population: Population) -> None:
-    """Set an agent that runs again to the settled results of its claims."""
+    """Set the claims of an agent that runs again to their settled results."""
     for claim in agent.effects.claims:
         won = bool(population.now[claim.statement.won][agent.row])
         agent.now[claim.statement.won][0] = won

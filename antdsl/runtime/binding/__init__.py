@@ -1,6 +1,6 @@
-"""A plan and a setting become a world at its first frame.
+"""Makes a world at its first frame from a plan and a setting.
 
-`bind_world` is the order: meshes become ground and ray scenes, things and curves are taken over, `fields` and `flows` get their
-cells and points, agents are placed (`placing`, by places that `start_places` draws and `spacing` keeps apart, over the areas of
-`surface_area`), registers get their values of birth. `reuse` keeps what was made of
-meshes for the next world. Nothing here runs during a step."""
+`bind_world` calls the other modules in order. It makes the ground and ray scenes from meshes, and adds things and curves.
+    `bind_fields` and `bind_flows` make cells of fields and points of flows. `placing` places agents, at positions that
+    `start_places` draws, `surface_area` spreads over surfaces, and `spacing` keeps clear of each other. Registers then get
+    their birth values. `reuse` caches data made from meshes for the next world. Nothing here runs during a step."""

@@ -1,4 +1,4 @@
-"""Fields of the plan over the surfaces of the setting: cells, starting values, and the factors of a step."""
+"""Makes the fields of the plan over the surfaces of the setting: cells, start values, and the rates of a step."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 def bind_fields(
     world: World, meshes: dict[str, MeshData], value: Callable[[World, ir.PlanNode], float], report: Report, built: BindingCache
 ) -> None:
-    """Make all fields of the plan; errors go into the report."""
+    """Make all fields of the plan; write errors to the report."""
     cells: dict[tuple[tuple[str, ...], float], SurfaceCells] = {}
     for plan in world.plan.fields.values():
         size = value(world, plan.cell)
@@ -59,7 +59,7 @@ def bind_fields(
 def _check_settings(
     plan: ir.FieldPlan, size: float, keep: float, diffuse: float, limit: float, dt: float, report: Report
 ) -> bool:
-    """Return whether the settings are valid; report errors if not."""
+    """Return whether the settings of a field are valid; write errors to the report."""
     if not (np.isfinite(size) and size > 0):
         report.error("field-setting", f"field `{plan.name}` has no cell size", plan.span, "write `cell 4 mm`")
         return False

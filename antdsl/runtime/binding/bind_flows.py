@@ -1,4 +1,4 @@
-"""Flows and maps of a setting over the ground: sample points that are close enough to each other, and the values there."""
+"""Makes flows and maps of a setting over the ground: sample points at the required resolution, and the values at these points."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ _RAY_HEIGHT_PER_EDGE = 0.25  # of an edge: how high over the ground obstacles ar
 
 
 def bind_flows(world: World, report: Report, built: BindingCache) -> None:
-    """Bind all maps and flows of the setting that the plan knows. Those that never change are stored in `built`."""
+    """Bind all maps and flows of the setting that the plan uses. Flows that never change are cached in `built`."""
     setting = world.setting
     for name, painted in setting.maps.items():
         world.maps[name] = PaintedMap(_corners(world, painted)[:, :, 0])
@@ -54,7 +54,7 @@ def _cached_flow(world: World, name: str, flow: FlowData) -> SurfaceFlow | None:
 
 
 def bind_flow(world: World, name: str, flow: FlowData, report: Report) -> None:
-    """Bind one flow, under its name in the world; errors go into the report."""
+    """Bind one flow under its name in the world; write errors to the report."""
     try:
         world.flows[name] = bound_flow = _make_flow(world, flow)
         if not isinstance(flow, PaintedValues) and _may_change(world, flow):
@@ -80,7 +80,7 @@ def _make_flow(world: World, flow: FlowData) -> SurfaceFlow:
 
 
 def _may_change(world: World, flow: SpreadFlow | BorderFlow | SolvedFlow) -> bool:
-    """Return whether any input of a flow moves: surfaces, its target, obstacles on the path."""
+    """Return whether any input of a flow moves: surfaces, its target, or obstacles for paths."""
     moves = world.setting.moves
     moving = [name for name in moves.meshes if name in world.setting.surfaces or isinstance(flow, SolvedFlow)]
     dug = bool(world.solids) and isinstance(flow, SolvedFlow)
@@ -88,7 +88,7 @@ def _may_change(world: World, flow: SpreadFlow | BorderFlow | SolvedFlow) -> boo
 
 
 def _renew_flow(world: World, bound_flow: SurfaceFlow, flow: SpreadFlow | BorderFlow | SolvedFlow) -> None:
-    """Replace a flow's values by its current ones."""
+    """Replace a flow's values by those for the current positions of its inputs."""
     if isinstance(flow, SolvedFlow):
         assert isinstance(bound_flow, PathFlow) and bound_flow.grounds is not None
         bound_flow.grounds = _grounds(world, bound_flow.lattice, bound_flow.grounds.faces, bound_flow.grounds.point)
@@ -100,7 +100,7 @@ def _renew_flow(world: World, bound_flow: SurfaceFlow, flow: SpreadFlow | Border
 
 
 def _ground_meshes(world: World) -> MeshSurfaces:
-    """The part of the ground with faces, on which flows lie."""
+    """Return the part of the ground that consists of meshes, on which flows lie."""
     meshes = world.ground.meshes
     assert meshes is not None
     return meshes
@@ -110,7 +110,7 @@ def _ground_meshes(world: World) -> MeshSurfaces:
 
 
 def _corners(world: World, painted: PaintedValues) -> Floats:
-    """Painted values in the corners of all faces of the ground, (3, faces, width); 0 on other surfaces."""
+    """Return painted values at the corners of all faces of the ground, (3, faces, width); 0 on unpainted surfaces."""
     _, faces, mesh, _ = _ground_meshes(world).triangles
     own = np.flatnonzero(mesh == world.surface_index[painted.surface])
     values = painted.values.reshape(len(painted.values), -1)
@@ -133,7 +133,7 @@ def _painted_flow(world: World, painted: PaintedValues) -> SurfaceFlow:
 
 
 def _chosen_faces(world: World, on: tuple[str, ...]) -> Flags:
-    """Return the faces of the flow's surfaces, without faces of area 0."""
+    """Return which faces belong to the flow's surfaces, without faces of area 0."""
     _, _, mesh, table = _ground_meshes(world).triangles
     mesh_numbers = [world.surface_index[name] for name in on] or list(world.surface_index.values())
     chosen: Flags = table.live & np.isin(mesh, mesh_numbers)
@@ -141,7 +141,7 @@ def _chosen_faces(world: World, on: tuple[str, ...]) -> Flags:
 
 
 def _longest_edges(world: World) -> tuple[Floats, Floats]:
-    """The longest edge and the middle (n, 3) of each face."""
+    """Return the longest edge (mm) and the middle (n, 3) of each face."""
     vertices, faces, _, _ = _ground_meshes(world).triangles
     corners = vertices[faces]
     edges = np.stack([corners[:, (k + 1) % 3] - corners[:, k] for k in range(3)])
@@ -149,12 +149,12 @@ def _longest_edges(world: World) -> tuple[Floats, Floats]:
 
 
 def _lattice(world: World, chosen: Flags, flow: SpreadFlow | BorderFlow | SolvedFlow) -> FaceLattice:
-    """Return a lattice with the flow's resolution on the chosen faces. Raises LatticeTooFine if its cell is too small."""
+    """Return a lattice with the flow's resolution on the chosen faces. Raises LatticeTooFine if the flow's cell is too small."""
     return FaceLattice.of(edge_pieces(flow, np.where(chosen, _longest_edges(world)[0], 0.0), _ground_meshes(world).extent))
 
 
 def _locate_slots(world: World, lattice: FaceLattice) -> tuple[Index, Floats]:
-    """The face and the place (n, 3) of each slot."""
+    """Return the face and the position (n, 3) mm of each slot."""
     table = _ground_meshes(world).triangles[3]
     face = lattice.faces()
     b1, b2 = lattice.weights()
@@ -171,7 +171,7 @@ def _flow_from_vectors(
 
 
 def _locate_target(world: World, target: FlowTarget) -> FlowTarget:
-    """Return a target at the world's frame, relative to the world's origin."""
+    """Return a target at the current frame, relative to the world's origin."""
     moves = world.setting.moves
     tracks = (moves.curves if target.line else moves.items).get(target.of)
     positions = target.positions if tracks is None else moves.points(tracks, world.frame)
@@ -251,7 +251,7 @@ def _solved_flow(world: World, flow: SolvedFlow) -> SurfaceFlow:
     looked = [_solid_remainders(world)]
 
     def due(now: World) -> bool:
-        """Return whether a new solution is due and there is something to compute."""
+        """Return whether a new solution is due and has changed inputs."""
         if (now.frame - now.setting.first_frame) % every:
             return False
         previous_state, looked[0] = looked[0], _solid_remainders(now)
@@ -269,13 +269,14 @@ def _solved_flow(world: World, flow: SolvedFlow) -> SurfaceFlow:
 
 
 def _solid_remainders(world: World) -> list[int]:
-    """Return a counter for each solid, which changes when it is dug."""
+    """Return a number for each solid that changes when the solid is dug."""
     return [volume.bricks.steps for volume in world.solids.values()]
 
 
 def _grounds(world: World, lattice: FaceLattice, chosen: Flags, point: Index | None = None) -> CrossableGround:
-    """Return the lattice as land: points merged across faces (`point`, if known), triangles that no obstacle cuts and no undug
-    solid buries, and links between surfaces."""
+    """Return the surface for paths on a lattice: points merged across faces, open triangles, and links between surfaces.
+
+    Triangles are open if no obstacle cuts them and no undug solid buries them. `point`: the point of each slot, if known."""
     _, _, mesh, table = _ground_meshes(world).triangles
     face, place = _locate_slots(world, lattice)
     if point is None:
@@ -299,7 +300,7 @@ def _grounds(world: World, lattice: FaceLattice, chosen: Flags, point: Index | N
 
 
 def _blocked_triangles(world: World, triangles: Index, points: Floats, normal: Floats) -> Flags:
-    """Return the triangles with a side that hits an obstacle, tested slightly above the ground."""
+    """Return the triangles with an edge that hits an obstacle, tested slightly above the ground."""
     cut = np.zeros(len(triangles), bool)
     for name in world.plan.obstacles:
         if name not in world.obstacles:
@@ -315,7 +316,8 @@ def _blocked_triangles(world: World, triangles: Index, points: Floats, normal: F
 
 
 def _links(points: Floats, of: NDArray[np.int32], used: Index, areas: Floats) -> Index:
-    """Pairs of points of different surfaces, each with the nearest of the other where that is within about a triangle's side."""
+    """Return pairs of points of different surfaces. Each is paired with the nearest point of the other surface within about
+    one triangle's edge."""
     from scipy.spatial import cKDTree
 
     surfaces = np.unique(of[used])
@@ -331,8 +333,10 @@ def _links(points: Floats, of: NDArray[np.int32], used: Index, areas: Floats) ->
 
 
 def _goal(world: World, flow: SolvedFlow, grounds: CrossableGround) -> tuple[Index, Floats, float]:
-    """Return the points at the target and their remaining distances: all points within its radius, and those next to each of its
-    places. Also, return the distance of the nearest of these places from all points, minus its radius."""
+    """Return the points at the target, their remaining distances, and the distance (mm) of the target from the ground.
+
+    The points at the target are all points within its radius, and the nearest points to each of its positions. The last result
+    is the least distance of a position from all points, minus the radius."""
     from scipy.spatial import cKDTree
 
     land = grounds.land
@@ -360,7 +364,7 @@ def _goal(world: World, flow: SolvedFlow, grounds: CrossableGround) -> tuple[Ind
 
 
 def _cost(world: World, flow: SolvedFlow, grounds: CrossableGround) -> Floats:
-    """Return the cost of a mm within each triangle, without any agents."""
+    """Return the path cost per mm within each triangle, without agents."""
     land = grounds.land
     _, owner = grounds.lattice.triangles()
     normal = _ground_meshes(world).triangles[3].normal.T[owner]

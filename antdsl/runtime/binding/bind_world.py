@@ -1,4 +1,5 @@
-"""Binds a plan to a setting: meshes become ground and ray scenes, items and crowds arrays. Gives the world at its first frame."""
+"""Binds a plan to a setting: meshes become ground and ray scenes; items and crowds become arrays. The result is a world at its
+first frame."""
 
 from __future__ import annotations
 
@@ -36,7 +37,7 @@ from antdsl.scene.setting import FlowData, MeshData, WorldSetting, world_origin
 
 
 class BindError(ValueError):
-    """Plan and setting do not match; `report` says where and why."""
+    """Plan and setting do not match; `report` lists the findings."""
 
     def __init__(self, report: Report) -> None:
         super().__init__("; ".join(d.message for d in report.errors))
@@ -45,10 +46,10 @@ class BindError(ValueError):
 
 @standard_floats()
 def bind(plan: ir.Plan, setting: WorldSetting, options: Options | None = None, *, built: BindingCache | None = None) -> World:
-    """Return the world at `setting.first_frame`, with all agents born and none moved. `plan` has been optimised and verified.
-    `built` stores data made from meshes for other worlds.
+    """Return the world at `setting.first_frame`, with all agents born and none moved.
 
-    Raises BindError with a report if plan and setting do not match."""
+    `plan`: an optimised and verified plan. `built`: a cache for data made from meshes, for use in other worlds. Raises
+        BindError with a report if plan and setting do not match."""
     world = bind_empty(plan, setting, options, built=built)
     stages.begin("placing agents")
     with np.errstate(all="ignore"):
@@ -67,8 +68,9 @@ def bind_empty(
     built: BindingCache | None = None,
     origin: NDArray[np.float64] | None = None,
 ) -> World:
-    """Return a world as `bind` does, but without agents. `origin`: an existing origin that positions are relative to. Raises
-    NoMachineCode if no kernel can run."""
+    """Return a world as `bind` does, but without agents.
+
+    `origin` (mm): an existing origin that positions are relative to. Raises MachineCodeUnavailable if no kernel can run."""
     machine.require()
     options, built = options or Options(), built or BindingCache()
     origin = world_origin(setting) if origin is None else origin
@@ -110,7 +112,7 @@ def bind_empty(
 
 
 def set_param(world: World, name: str, value: float) -> None:
-    """Change a param (base units) from the next step on, without compilation."""
+    """Change a param from the next step on, without compilation. `value` is in base units."""
     if name not in world.plan.params:
         raise KeyError(name)
     world.params[name] = np.float32(value)
@@ -121,7 +123,7 @@ def _moved_mesh(mesh: MeshData, origin: NDArray[np.float64]) -> MeshData:
 
 
 def _solids(setting: WorldSetting, origin: NDArray[np.float64], built: BindingCache) -> dict[str, Volume]:
-    """Return a volume for each solid. Raises BindError if its mesh is unsuitable."""
+    """Return a volume for each solid. Raises BindError if the mesh of a solid is unsuitable."""
     if not setting.solids:
         return {}
     volumes: dict[str, Volume] = {}
@@ -162,7 +164,7 @@ def _ground(
 
 
 def _meshes(meshes: dict[str, MeshData], moving: Iterable[str], by_rays: bool, built: BindingCache) -> MeshGround | None:
-    """Return the part of the ground that consists of meshes, or None."""
+    """Return the part of the ground that consists of meshes, or None if there are none."""
     surfaces = {name: (mesh.vertices, mesh.faces) for name, mesh in meshes.items()}
     moved = [name for name in moving if name in surfaces]
     if moved:
@@ -174,7 +176,7 @@ def _meshes(meshes: dict[str, MeshData], moving: Iterable[str], by_rays: bool, b
 
 
 def _make_ray_scenes(meshes: dict[str, MeshData], solids: dict[str, Volume], built: BindingCache) -> dict[str, Obstacle]:
-    """Return the targets of raycasts: meshes, and solids in their current state."""
+    """Return the targets of raycasts, by name: meshes, and solids in their current state."""
     if not meshes and not solids:
         return {}
     scenes: dict[str, Obstacle] = {
@@ -203,7 +205,7 @@ def _params(world: World) -> None:
 
 
 def run_value(world: World, node: ir.PlanNode) -> float:
-    """Return the value of a node that is constant for the whole run."""
+    """Return the value of a node that is constant during a run."""
     return float(uniform_values(world, required_nodes((node,)))[node])
 
 

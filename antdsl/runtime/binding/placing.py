@@ -1,5 +1,6 @@
-"""Start positions of agents: on the ground or inside things, outside obstacles and clear of each other. A position depends on the
-seed, the agent's species and id, and the agents before it. Adding agents moves no other agent."""
+"""Start positions of agents: on the ground or inside things, outside obstacles and clear of each other.
+
+A position depends on the seed, the agent's species and id, and the agents placed before. Adding agents moves no other agent."""
 
 from __future__ import annotations
 
@@ -28,7 +29,7 @@ _MIN_NORMAL_SINE = 1e-3  # sine of the angle to the ground's normal below which 
 
 
 def populate(world: World) -> None:
-    """Put all crowds into the world; ids in the order of the scene's lines."""
+    """Add all crowds to the world, with ids in the order of the scene's crowd lines."""
     counted: dict[str, int] = {}
     joining: list[tuple[CrowdData, NDArray[np.int64]]] = []
     for crowd in world.setting.crowds:
@@ -47,11 +48,11 @@ def populate(world: World) -> None:
 
 
 def place_joining(world: World, joining: Sequence[tuple[CrowdData, NDArray[np.int64]]]) -> dict[str, NDArray[np.intp]]:
-    """Add agents of crowd lines and return their rows, by species. They are placed as the scene says, clear of each other and of
-    existing agents. Only their positions are filled in.
+    """Add agents of crowd lines and return their rows, by species. Only their positions are set.
 
-    Given points come first and are used unchanged. Then each line keeps clear of those before it. `world.crowded` lists lines
-    that had no space for all agents."""
+    They are placed as the scene says, clear of each other and of existing agents. Positions that the scene gives as points
+    come first and are used unchanged. Then each line keeps clear of earlier lines. `world.crowded` lists the lines that had no
+    space for all agents."""
     joining = [(crowd, ids) for crowd, ids in joining if len(ids)]
     if not joining:
         return {}
@@ -96,8 +97,9 @@ def _place_crowd(world: World, crowd: CrowdData, ids: NDArray[np.int64], drawn: 
 def _radii(
     world: World, joining: Sequence[tuple[CrowdData, NDArray[np.int64]]], starts: Sequence[StartPositionSampler]
 ) -> list[NDArray[np.float64]]:
-    """Return the radius of each line's agents at birth, at the places of their first draw. A radius may depend on anything
-    available at birth, so a temporary world computes it."""
+    """Return the radius (mm) at birth of each line's agents, at the positions of their first draw.
+
+    A radius may depend on anything available at birth, so a temporary world computes it."""
     trial = replace(
         world,
         populations={name: empty_population(p.plan, world.ground) for name, p in world.populations.items()},
@@ -128,8 +130,11 @@ def _spacing_radii(
     starts: Sequence[StartPositionSampler],
     radius: list[NDArray[np.float64]],
 ) -> list[NDArray[np.float64]]:
-    """Return the radii for spacing. If a line declares a distance between its agents, the radius is at least half of it. For an
-    even crowd, discs of that radius cover as much of the place as random placement can fill. All lines with that place count."""
+    """Return the radii (mm) for spacing.
+
+    If a line declares a distance between its agents, the radius is at least half of it. For an even crowd, the radius is large
+    enough that discs cover as much of the place as random placement can fill. All lines with the same place are counted
+    together."""
     radii = []
     for (crowd, _), start, own in zip(joining, starts, radius, strict=True):
         half = crowd.place.spacing / 2
@@ -141,20 +146,21 @@ def _spacing_radii(
 
 
 def _place_key(place: PlaceData) -> tuple[object, ...]:
-    """Return a key that is equal for two lines that begin evenly in one place."""
+    """Return a key that is equal for two lines that start evenly in the same place."""
     return place.on, place.around, place.radius, place.density, place.by_area, place.spacing
 
 
 def _rounding(world: World) -> float:
-    """Return the precision (mm) of positions: float32 counts from the world's origin."""
+    """Return the precision (mm) of positions, which are float32 relative to the world's origin."""
     meshes = world.ground.meshes
     far = 0.0 if meshes is None else float(np.abs([meshes.low, meshes.high]).max(initial=0.0))
     return far * float(np.finfo(np.float32).eps)
 
 
 def begin_agents(world: World, joined: Mapping[str, NDArray[np.intp]]) -> None:
-    """Set stance, values of birth and start speed of new agents; `joined` has their rows by species. Events that they emit at
-    birth are visible in the first step."""
+    """Set stance, birth values and start velocity of new agents. `joined`: their rows, by species.
+
+    Events that they emit at birth are visible in the first step."""
     for name, rows in joined.items():
         _orient_agents(world, world.populations[name], rows)
     initialise_newborn(world, joined)
@@ -183,7 +189,7 @@ def _shuffle(world: World, population: Population) -> None:
 
 
 def give_at_birth(population: Population, rows: NDArray[np.intp], place: PlaceData) -> None:
-    """Write the values at the points of a place into the registers that the block `born` reads, before it runs."""
+    """Write the values that a place gives at its points into registers. The block `born` reads them afterwards."""
     for name, column in place.values.items():
         if (register := ir.birth_register(name)) in population.now:
             point_values = column[population.ids[rows] % len(column)]
@@ -193,7 +199,7 @@ def give_at_birth(population: Population, rows: NDArray[np.intp], place: PlaceDa
 def _point_headings(
     world: World, population: Population, rows: NDArray[np.intp], up: VectorArrays, drawn: VectorArrays
 ) -> VectorArrays:
-    """Return headings: those of the points where agents begin, along the ground; else the drawn ones."""
+    """Return headings: along the ground, as given at the start points, else the drawn ones."""
     heading = drawn
     for crowd in world.setting.crowds:
         if crowd.species != population.name or crowd.place.ahead is None:
@@ -209,7 +215,7 @@ def _point_headings(
 
 
 def _orient_agents(world: World, population: Population, rows: NDArray[np.intp]) -> None:
-    """Set up from the ground, and a heading drawn around it unless the scene gives one; at rest."""
+    """Set up, heading and velocity of agents: up from the ground, a random heading unless the scene gives one, velocity 0."""
     target_up = np.stack([population.now[f"up.{axis}"] for axis in AXES], axis=1).astype(np.float64)
     up = vec.columns(world.ground.upright_normals(population.footing, target_up)[rows], np.float32)
     angle = _draw_uniform(world, population.name, 0, population.ids[rows]) * FULL_TURN
@@ -225,7 +231,8 @@ def _orient_agents(world: World, population: Population, rows: NDArray[np.intp])
 
 
 def _start_moving(world: World, population: Population, rows: NDArray[np.intp]) -> None:
-    """Set a velocity along the heading, a drawn share of full speed (T02), unless the species sets its motion at birth."""
+    """Set the velocity along the heading, at a random share of full speed (T02). Species that set their motion at birth are
+    skipped."""
     if any(isinstance(s, ir.Store) and s.register.startswith("velocity.") for _, s in placed(population.plan.born)):
         return
     speed = population.now["max_speed"][rows] * _draw_uniform(world, population.name, 1, population.ids[rows])

@@ -1,5 +1,6 @@
-"""Data made from meshes, cached for the next world by a digest of its inputs. An edited program rarely comes with other meshes,
-and preparing a ground with its rays and cells takes longer than a step."""
+"""Cached data made from meshes, for the next world, found by a digest of its inputs.
+
+An edited program rarely comes with other meshes. Preparing a ground with its rays and cells takes longer than a step."""
 
 from __future__ import annotations
 
@@ -15,16 +16,19 @@ T = TypeVar("T")
 
 
 class BindingCache:
-    """Grounds, ray scenes, cells, volumes and flows that do not change once they are made. Things that change, such as dug or
-    moving ones, are stored in their initial state and returned as copies."""
+    """Grounds, ray scenes, cells, volumes and flows that do not change after they are made.
+
+    Data that changes, such as for dug or moving things, is stored in its initial state and returned as a copy."""
 
     def __init__(self) -> None:
         self._kept: dict[str, Any] = {}
         self._asked: set[str] = set()
 
     def get_or_make(self, what: str, of: object, make: Callable[[], T], *, copied: Callable[[T], T] | None = None) -> T:
-        """Return the result of `make`, or the cached one for an equal `of` (arrays, numbers, texts and combinations of them). An
-        exception of `make` propagates, and nothing is cached."""
+        """Return the result of `make`, or the cached result for an equal `of`.
+
+        `of`: arrays, numbers, texts and combinations of these. If `make` raises an exception, it propagates and nothing is
+            cached."""
         key = digest((what, of))
         self._asked.add(key)
         if key not in self._kept:
@@ -33,7 +37,7 @@ class BindingCache:
         return product if copied is None else copied(product)
 
     def get_or_make_deep(self, what: str, of: object, make: Callable[[], T]) -> T:
-        """Like `get_or_make`, for values that change in use: returns a deep copy."""
+        """Return a deep copy of the result of `make` or of the cached result. This is for values that change in use."""
         return self.get_or_make(what, of, make, copied=deepcopy)
 
     def drop_unused(self) -> None:
@@ -43,7 +47,7 @@ class BindingCache:
 
 
 def digest(value: object) -> str:
-    """Return a hash of arrays, numbers, texts, mappings, sequences and dataclasses of these, by content."""
+    """Return a hash of a value by its content. It may consist of arrays, numbers, texts, mappings, sequences and dataclasses."""
     hashed = sha256()
     _add_to_digest(hashed.update, value)
     return hashed.hexdigest()

@@ -1,9 +1,11 @@
-"""Separates agents at the start: each takes the first of its random positions where its `radius` touches no earlier agent.
+"""Spaces agents at the start: each takes the first of its random positions at which its `radius` touches no earlier agent.
 
-Method: random sequential addition of discs (dart throwing), in rounds over all agents at once. In a round, each agent without a
-position tries the next ones of its series. If two touch, the later one tries again. An agent's result therefore depends only on
-those before it: more agents move none of them. Random discs of one size cover no more than 54.7 % of a plane and approach that
-ever more slowly. The number of tries is therefore limited (J. Feder, Random sequential adsorption, J. Theor. Biol. 87, 1980)."""
+Method: random sequential addition of discs (dart throwing), in rounds over all agents at once. In a round, each agent without
+a position tries the next positions of its series. If two agents touch, the later one tries again. An agent's result therefore
+depends only on earlier agents, so adding agents moves none of them.
+
+Random discs of one size cover at most 54.7 % of a plane and approach that ever more slowly. The number of tries is therefore
+limited (J. Feder, Random sequential adsorption, J. Theor. Biol. 87, 1980)."""
 
 from __future__ import annotations
 
@@ -34,7 +36,7 @@ _CELLS_PER_BODY = 8  # of those who may overlap already, one in so small a part 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class StartPositionDraws:
-    """Places to start at: footings on the ground, where these are (n, 3), ups (n, 3), and whether an agent may start there."""
+    """Drawn start positions: footings, positions (n, 3) mm, ups (n, 3), and whether an agent may start at each (`good`)."""
 
     footing: Footing
     place: Floats
@@ -42,11 +44,11 @@ class StartPositionDraws:
     good: Flags
 
     def take(self, rows: Rows) -> StartPositionDraws:
-        """Copies of some of them."""
+        """Return copies of the given rows."""
         return StartPositionDraws(self.footing.take(rows), self.place[rows], self.up[rows], self.good[rows])
 
     def put(self, rows: Rows, other: StartPositionDraws) -> None:
-        """Put others into rows."""
+        """Replace the given rows by those of `other`."""
         self.footing.put(rows, other.footing)
         self.place[rows], self.up[rows], self.good[rows] = other.place, other.up, other.good
 
@@ -57,7 +59,7 @@ PositionDrawer = Callable[[NDArray[np.int64], range], StartPositionDraws]
 
 @dataclass(frozen=True, eq=False)
 class _DiscGroup:
-    """Discs of similar size: their positions and numbers."""
+    """Discs of similar size: their positions (mm), their entry numbers, and the largest radius (mm)."""
 
     place: Floats
     entries: Rows
@@ -65,15 +67,17 @@ class _DiscGroup:
 
     @cached_property
     def tree(self) -> Any:
-        """Their places in a tree."""
+        """Return a k-d tree of the positions."""
         from scipy.spatial import cKDTree
 
         return cKDTree(self.place)
 
 
 class Occupancy:
-    """The occupied places, as discs. An entry has a place, a radius and its number in the start order; of two that overlap the
-    later one moves. `rounding` (mm) is the precision of positions."""
+    """The occupied positions, as discs.
+
+    An entry has a position, a radius and its number in the start order. Of two entries that overlap, the later one moves.
+    `rounding`: precision of positions (mm)."""
 
     def __init__(self, rounding: float = 0.0) -> None:
         self._rounding = rounding
@@ -84,13 +88,13 @@ class Occupancy:
         self._groups: list[_DiscGroup] = []
 
     def add_present(self, place: Floats, radius: Floats) -> None:
-        """Add agents that are already present and do not move; they may overlap each other."""
+        """Add agents that are already placed and do not move. They may overlap each other."""
         rows = np.flatnonzero(has_extent(radius))
         rows = rows[_first_per_cell(place[rows], radius[rows], _CELLS_PER_BODY)]
         self.add(place[rows], radius[rows], np.full(len(rows), -1))
 
     def add(self, place: Floats, radius: Floats, order: Rows) -> Rows:
-        """Add discs; return their numbers as entries."""
+        """Add discs; return their entry numbers."""
         first = len(self._order)
         self._place = np.concatenate([self._place, place])
         self._radius = np.concatenate([self._radius, radius])
@@ -104,7 +108,7 @@ class Occupancy:
         self._there[entries] = False
 
     def drop_removed(self) -> None:
-        """Forget what was removed."""
+        """Delete the removed entries from all groups."""
         self._add_group(np.flatnonzero(self._there))
 
     def _add_group(self, entries: Rows) -> None:
@@ -113,9 +117,11 @@ class Occupancy:
         self._groups = [_DiscGroup(self._place[each], each, float(self._radius[each].max())) for each in chosen]
 
     def find_overlaps(self, place: Floats, radius: Floats, order: Rows | None = None) -> tuple[Rows, Rows, Floats]:
-        """Return pairs of given discs and entries that overlap: the numbers of both, and their distance as a share of the
-        distance at contact. With the discs' `order`, only entries before them count. Thousands of smaller entries may be below
-        one disc, so only the one with the most overlap counts."""
+        """Return pairs of a given disc and an entry that overlap: both numbers, and their distance as a share of the distance
+        at contact.
+
+        With `order` (the order numbers of the discs), only earlier entries count. Thousands of smaller entries may lie below
+        one disc, so only the entry with the most overlap is returned."""
         pairs: list[tuple[Rows, Rows, Floats]] = []
         classes = _size_class(radius)
         for size in np.unique(classes):
@@ -139,7 +145,7 @@ class Occupancy:
         return i, entry, share
 
     def _distance_share(self, place: Floats, radius: Floats, entry: Rows) -> Floats:
-        """The distance of discs and entries as a share of that at which they would touch."""
+        """Return the distance between discs and entries, as a share of the distance at contact."""
         displacement = place - self._place[entry]
         square = (
             displacement[..., 0] * displacement[..., 0]
@@ -152,8 +158,9 @@ class Occupancy:
     def _worst_overlap(
         self, place: Floats, radius: Floats, order: Rows, rows: Rows, group: _DiscGroup
     ) -> tuple[Rows, Rows, Floats]:
-        """Return, for each of some discs, the earlier entry of a group with the most overlap. It checks the nearest entries,
-        until none farther away can overlap more."""
+        """Return, for each of the given discs, the earlier entry of a group with the most overlap.
+
+        Nearest entries are checked until no entry farther away can overlap more."""
         entry, least = np.zeros(len(rows), np.intp), np.full(len(rows), np.inf)
         pending_discs, count = np.arange(len(rows)), _FIRST_QUERY_NEIGHBOURS
         while pending_discs.size:
@@ -174,15 +181,16 @@ class Occupancy:
         return rows, entry, least
 
     def freedom(self, place: Floats, radius: Floats, order: Rows) -> Floats:
-        """Return how free the given discs are of all earlier ones (n): 1 is free, 0 is in the centre of another."""
+        """Return how free each given disc is of all earlier entries (n): 1 is free, 0 is at the centre of another."""
         i, _, share = self.find_overlaps(place, radius, order)
         least = np.ones(len(place))
         np.minimum.at(least, i, share)
         return least
 
     def displaced_entries(self, entries: Rows) -> tuple[Rows, Floats]:
-        """Return the entries that must move after the given ones were added (possibly these themselves), and how free their
-        places were."""
+        """Return the entries that must move after the given entries were added, and how free their positions were.
+
+        The given entries may be among the results."""
         i, entry, share = self.find_overlaps(self._place[entries], self._radius[entries])
         own = entries[i]
         loser = np.where(self._order[entry] < self._order[own], own, entry)
@@ -197,7 +205,7 @@ class Occupancy:
 
 
 def has_extent(radius: NDArray[np.floating[Any]]) -> Flags:
-    """Return which radii keep other agents away: those that are above 0 and not NaN."""
+    """Return which radii keep other agents away: those above 0, not NaN."""
     wide: Flags = np.isfinite(radius) & (radius > 0)
     return wide
 
@@ -205,10 +213,10 @@ def has_extent(radius: NDArray[np.floating[Any]]) -> Flags:
 def spread_agents(
     occupancy: Occupancy, draw: PositionDrawer, ids: NDArray[np.int64], radius: Floats, first: int
 ) -> tuple[StartPositionDraws, Flags]:
-    """Return positions for agents in id order, and flags for those with a position where they touch no other. `first`: the first
-    agent's number in the order of all starting agents. The others get the position where they touch earlier agents least.
+    """Return positions for agents in id order, and which agents have a position at which they touch no other.
 
-    Agents with a free position are in the room afterwards; the others are not."""
+    All other agents get the position at which they touch earlier agents least. `first`: the number of the first agent in the
+    order of all starting agents. Agents with a free position are added to `occupancy`, the others are not."""
     chosen: StartPositionDraws | None = None
     fits = np.zeros(len(ids), np.bool_)
     rounds: tuple[int, ...] = _SPACING_ROUNDS[0][1]
@@ -267,7 +275,7 @@ def _batch(
 
 
 def _score(occupancy: Occupancy, drawn: StartPositionDraws, rows: Rows, radius: Floats, wide: Flags, order: Rows) -> Floats:
-    """Return 1 for a free position, less for an occupied one, and -1 for a position where no agent may start."""
+    """Return 1 for a free position, less for an occupied one, and -1 for a position at which no agent may start."""
     score = np.where(drawn.good, 1.0, -1.0)
     good_rows = np.flatnonzero(drawn.good & wide[rows])
     score[good_rows] = occupancy.freedom(drawn.place[good_rows], radius[rows[good_rows]], order[rows[good_rows]])
@@ -280,13 +288,15 @@ def _join_places(one: StartPositionDraws, other: StartPositionDraws) -> StartPos
 
 
 def _size_class(radius: Floats) -> NDArray[np.int64]:
-    """Return a size class; radii in one class differ by less than a factor of 2."""
+    """Return the size class of each radius. Radii in one class differ by less than a factor of 2."""
     return np.frexp(radius)[1].astype(np.int64)
 
 
 def _first_per_cell(place: Floats, radius: Floats, fine: int) -> Rows:
-    """Return the first disc per size class and cell, ascending. A cell is too small for two discs that do not overlap, or `fine`
-    times smaller. Few enough discs remain to count their pairs."""
+    """Return the first disc of each size class in each cell, ascending.
+
+    A cell is too small for two discs that do not overlap, or `fine` times smaller. The remaining discs are few enough to count
+    their pairs."""
     size = _size_class(radius)
     smallest = np.ldexp(0.5, size)  # of the class
     cell = np.floor(place / (2.0 * smallest / (np.sqrt(3.0) * fine))[:, None])

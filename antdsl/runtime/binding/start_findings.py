@@ -1,4 +1,4 @@
-"""Problems with the start of a crowd, found after binding: not enough space for all, or no path to the target of a flow."""
+"""Findings about the start of a crowd after binding: not enough space for all agents, or no path to the target of a flow."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _UNREACHABLE_HELP = (
 
 
 def start_warnings(scene: Scene, world: World) -> Report:
-    """Return warnings about a world's crowd, each with its place in the scene."""
+    """Return warnings about the crowd of a world, each located in the scene."""
     report = crowding_warnings(scene, world)
     for name, flow in world.setting.flows.items():
         if not isinstance(flow, SolvedFlow) or name not in world.flows:
@@ -45,8 +45,9 @@ def start_warnings(scene: Scene, world: World) -> Report:
 
 
 def _excessive_gap(world: World, name: str) -> float:
-    """How far (mm) a target is from the ground, where that is more than a tenth of the ground's extent; else 0. A target is
-    often written with another height than the ground has there, which matters little."""
+    """Return how far (mm) a target is from the ground, if that is more than a tenth of the ground's extent; else 0.
+
+    Targets often have a height that differs from the ground's, which matters little."""
     flow = world.flows[name]
     if not isinstance(flow, PathFlow) or flow.grounds is None:
         return 0.0
@@ -55,14 +56,14 @@ def _excessive_gap(world: World, name: str) -> float:
 
 
 def count_reaching(world: World, species: str, flow: str) -> int:
-    """How many agents of a species stand where a path leads to the target of a flow."""
+    """Return how many agents of a species are at a position from which a path leads to the target of a flow."""
     population = world.populations[species]
     place, up = population.position.astype(np.float64), population.normal.astype(np.float64)
     return int(np.count_nonzero(world.flows[flow].reaches(world.ground.meshes, population.footing, place, up)))
 
 
 def _flow_uses(species: SpeciesPlan) -> dict[str, set[str]]:
-    """Return, by the name of a flow, the operations with which a species reads it."""
+    """Return, by flow name, the operations with which a species reads each flow."""
     uses: dict[str, set[str]] = {}
     operand_nodes = [node for _, block in blocks(species) for _, each in statements(block) for node in operands(each)]
     for node in required_nodes([*operand_nodes, *species.lazy]):
@@ -72,8 +73,9 @@ def _flow_uses(species: SpeciesPlan) -> dict[str, set[str]]:
 
 
 def crowding_warnings(scene: Scene, world: World) -> Report:
-    """Return warnings for crowd lines that had no space for all agents at binding, each located at the line's place. A line that
-    lies off all surfaces is skipped, because it was reported before."""
+    """Return warnings for crowd lines that had no space for all agents, each located at the place of the line.
+
+    Lines with a place off all surfaces are skipped, because another check reports them."""
     report, setting = Report(), world.setting
     for line in world.crowded:
         if is_off_surface(setting.crowds[line.group].place, setting, scene.model.up):
@@ -99,6 +101,6 @@ def crowding_warnings(scene: Scene, world: World) -> Report:
 
 
 def _round_up(value: float) -> str:
-    """To two digits."""
+    """Return the number as text, rounded up to two digits."""
     step = 10.0 ** (math.floor(math.log10(value)) - 1)
     return f"{math.ceil(value / step) * step:g}"

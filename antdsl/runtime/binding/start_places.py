@@ -1,5 +1,4 @@
-"""Where a line of the crowd may start: places drawn one after another for each agent, every draw a function of (seed, species,
-id, number of the try)."""
+"""Draws start positions for the agents of a crowd line. Every draw is a function of (seed, species, id, number of the try)."""
 
 from __future__ import annotations
 
@@ -30,7 +29,7 @@ _DEFAULT_DISC_RADIUS_MM = 100.0  # mm: without any ground and any place
 
 
 class StartPositionSampler:
-    """The places of one line of the crowd."""
+    """Draws the start positions of one crowd line."""
 
     def __init__(self, world: World, crowd: CrowdData) -> None:
         self._world, self._crowd, self._species, self.place = world, crowd, crowd.species, crowd.place
@@ -44,7 +43,7 @@ class StartPositionSampler:
             self._faces = areas(world, self._on, crowd.place.density, crowd.place.around, crowd.place.radius)
 
     def area(self) -> float | None:
-        """Return the ground area (mm²) on which agents can begin, to two digits if sampled; None if unknown."""
+        """Return the ground area (mm²) on which agents can start, to two digits if sampled; None if unknown."""
         place = self.place
         if self.given or place.inside is not None or (place.density is not None and not place.by_area):
             return None
@@ -65,7 +64,7 @@ class StartPositionSampler:
         return total_area if share == 1 else float(f"{total_area * share:.1e}")
 
     def sufficient_radius(self, cover: float) -> float | None:
-        """Return a radius (mm) of the place at which agents that cover `cover` (mm²) fit; None if there is none."""
+        """Return a radius (mm) of the place with space for agents that cover `cover` (mm²); None if there is none."""
         radius = self.place.radius
         for _ in range(_MAX_RADIUS_TRIES):
             if radius is None:
@@ -78,8 +77,9 @@ class StartPositionSampler:
         return None
 
     def fits_on_all_sides(self, cover: float) -> bool:
-        """Return whether agents that cover `cover` (mm²), and begin anywhere on a surface from above, would fit on all of its
-        sides."""
+        """Return whether agents that cover `cover` (mm²) would fit on all sides of the surface, not only on the upper side.
+
+        This applies to agents that start anywhere on a surface, placed from above."""
         place = self.place
         if self.given or place.by_area or not place.on or any((place.inside, place.density, place.around, place.radius)):
             return False
@@ -87,7 +87,7 @@ class StartPositionSampler:
         return wider is not None and wider * MAX_RANDOM_COVER >= cover
 
     def draw(self, ids: Ids, tries: range) -> StartPositionDraws:
-        """Places for agents: those of the first try, then those of the next."""
+        """Return start positions for all agents in the first try, followed by those in the next tries."""
         world, place = self._world, self.place
         if place.inside is not None and world.ground.meshes is not None:
             return self._draw_by_rays(np.asarray(place.inside, np.float64) - world.origin, ids, tries)
@@ -107,7 +107,7 @@ class StartPositionSampler:
         return randomness.uniform(seed, PLACEMENT_FRAME, self._species, site, index, ids)
 
     def _target_points(self, ids: Ids, attempt: int) -> Floats:
-        """Return the requested positions (n, 3), to be dropped onto the ground."""
+        """Return the requested positions (n, 3) mm, from which agents are dropped onto the ground."""
         world, place = self._world, self.place
         if place.points is not None and len(place.points):
             return np.asarray(place.points, np.float64)[ids % len(place.points)] - world.origin
@@ -128,15 +128,16 @@ class StartPositionSampler:
         return _points_on_faces([self._grounds[name] for name in self._on], u, v, w) - world.origin
 
     def _draw_by_area(self, faces: FaceArea, ids: Ids, tries: range) -> StartPositionDraws:
-        """Return places spread evenly over faces of any orientation, with up along their normals."""
+        """Return positions spread evenly over faces of any orientation, with up along the normals."""
         draws = [np.concatenate([self._draw_uniform(ids, 4 * attempt + k) for attempt in tries]) for k in range(4)]
         footing, up, can_stand = faces.at(*draws)
         at = self._world.ground.position(footing)
         return StartPositionDraws(footing, at, up, can_stand & ~is_inside_obstacle(self._world, at))
 
     def _draw_by_rays(self, start: Floats, ids: Ids, tries: range) -> StartPositionDraws:
-        """Return the first hits of rays from a place in drawn directions, with ups towards the place. A ray that hits no mesh, or
-        one not in `on`, gives no place: the surface nearest to its start."""
+        """Return the first hits of rays from a place in random directions, with ups towards the place.
+
+        If a ray hits no mesh, or a mesh not in `on`, the result is the surface nearest to its start, marked as not allowed."""
         world, meshes = self._world, self._world.ground.meshes
         assert meshes is not None
         mesh_numbers = [meshes.names.index(name) for name in (self.place.on or meshes.names) if name in meshes.names]
@@ -156,7 +157,7 @@ class StartPositionSampler:
 
 
 def _points_on_faces(meshes: list[MeshData], u: NDArray[np.float32], v: NDArray[np.float32], w: NDArray[np.float32]) -> Floats:
-    """Points spread evenly over the area of some meshes."""
+    """Return points spread evenly over the area of the given meshes, from random numbers u, v and w."""
     corners = np.concatenate([m.vertices[m.faces] for m in meshes])
     edge, other = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
     normal = vec.cross(vec.columns(edge, np.float64), vec.columns(other, np.float64))
@@ -169,7 +170,7 @@ def _points_on_faces(meshes: list[MeshData], u: NDArray[np.float32], v: NDArray[
 
 
 def is_inside_obstacle(world: World, points: Floats) -> NDArray[np.bool_]:
-    """Whether points lie in an obstacle: the first face above them shows its back."""
+    """Return which points lie inside an obstacle, that is, see the back of the first face above."""
     is_inside = np.zeros(len(points), np.bool_)
     up = np.broadcast_to(world.up, points.shape)
     for name in world.plan.obstacles:

@@ -1,4 +1,4 @@
-"""Sampling of surfaces by area: points on faces of any orientation, spread evenly or by the density of a map."""
+"""Samples surfaces by area: points on faces of any orientation, spread evenly or by the density of a map."""
 
 from __future__ import annotations
 
@@ -23,7 +23,8 @@ _QUARTER_CORNERS = np.array([[0, 3, 5], [3, 1, 4], [5, 4, 2], [3, 4, 5]])
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FaceArea:
-    """Triangles (m) to choose places from, each a face or a part of one. Vectors of faces are (k, 3), counted from the origin."""
+    """Triangles (m) from which positions are drawn. Each is a face or a part of one. Vectors of faces (k, 3) are relative to
+    the origin."""
 
     world: World
     mesh: NDArray[np.int32]  # (k) of each face: meshes by their numbers, after them solids
@@ -38,11 +39,11 @@ class FaceArea:
     ball: tuple[Floats, float] | None
 
     def points(self, u: NDArray[np.float32], *draws: NDArray[np.float32]) -> tuple[NDArray[np.int64], Floats, Floats, Floats]:
-        """Return faces (n), weights b1 and b2 (n) and places (n, 3), from four draws each.
+        """Return faces (n), weights b1 and b2 (n), and positions (n, 3) mm, from four draws each.
 
         A linear density in a triangle is a mixture of three densities, each proportional to one corner's weight. Gaps between
         sorted draws, two of them joined, have these densities (L. Devroye, Non-Uniform Random Variate Generation, 1986, V.2,
-        XI.4). Without any triangle the face is -1 and the place zero."""
+        XI.4). If there are no triangles, the face is -1 and the position zero."""
         if not len(self.cumulative):
             return np.full(len(u), -1), np.zeros(len(u)), np.zeros(len(u)), np.zeros((len(u), 3))
         pick = np.searchsorted(self.cumulative, u.astype(np.float64) * self.cumulative[-1], side="right")
@@ -60,7 +61,8 @@ class FaceArea:
         return face, b1, b2, place
 
     def at(self, *draws: NDArray[np.float32]) -> tuple[Footing, Floats, Flags]:
-        """Footings, ups off the faces (n, 3), and whether one can stand there: inside the ball, and in no solid."""
+        """Return footings, ups perpendicular to the faces (n, 3), and whether an agent can stand there: inside the ball, in no
+        solid."""
         face, b1, b2, place = self.points(*draws)
         if not len(self.cumulative):
             return Footing.nowhere(len(face)), np.array(np.broadcast_to(self.world.up, place.shape)), face >= 0
@@ -93,10 +95,10 @@ class FaceArea:
 
 
 def areas(world: World, on: tuple[str, ...], density: str | None, around: PointMm | None, radius: float | None) -> FaceArea:
-    """Return the faces of some surfaces and solids in their current position, within a ball and with the density of a map, if
+    """Return the faces of surfaces and solids `on` in their current position, within a ball and with the density of a map, if
     given.
 
-    A ball that meets no face is enlarged until it extends its original radius beyond the nearest face."""
+    If the ball meets no face, it is enlarged until it reaches its original radius beyond the nearest face."""
     mesh, local, corner, edge1, edge2, weight = _faces(world, on, density)
     face, weights = np.arange(len(mesh)), np.broadcast_to(_CORNER_WEIGHTS, (len(mesh), 3, 2))
     ball = None
@@ -121,7 +123,8 @@ _FaceArrays = tuple[NDArray[np.int32], NDArray[np.int32], Floats, Floats, Floats
 
 
 def _faces(world: World, on: tuple[str, ...], density: str | None) -> _FaceArrays:
-    """Mesh, number in it, corner, two edges and density at the corners (k, 3), of all live faces of some surfaces and solids."""
+    """Return mesh, number in the mesh, corner, two edges and density at the corners (k, 3), of all usable faces of surfaces
+    `on`."""
     ground = world.ground.meshes
     face_groups: list[_FaceArrays] = []
     if ground is not None:
@@ -147,8 +150,9 @@ def _faces(world: World, on: tuple[str, ...], density: str | None) -> _FaceArray
 
 
 def _faces_within(ball: tuple[Floats, float], corner: Floats, edge1: Floats, edge2: Floats) -> tuple[NDArray[np.int64], Floats]:
-    """Return triangles that cover the part of the faces in a ball: faces (m) and weights (m, 3, 2) of their corners. A triangle
-    that reaches outside is cut into four while it is larger than half the radius."""
+    """Return triangles that cover the part of the faces within a ball: faces (m), and weights (m, 3, 2) of their corners.
+
+    A triangle that extends beyond the ball is divided into four while it is larger than half the radius."""
     middle, radius = ball
     face, weights = np.arange(len(corner)), np.broadcast_to(_CORNER_WEIGHTS, (len(corner), 3, 2))
     pieces: list[tuple[NDArray[np.int64], Floats]] = []
@@ -169,8 +173,10 @@ def _faces_within(ball: tuple[Floats, float], corner: Floats, edge1: Floats, edg
 
 
 def _cut_triangles(face: NDArray[np.int64], weights: Floats, at: Floats) -> tuple[NDArray[np.int64], Floats]:
-    """Cut triangles with corners `at` (m, 3, 3), given by face and weights, into four at their edge midpoints. Thin triangles are
-    cut into two at the midpoint of the longest edge: ever more of their quarters would lie in the ball."""
+    """Divide triangles with corners `at` (m, 3, 3), given by face and weights, into four at their edge midpoints.
+
+    Thin triangles are divided into two at the midpoint of the longest edge. Otherwise more and more of their quarters would
+    lie in the ball."""
     sides = ((np.roll(at, -1, axis=1) - at) ** 2).sum(axis=2)
     across = np.cross(at[:, 1] - at[:, 0], at[:, 2] - at[:, 0])
     thin = sides.max(axis=1) > _THIN_TRIANGLE_RATIO * np.sqrt((across * across).sum(axis=1))

@@ -1,4 +1,4 @@
-"""Estimates of the allocations for binding a scene: counts and bytes from extents and areas, before anything is made."""
+"""Estimates what binding a scene allocates: counts and bytes from extents and areas, before anything is allocated."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _BYTES_PER_LEG = 550  # of a leg that walks
 
 
 class WorkEstimate(NamedTuple):
-    """The needs of one thing of the world: `number` of `parts`, and the approximate bytes."""
+    """The needs of one thing of the world: `number` of `parts`, and the approximate `bytes`."""
 
     thing: str
     number: int
@@ -33,13 +33,16 @@ class WorkEstimate(NamedTuple):
 def world_work(
     setting: WorldSetting, fields: Mapping[str, tuple[tuple[str, ...], float]], agent_bytes: Mapping[str, int]
 ) -> list[WorkEstimate]:
-    """The work for each thing of a setting. `fields`: by name their surfaces and the edge (mm) of their cells; `agent_bytes`: the
-    registers of one agent of each species, which a step has twice. Pairs of neighbours and contacts are not counted."""
+    """Return the estimate for each thing of a setting.
+
+    `fields`: for each field, its surfaces and the edge (mm) of its cells.
+    `agent_bytes`: the size of the registers of one agent of each species; a step has two copies.
+    Pairs of neighbours and contacts are not included."""
     return [*_meshes(setting), *_fields(setting, fields), *_flows(setting), *_agents(setting, agent_bytes)]
 
 
 def _saturate(count: float) -> int:
-    """Return a whole number, also for very large or infinite estimates."""
+    """Return an estimate as an integer, limited if it is very large or infinite."""
     return int(min(count, 2.0**62)) if count > 0 else 0
 
 
@@ -77,7 +80,7 @@ def _flows(setting: WorldSetting) -> Iterator[WorkEstimate]:
 
 
 def _extent(setting: WorldSetting) -> float:
-    """The longest side (mm) of the box around all surfaces."""
+    """Return the longest side (mm) of the box around all surfaces."""
     boxes = [[mesh.vertices.min(axis=0), mesh.vertices.max(axis=0)] for mesh in setting.surfaces.values() if len(mesh.vertices)]
     corners = np.concatenate(boxes) if boxes else np.zeros((1, 3))
     return float(np.ptp(corners, axis=0).max())

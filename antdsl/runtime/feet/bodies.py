@@ -1,7 +1,7 @@
 """Positions and axes of bodies as one table, and the conversion of points between bodies and the world.
 
-A table is float64[13, n]: position (mm), and the unit vectors ahead, up and aside, three rows each. The last row is the size
-(mm). Points of a body are in its lengths: ahead, above, aside."""
+A table is float64[13, n]. Its rows are position (mm), then the unit vectors ahead, up and aside, three rows each. The last row
+is the size (mm). Points of a body are in body lengths: ahead, above, aside."""
 
 from __future__ import annotations
 
@@ -24,8 +24,8 @@ _F = np.float32
 
 
 def place_bodies(population: Population, buffer_name: str, threads: int) -> NDArray[np.float64]:
-    """Return the table of a population. `buffer_name`: the name of the buffer that holds it; the next call with this name reuses
-    the buffer."""
+    """Return the table of a population. `buffer_name`: the buffer for the table, which the next call with the same name
+    overwrites."""
     n, now = len(population), population.now
     (bodies,) = population.get_buffers(buffer_name, 1, (_ROWS, n), np.float64)
     if n:
@@ -39,7 +39,7 @@ def place_bodies(population: Population, buffer_name: str, threads: int) -> NDAr
 def _place_bodies(
     position: Array2[F64], heading: VectorColumns, up: VectorColumns, size: Array1[F32], bodies: Array2[F64], begin: I64, end: I64
 ) -> None:
-    """Write the bodies from `begin` to before `end`."""
+    """Write the table columns of bodies from `begin` to before `end`."""
     for i in independent(begin, end):
         place = position[0, i], position[1, i], position[2, i]
         forward = np.float64(heading[0][i]), np.float64(heading[1][i]), np.float64(heading[2][i])
@@ -53,14 +53,15 @@ def _place_bodies(
 
 @inlined
 def orthonormal_axes(heading: Vec3, up: Vec3) -> tuple[Vec3, Vec3, Vec3]:
-    """Return the unit vectors ahead, up and aside of a body: the unchanged heading, and `up` made perpendicular to it."""
+    """Return the unit vectors ahead, up and aside of a body. Ahead is the unchanged heading; up is `up` made perpendicular to
+    it."""
     ahead = unit_or_perpendicular(heading, up)
     straight = unit_or_perpendicular(flat(up, ahead), ahead)
     return ahead, straight, cross(ahead, straight)
 
 
 class Body(NamedTuple):
-    """A body in the world, with unit vectors."""
+    """A body in the world: position `place` (mm), unit vectors, and size (mm)."""
 
     place: Vec3
     ahead: Vec3
@@ -71,7 +72,7 @@ class Body(NamedTuple):
 
 @inlined
 def body_at(bodies: Array2[F64], i: I64) -> Body:
-    """One of a table."""
+    """Return body i of a table."""
     place = bodies[0, i], bodies[1, i], bodies[2, i]
     ahead = bodies[3, i], bodies[4, i], bodies[5, i]
     up = bodies[6, i], bodies[7, i], bodies[8, i]
@@ -81,8 +82,9 @@ def body_at(bodies: Array2[F64], i: I64) -> Body:
 
 @inlined
 def fetch_columns(table: Any, rows: I64, line: I64, begin: I64, end: I64) -> None:
-    """Prefetch columns of a table (…, n) with so many rows, `line` numbers at once: kernels here read a hundred rows, of which a
-    processor prefetches few."""
+    """Prefetch columns of a table (…, n) with `rows` rows, `line` numbers at once.
+
+    Kernels here read a hundred rows, of which a processor prefetches only few."""
     for row in range(rows):
         k = begin
         while k < end:
@@ -92,7 +94,7 @@ def fetch_columns(table: Any, rows: I64, line: I64, begin: I64, end: I64) -> Non
 
 @inlined
 def to_world(body: Body, x: F32, y: F32, z: F32) -> Vec3:
-    """Return the world position (mm) of a point of a body in float32 body lengths."""
+    """Return the world position (mm) of a point that is given in float32 body lengths."""
     place, ahead, up, aside, size = body
     a, b, c = np.float64(x) * size, np.float64(y) * size, np.float64(z) * size
     return (
@@ -104,7 +106,7 @@ def to_world(body: Body, x: F32, y: F32, z: F32) -> Vec3:
 
 @inlined
 def to_body(body: Body, at: Vec3) -> Vec3F32:
-    """Return a world position (mm) relative to a body, in float32 body lengths."""
+    """Return a world position (mm) relative to a body, in float32 body lengths: ahead, above, aside."""
     place, ahead, up, aside, size = body
     by = _F(1.0 / max(size, _LEAST))
     away = _to_float32(minus(at, place))

@@ -1,6 +1,7 @@
-"""Kernels that find ground for feet: what their rays hit, and which hits a leg can use.
+"""Kernels that find ground for feet: what rays from the legs hit, and which hits a leg can use.
 
-Requests are columns: arrays (3, k) of positions (mm), float64[k] of lengths. Rays are short, so a `TriangleGrid` answers them."""
+Requests are columns: arrays (3, k) of positions (mm), float64[k] of lengths. Rays are short, so a `TriangleGrid` is used for
+them."""
 
 from __future__ import annotations
 
@@ -50,9 +51,13 @@ def aim(
     begin: I64,
     end: I64,
 ) -> None:
-    """Where hips will be when feet land, the places that these want, and the first ray between them, of requests (see
-    `stepping.LEG_BITS`) from `begin` to before `end`. `measures`: as `Gaits.legs` and `Gaits.exact`. `standing`: the starts of
-    agents, for those of `rays`. `quick`: the foot lifts, and looks again when it lands."""
+    """Compute the search for ground of the requests from `begin` to before `end` (numbered as `stepping.LEG_BITS` describes).
+
+    Writes to `seekers` where hips will be when feet land and the target positions of the feet; to `rays` the first ray between
+    both.
+    `measures`: `Gaits.legs` and `Gaits.exact`.
+    `standing`: start faces of the agents, copied to `rays`.
+    `quick`: set for feet that lift; these search again when they land."""
     legs, exact = measures
     count = legs.shape[1]
     target_x, target_z, left, what = targets
@@ -99,11 +104,12 @@ def cast(
     begin: I64,
     end: I64,
 ) -> tuple[I64, I64]:
-    """Put what rays from `begin` to before `end` hit of a mesh, the floor's `number`, where that is nearer than `hits` so far.
+    """Write to `hits` what rays from `begin` to before `end` hit on one mesh, if it is nearer than the previous hit.
 
-    Rays with `starts` on the mesh walk, if it has `rings`; their starts move to the faces that are hit. The grid answers the
-    others. Into `far`, from `begin` on: the rays that are too long for the grid. Returns where they begin, and how many there
-    are."""
+    `number`: the number of the mesh among all ground for feet.
+    `starts`: faces on the mesh from which rays walk, if the mesh has `rings`; they become the faces that are hit. Other rays
+        use the grid.
+    `far`: receives, from index `begin` on, the rays that are too long for the grid. Returns `begin` and their number."""
     shape, (least, greatest), count = grid[0], box, 0
     zero = shape[6], shape[7], shape[8]
     cells, rays = scratch(2 * _FETCHED, I64), scratch(_FETCHED, I64)
@@ -155,9 +161,11 @@ def find_nearest(
     begin: I64,
     end: I64,
 ) -> tuple[I64, I64]:
-    """Put the positions on a mesh, the floor's `number`, that are nearest to points from `begin` to before `end` and within
-    their `reach`, which shrinks to the distance. Into `far`, from `begin` on: points with a reach that is too long for the grid.
-    Returns where they begin, and how many there are."""
+    """Write to `hits` the nearest positions on one mesh to the points from `begin` to before `end`, within their `reach` (mm).
+
+    `number`: the number of the mesh among all ground for feet. `reach` is reduced to the distance of the result.
+    `far`: receives, from index `begin` on, the points with a reach that is too long for the grid. Returns `begin` and their
+        number."""
     shape, (low, high), count = grid[0], box, 0
     zero = shape[6], shape[7], shape[8]
     for k in range(begin, end):
@@ -177,14 +185,14 @@ def find_nearest(
 
 @inlined
 def _put_hit(hits: Any, k: Any, number: Any, t: Any, a: Any, w: Any) -> None:
-    """Put what ray `k` hits of a mesh after part `t` of its way `w` from `a`, where that is nearer."""
+    """Write the hit of ray `k` on a mesh, at part `t` of its displacement `w` from `a`, if it is nearer than the previous hit."""
     if t < hits[0][k]:
         _put_place(hits, k, number, t, (a[0] + w[0] * t, a[1] + w[1] * t, a[2] + w[2] * t))
 
 
 @inlined
 def _put_place(hits: Any, k: Any, number: Any, t: Any, at: Any) -> None:
-    """Put a hit on a still mesh."""
+    """Write a hit on a mesh that does not move."""
     part, place, on, face, weight = hits
     part[k], on[k], face[k], weight[0, k], weight[1, k] = t, number, 0, 0.0, 0.0
     put_vector(place, k, at)
@@ -194,8 +202,10 @@ def _put_place(hits: Any, k: Any, number: Any, t: Any, at: Any) -> None:
 def judge(
     seekers: Seekers, hits: Hits, quick: Array1[BOOL], fits: Array1[BOOL], rows: Array1[I64], begin: I64, end: I64
 ) -> tuple[I64, I64]:
-    """Mark in `fits` the hits that legs can reach. Write into `rows`, from `begin` on, the seekers that are not `quick` and have
-    no reachable hit near the requested position. Returns where these begin, and their number."""
+    """Mark in `fits` the hits that legs can reach.
+
+    Writes to `rows`, from index `begin` on, the seekers that are not `quick` and have no reachable hit near the target
+    position. Returns `begin` and their number."""
     longest, count = seekers[3], 0
     for k in range(begin, end):
         if quick[k]:
@@ -218,8 +228,10 @@ def look_around(
     begin: I64,
     end: I64,
 ) -> None:
-    """Compute the rays of seekers `rows` from `origins` to the point above their requested position, and from there (`above`)
-    down."""
+    """Compute two rays for each of the seekers `rows`: from `origins` to the point above the target position, and from that
+    point down.
+
+    `above`, `down`: start and displacement of the second ray. `level`: displacement of the first ray."""
     hips, goals, ups, longest, _ = seekers
     for n in range(begin, end):
         k = rows[n]
@@ -244,11 +256,11 @@ def choose(
     begin: I64,
     end: I64,
 ) -> tuple[I64, I64]:
-    """Put into `hits` the hit nearest to the requested position, of three rays: the first, that to the point above, and that
-    down.
+    """Write to `hits` the hit that is nearest to the target position, of three rays: the first ray, and both rays of
+    `look_around`.
 
-    Write seekers without a near enough hit into `lost` (their indices in `rows`), from `begin` on. `reach` gets the distance (mm)
-    within which a position would be nearer. Returns where they begin, and their number."""
+    Seekers without a near enough hit are written to `lost` from index `begin` on, as indices in `rows`. For these, `reach`
+    gets the distance (mm) within which a position would be nearer. Returns `begin` and their number."""
     longest = seekers[3]
     count = 0
     for n in range(begin, end):
@@ -277,8 +289,9 @@ def choose(
 
 @kernel
 def accept(seekers: Seekers, rows: Array1[I64], close: Hits, sight_hits: Hits, hits: Hits, begin: I64, end: I64) -> None:
-    """Copy the nearest positions `close` of seekers `rows` to `hits` where the leg reaches them and its hip sees them.
-    `sight_hits`: what rays from the hip hit."""
+    """Copy the nearest positions `close` of seekers `rows` to `hits`, if the leg reaches the position and the hip sees it.
+
+    `sight_hits`: the hits of rays from the hip to these positions."""
     for n in range(begin, end):
         k = rows[n]
         gap = minus(of(sight_hits[1], n), of(close[1], n))
@@ -299,7 +312,8 @@ def settle(
     begin: I64,
     end: I64,
 ) -> None:
-    """Assign to feet the ground that was found for their requests. A foot without ground hangs at the requested position."""
+    """Store the ground found for the requests as the new footholds of the feet. A foot without ground hangs at its target
+    position."""
     for k in range(begin, end):
         i, leg = requests[k] >> LEG_BITS, requests[k] & LEG
         foothold = of(seekers[1], k) if hits[2][k] == NOTHING else of(hits[1], k)
@@ -311,7 +325,7 @@ def settle(
 
 @inlined
 def _is_in_reach(seekers: Any, hits: Any, k: Any, n: Any) -> Any:
-    """Return whether hit `n` is in reach of seeker `k`: its foot joint would be no farther from the hip than the leg is long."""
+    """Return whether hit `n` is in reach of seeker `k`: the distance from hip to foot joint would be at most the leg length."""
     hip, up, leg, sole = of(seekers[0], k), of(seekers[2], k), seekers[3][k], seekers[4][k]
     place = of(hits[1], n)
     joint = place[0] + up[0] * sole, place[1] + up[1] * sole, place[2] + up[2] * sole
@@ -323,7 +337,7 @@ def _is_in_reach(seekers: Any, hits: Any, k: Any, n: Any) -> Any:
 
 @inlined
 def _miss_distance(seekers: Any, hits: Any, k: Any, n: Any) -> Any:
-    """Return the distance of hit `n` from the target position of seeker `k`."""
+    """Return the distance (mm) of hit `n` from the target position of seeker `k`."""
     gap = minus(of(hits[1], n), of(seekers[1], k))
     return np.sqrt(dot(gap, gap))
 

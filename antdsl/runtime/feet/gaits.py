@@ -1,4 +1,4 @@
-"""Stride, duty, lift and phases of gaits by speed, and the measures of legs."""
+"""Stride, duty factor, lift and phases of gaits by speed, and the measures of legs."""
 
 from __future__ import annotations
 
@@ -33,8 +33,10 @@ SQUARE = 9  # of the farthest that a standing foot is from its hip
 
 
 class Gaits:
-    """The gaits of a body by speed, and its legs, as tables for kernels. `cycle`: seconds of a cycle in which a standing agent
-    puts its feet back. `swing`: the longest swing in seconds."""
+    """The gaits of a body by speed, and its legs, as tables for kernels.
+
+    `cycle`: duration (s) of the cycle in which a standing agent puts its feet back.
+    `swing`: duration (s) of the longest swing."""
 
     def __init__(self, legs: LegsData) -> None:
         gaits = legs.gaits
@@ -53,12 +55,12 @@ class Gaits:
 
     @property
     def tables(self) -> tuple[Floats, Floats, Floats]:
-        """Speeds [g], stride, duty and lift [g, 3], and phases [g, L] of gaits from slow to fast."""
+        """Return the speeds [g], the stride, duty factor and lift [g, 3], and the phases [g, L] of gaits, from slow to fast."""
         return self.speeds, self.values, self.phases
 
 
 class Gait(NamedTuple):
-    """The number of a gait, and its stride, duty and lift."""
+    """A gait by number, with its stride and lift (body lengths) and its duty factor."""
 
     number: I64
     stride: F32
@@ -68,8 +70,9 @@ class Gait(NamedTuple):
 
 @inlined
 def gait_at(gaits: Any, speed: F32, frame_distance: F32, reach: F32) -> Gait:
-    """Return the gait at a speed (lengths a second) of an agent that covers `frame_distance` lengths in a frame. `reach`: the
-    reach of its shortest leg."""
+    """Return the gait of an agent at a speed (body lengths per second).
+
+    `frame_distance`: the distance that the agent covers in a frame (body lengths). `reach`: the reach of its shortest leg."""
     speeds, values = gaits[0], gaits[1]
     last, k = speeds.size - 1, 0
     for each in range(1, speeds.size):
@@ -90,8 +93,10 @@ def gait_at(gaits: Any, speed: F32, frame_distance: F32, reach: F32) -> Gait:
 
 
 def rest_positions(legs: LegsData) -> tuple[Floats, Floats]:
-    """Return where feet rest, ahead and aside of the body, float32[L] each. This is the position in the standing body, but nearer
-    to the hip where a stretched leg could not follow a step."""
+    """Return the rest positions of feet, ahead and aside of the body, float32[L] each, in body lengths.
+
+    A foot rests where it is in the standing body. If a stretched leg could not make a step from that position, it rests nearer
+    to the hip."""
     down, ahead = legs.foot - legs.hip, _ahead(legs)
     most = ahead * (1.0 - REACH_SHARE)
     x = legs.hip[:, 0] + np.clip(down[:, 0], -most, most)
@@ -99,7 +104,7 @@ def rest_positions(legs: LegsData) -> tuple[Floats, Floats]:
 
 
 def _ahead(legs: LegsData) -> NDArray[np.float64]:
-    """Return how far ahead or behind its hip each foot can be, with a slightly lowered trunk."""
+    """Return how far ahead of or behind its hip each foot can be (body lengths), with a slightly lowered trunk."""
     down = legs.hip - legs.foot
     length = legs.length * REACHED
     height = np.maximum(down[:, 1] - SINK * legs.length, 0.0)
@@ -107,6 +112,6 @@ def _ahead(legs: LegsData) -> NDArray[np.float64]:
 
 
 def _reach(legs: LegsData) -> Floats:
-    """Return how far ahead or behind its resting place each foot can be."""
+    """Return how far ahead of or behind its rest position each foot can be (body lengths)."""
     reach = _ahead(legs) - np.abs(rest_positions(legs)[0].astype(np.float64) - legs.hip[:, 0])
     return np.asarray(np.maximum(reach, 0.05 * legs.length), np.float32)

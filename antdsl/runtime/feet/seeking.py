@@ -1,9 +1,9 @@
-"""Ground for feet: what a leg can reach of surfaces, obstacles, solids and the plane, and on which side.
+"""Ground for feet: which points of surfaces, obstacles, solids and the plane a leg can reach, and on which side.
 
-A foot searches along the straight line from its hip to its target position, so that no leg passes through a sheet. If that ends
-far from the target (an edge, a wall, a step), the foot searches from above the target, along the body's up. The start of this ray
-is limited to what the hip sees. The last attempt is the nearest position. A result is visible from the hip and no farther away
-than the leg is long."""
+A foot searches along the straight line from its hip to its target position, so that no leg passes through a thin mesh. If the
+hit is far from the target (an edge, a wall, a step), the foot searches from above the target, along the body's up. The start
+of this ray is limited to what is visible from the hip. The last attempt is the nearest position on the ground. A result is
+visible from the hip, and no farther away than the leg is long."""
 
 from __future__ import annotations
 
@@ -36,8 +36,10 @@ _NO_RINGS = np.empty(0), np.empty(0, np.int32), np.empty(0, np.float32)  # of a 
 
 @dataclass(slots=True, eq=False)
 class GroundHits:
-    """Where k rays hit something: `place` float64[3, k], `part` of the ray (inf: no hit), `on`, `face` and `weight` as in
-    `Feet`."""
+    """Hits of k rays on the ground.
+
+    `part` float64[k]: the part of the ray before the hit; inf without a hit. `place` float64[3, k]: position (mm).
+    `on`, `face`, `weight`: as in `Feet`."""
 
     part: NDArray[np.float64]
     place: Vectors
@@ -47,7 +49,7 @@ class GroundHits:
 
     @staticmethod
     def none(count: int) -> GroundHits:
-        """Nothing met."""
+        """Return hits for `count` rays without any hit."""
         return GroundHits(
             np.full(count, np.inf), np.zeros((3, count)), np.full(count, NOTHING, np.int16), np.zeros(count, np.int32),
             np.zeros((2, count)),
@@ -55,18 +57,19 @@ class GroundHits:
 
     @property
     def columns(self) -> Arrays:
-        """As kernels read them."""
+        """Return the arrays in the order that kernels expect."""
         return self.part, self.place, self.on, self.face, self.weight
 
     def put(self, rows: Rows, other: GroundHits) -> None:
-        """Put other hits into rows."""
+        """Replace the hits of the given rows."""
         self.part[rows], self.on[rows], self.face[rows] = other.part, other.on, other.face
         self.place[:, rows], self.weight[:, rows] = other.place, other.weight
 
 
 class FootGround:
-    """All that feet can stand on, by numbers: the drawn surfaces, obstacles and solids (all if none is drawn), in the setting's
-    order."""
+    """All ground that feet can stand on, by number, in the setting's order.
+
+    It consists of the surfaces, obstacles and solids that are drawn, or of all of them if none is drawn."""
 
     def __init__(self, world: World) -> None:
         setting = world.setting
@@ -87,7 +90,7 @@ class FootGround:
         self._walked: set[int] = set()  # numbers of meshes that agents stand on
 
     def starts(self, population: Population) -> Rows:
-        """The faces below agents, from which rays near their bodies walk: as `footholds.FACE_BITS` describes."""
+        """Return the faces below agents, from which rays near their bodies walk; encoded as `footholds.FACE_BITS` describes."""
         columns = population.footing.columns
         if "face" not in columns or not self._numbers.size:
             return np.full(len(population), -1)
@@ -97,9 +100,11 @@ class FootGround:
         return np.where(number >= 0, number | face, -1)
 
     def cast(self, world: World, origin: Vectors, displacement: Vectors, starts: Rows, most_hit: bool = True) -> GroundHits:
-        """What the straight lines from `origin` by `displacement` hit first. `starts`: faces near the origins, or -1. `most_hit`:
-        most are expected to end on what bodies walk on, so that Open3D need not test first which do. Neither changes an
-        answer."""
+        """Return the first hits of the straight lines from `origin` by `displacement`.
+
+        `starts`: faces near the origins, or -1.
+        `most_hit`: most rays are expected to hit a mesh that bodies walk on, so that Open3D need not test first which rays do.
+        Neither argument changes a result."""
         hits, threads = GroundHits.none(origin.shape[1]), world.options.threads
         if isinstance(world.ground, PlaneGround):
             _cast_on_plane(world, origin, displacement, hits)
@@ -130,7 +135,7 @@ class FootGround:
         return hits
 
     def nearest(self, world: World, points: Vectors, reach: NDArray[np.float64]) -> GroundHits:
-        """Return the nearest positions to points, within `reach` (mm, [k])."""
+        """Return the position on the ground nearest to each point, within `reach` (mm, [k])."""
         hits, threads = GroundHits.none(points.shape[1]), world.options.threads
         least = reach.copy()
         for k, name in enumerate(self.names):
@@ -163,7 +168,7 @@ class FootGround:
         return hits
 
     def move_places(self, world: World, on: NDArray[np.int16], face: NDArray[np.int32], weight: Vectors, place: Vectors) -> None:
-        """Move places [3, …] that are on moving things to their current positions."""
+        """Move positions [3, …] on moving things to their current position."""
         for k in self.moving:
             rows = on == k
             if rows.any():
@@ -172,7 +177,7 @@ class FootGround:
                 place[:, rows] = a + weight[0][rows] * (b - a) + weight[1][rows] * (c - a)
 
     def _grid_tables(self, k: int, obstacle: object) -> Arrays | None:
-        """Return the tables of a still mesh with a grid of triangles; None for all else."""
+        """Return the tables of a mesh that does not move and has a grid of triangles; None for all other ground."""
         return obstacle.tables() if isinstance(obstacle, RayScene) and k not in self.moving else None
 
     def _bounding_box(self, world: World, k: int, obstacle: object) -> tuple[Vectors, Vectors] | None:
@@ -211,9 +216,14 @@ class FootGround:
 
 @dataclass(slots=True, eq=False)
 class FootholdRequests:
-    """Feet that need ground: `requests` int64[k], see `stepping.LEG_BITS`; `columns`: hip, target position and up of the
-    body, (3, k), how far the foot joint may be from the hip (mm), and how high it is above its ground. `displacement` (3, k):
-    from the hip past the target. `starts` as `FootGround.starts`. `is_quick`: the foot lifts, and looks again when it lands."""
+    """Requests of feet for ground.
+
+    `requests` int64[k]: agent and leg, encoded as `stepping.LEG_BITS` describes.
+    `columns`: hip, target position and up of the body, (3, k); how far the foot joint may be from the hip (mm); how high the
+        joint is above its ground (mm).
+    `displacement` (3, k): from the hip to beyond the target (mm).
+    `starts`: as from `FootGround.starts`.
+    `is_quick`: the foot lifts, and searches again when it lands."""
 
     requests: Rows
     columns: Arrays
@@ -223,7 +233,7 @@ class FootholdRequests:
 
     @staticmethod
     def of(requests: Rows, aim_inputs: tuple[Any, ...], threads: int) -> FootholdRequests:
-        """Return the feet of some requests. `aim_inputs`: the next arguments of `footholds.aim`."""
+        """Return the requests with their columns and rays. `aim_inputs`: the arguments of `footholds.aim` after the requests."""
         count = len(requests)
         buffer = np.empty((14, count))
         columns = buffer[:3], buffer[3:6], buffer[6:9], buffer[12], buffer[13]
@@ -233,13 +243,13 @@ class FootholdRequests:
         return seeking
 
     def settle(self, hits: GroundHits, columns: Arrays, threads: int) -> None:
-        """Write the ground that was found to the feet: `place`, `on`, `face` and `weight`, legs first."""
+        """Write the ground that was found to `place`, `on`, `face` and `weight` of the feet; arrays have legs before agents."""
         work = partial(footholds.settle, self.requests, self.columns, hits.columns, *columns)
         parallel.in_parts(work, len(self.requests), threads, _RAYS)
 
 
 def seek(world: World, floor: FootGround, seeking: FootholdRequests) -> GroundHits:
-    """Return ground for feet. Quick ones only get what is on the straight line, at any distance from the target."""
+    """Return ground for feet. Quick requests only get the hit on the straight line, at any distance from the target."""
     threads, count = world.options.threads, len(seeking.requests)
     hits = floor.cast(world, seeking.columns[0], seeking.displacement, seeking.starts)
     fits, rows = np.empty(count, np.bool_), np.empty(count, np.int64)
@@ -253,7 +263,8 @@ def seek(world: World, floor: FootGround, seeking: FootholdRequests) -> GroundHi
 def _look_around(
     world: World, floor: FootGround, seeking: FootholdRequests, hits: GroundHits, fits: NDArray[np.bool_], rows: Rows
 ) -> None:
-    """Find ground for feet that have no straight line to the requested position: from above it, then the nearest point."""
+    """Find ground for feet without a usable hit on the straight line: from above the target position, then the nearest
+    position."""
     threads, count = world.options.threads, len(rows)
     buffer = np.empty((13, count))
     above, to_above, down, hips, reach = buffer[:3], buffer[3:6], buffer[6:9], buffer[9:12], buffer[12]
@@ -274,7 +285,7 @@ def _look_around(
 
 
 def _rays_meeting_box(box: tuple[Vectors, Vectors], origin: Vectors, displacement: Vectors) -> Rows:
-    """The rays that may meet a box."""
+    """Return the rays that may hit a box."""
     low, high = np.minimum(origin, origin + displacement), np.maximum(origin, origin + displacement)
     return np.flatnonzero(((low <= box[1][:, None]) & (high >= box[0][:, None])).all(axis=0))
 
@@ -335,7 +346,7 @@ def _bounds(vertices: NDArray[np.float64]) -> tuple[Vectors, Vectors]:
 
 
 def _weights(place: Vectors, a: Vectors, b: Vectors, c: Vectors) -> NDArray[np.float64]:
-    """The weights float64[2, k] of the second and third corner of triangles at places in them."""
+    """Return the barycentric weights float64[2, k] of the second and third corner, for positions in triangles."""
     u, v, w = b - a, c - a, place - a
     uu, uv, vv, wu, wv = vec.dot(u, u), vec.dot(u, v), vec.dot(v, v), vec.dot(w, u), vec.dot(w, v)
     determinant = uu * vv - uv * uv

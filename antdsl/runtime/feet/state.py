@@ -24,13 +24,15 @@ _SHAPES = {name: column.shape for name, column in _COLUMNS.items()} | {"covered"
 
 
 def by_leg(shape: Sequence[int], dtype: DTypeLike = np.float64) -> Array:
-    """Return zeros [..., n, L] stored leg by leg. Operations that are equal for all legs then run along all agents at once, where
-    n is large and L small. NumPy preserves that order in derived arrays."""
+    """Return zeros [..., n, L] that are stored leg by leg.
+
+    Operations on all legs then run along all agents at once, where n is large and L small. NumPy preserves that order in
+    derived arrays."""
     return np.zeros((*shape[:-2], shape[-1], shape[-2]), dtype).swapaxes(-1, -2)
 
 
 def _zeros(count: int, legs: int) -> dict[str, Any]:
-    """Return all columns for `count` agents."""
+    """Return all columns of `Feet` for `count` agents, filled with zeros."""
     shapes = {name: column.dimensions(n=count, L=legs) for name, column in _COLUMNS.items()}
     return {
         name: by_leg(shapes[name], column.type) if "L" in column.shape else np.zeros(shapes[name], column.type)
@@ -39,23 +41,28 @@ def _zeros(count: int, legs: int) -> dict[str, Any]:
 
 
 def _axis(name: str) -> int:
-    """Return the axis of a column that has agents."""
+    """Return which axis of a column is that of the agents."""
     return _SHAPES[name].index("n")
 
 
 @dataclass(slots=True, eq=False)
 class Feet:
-    """The feet of n agents with L legs, in any order of the agents: a step puts them into the order of the population's rows, in
-    which neighbours in space are mostly neighbours in memory. Positions are mm in world coordinates, components first.
+    """The feet of n agents with L legs. Positions are mm in world coordinates, components first.
 
-    `place` float64[3, n, L]: where each foot stands or is to land. `shown` float64[3, n, L]: its current position. `start`
-    float64[3, n, L]: where its swing began. `swing` float32[n, L]: the completed share of its swing, -1 for a standing foot. `on`
-    int16[n, L]: the number of the thing that `place` is on, -1 for the plane, -2 for nothing (the foot hangs). `face` int32[n, L]
-    and `weight` float64[2, n, L]: the triangle, and the weights of its second and third corner. `found` float32[n, L]: how far
-    (body lengths) from its rest position a foot was put back because no nearer ground was found. `phase` float32[n]: the gait
-    phase, from 0 to 1. `rise` float32[n]: height of the trunk above its rest height, mm. `slope` float32[2, n]: the increase in
-    ground height below its feet per length ahead and aside. `position` float64[3, n], `heading` and `up` float32[3, n]: those at
-    the end of the last frame."""
+    Agents may be in any order. A step sorts them in the order of the population's rows, in which neighbours in space are
+    mostly neighbours in memory.
+    `place` float64[3, n, L]: where each foot stands or is to land.
+    `shown` float64[3, n, L]: current position of the foot.
+    `start` float64[3, n, L]: where its swing began.
+    `swing` float32[n, L]: the completed share of its swing, -1 for a standing foot.
+    `on` int16[n, L]: number of the thing that `place` is on; -1: the plane; -2: nothing (the foot hangs).
+    `face` int32[n, L], `weight` float64[2, n, L]: the triangle, and the weights of its second and third corner.
+    `found` float32[n, L]: how far from its rest position (body lengths) a foot was put back, because no nearer ground was
+        found.
+    `phase` float32[n]: gait phase, from 0 to 1.
+    `rise` float32[n]: height of the trunk above its rest height (mm).
+    `slope` float32[2, n]: increase in ground height below the feet, per length ahead and per length aside.
+    `position` float64[3, n], `heading`, `up` float32[3, n]: those of the body at the end of the last frame."""
 
     ids: NDArray[np.int64]
     place: NDArray[np.float64]
@@ -80,7 +87,7 @@ class Feet:
 
     @staticmethod
     def none(legs: int) -> Feet:
-        """Return the feet of an empty population."""
+        """Return the feet of an empty population with this number of legs."""
         return Feet(**_zeros(0, legs))
 
     def __len__(self) -> int:
@@ -88,45 +95,45 @@ class Feet:
 
     @property
     def legs(self) -> int:
-        """How many each agent has."""
+        """Return the number of legs of each agent."""
         return int(self.swing.shape[1])
 
     @property
     def is_standing(self) -> NDArray[np.bool_]:
-        """Which feet stand, bool[n, L]."""
+        """Return which feet stand, bool[n, L]."""
         return np.asarray(self.swing == STANDS)
 
     def arrays(self) -> dict[str, Array]:
-        """Return the stored arrays themselves, by name."""
+        """Return the stored arrays, by name, without copying."""
         return {name: getattr(self, name) for name in _COLUMNS}
 
     def by_id(self) -> Feet:
-        """Return the same feet, rows by id."""
+        """Return the feet with rows sorted by id."""
         return self.match_ids(np.sort(self.ids))[0]
 
     def id_ranks(self) -> NDArray[np.int32]:
-        """Return the position of each row in the order of ids."""
+        """Return the rank of each row in the order of ids."""
         if self._ranks is None:
             self._ranks = np.empty(len(self), np.int32)
             self._ranks[stable_order(self.ids)] = np.arange(len(self), dtype=np.int32)
         return self._ranks
 
     def _find_ids(self, ids: NDArray[np.int64]) -> tuple[NDArray[np.intp], NDArray[np.bool_]]:
-        """Return the rows of ids, and which ids have a row."""
+        """Return the row of each id, and whether the id has a row."""
         order = stable_order(self.ids)
         at, known = match_ids(ids, self.ids.take(order))
         return order.take(at, mode="clip") if order.size else at, known
 
     def copy_common(self, previous_feet: Feet) -> None:
-        """Copy the feet of all agents that had feet before."""
+        """Copy the feet of all agents that are also in `previous_feet`."""
         at, known = previous_feet._find_ids(self.ids)
         for name, array in self.arrays().items():
             rows: tuple[Any, ...] = (slice(None),) * _axis(name)
             array[(*rows, known)] = getattr(previous_feet, name)[(*rows, at[known])]
 
     def match_ids(self, ids: NDArray[np.int64]) -> tuple[Feet, NDArray[np.intp]]:
-        """Return the feet of agents in the order of these ids, zero for agents without earlier feet, and the rows of those
-        agents."""
+        """Return the feet of agents in the order of `ids`, and the rows of agents that had no feet before; their values are
+        zero."""
         if np.array_equal(ids, self.ids):
             return self, np.zeros(0, np.intp)
         at, known = self._find_ids(ids)
@@ -136,7 +143,7 @@ class Feet:
 
 
 def _pick_rows(name: str, array: Array | None, at: NDArray[np.intp], new: NDArray[np.intp]) -> Array | None:
-    """Return rows of a column, with zeros in the `new` ones; earlier positions of these bodies are NaN."""
+    """Return the rows `at` of a column, with zeros in the `new` rows (NaN for the body positions of the previous step)."""
     if array is None:
         return None
     axis, is_by_leg = _axis(name), "L" in _SHAPES[name]
@@ -154,7 +161,7 @@ def _pick_rows(name: str, array: Array | None, at: NDArray[np.intp], new: NDArra
 
 
 def feet_hash(feet: Mapping[str, Feet], threads: int = 1) -> str:
-    """Return a hash of the feet of all species, like `state_hash` for everything else. Empty if there are no feet."""
+    """Return a hash of the feet of all species; an empty text if there are none. `state_hash` does not include feet."""
     if not feet:
         return ""
     digest = sha256()
@@ -168,8 +175,7 @@ def feet_hash(feet: Mapping[str, Feet], threads: int = 1) -> str:
 
 
 def feet_from_arrays(arrays: Mapping[str, Array], legs: int, ids: NDArray[np.int64]) -> Feet:
-    """Return the feet from arrays that `Feet.arrays` wrote. Raises ValueError if they do not describe the feet of agents with
-    these ids."""
+    """Return the feet from arrays that `Feet.arrays` returned. Raises ValueError if the arrays do not match the legs and ids."""
     columns = _zeros(len(ids), legs)
     for name, column in columns.items():
         array = arrays.get(name)

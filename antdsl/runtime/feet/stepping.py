@@ -1,10 +1,12 @@
-"""One step of all feet of a species, as kernels: `plan_steps` up to the search for ground, `take_steps` after it.
+"""One step of all feet of a species, as kernels: `plan_steps` before the search for ground, `take_steps` after it.
 
-The phase of a gait advances by the ground that the feet covered, turning included, divided by the stride. A foot lifts when its
-stance is over, or when its leg would be too short. It swings in an arc to a point half a stance ahead of its resting place, and
-stands from then on. An agent that does not move puts its feet back to their resting places, in the order of the gait. Phases by
-ground covered, and stance and swing by duty factor, follow M. H. Raibert and J. K. Hodgins, Animation of Dynamic Legged
-Locomotion, SIGGRAPH 1991, and N. M. Thalmann et al.'s survey of walking. Forces are not simulated.
+The phase of a gait advances by the ground that the feet covered, turning included, divided by the stride. A foot lifts when
+its stance is over, or when its leg would be too short. It swings in an arc to a point half a stance ahead of its rest
+position, and stands from then on. An agent that does not move puts its feet back to their rest positions, in the order of the
+gait.
+
+Phases by ground covered, and stance and swing by duty factor, follow M. H. Raibert and J. K. Hodgins, Animation of Dynamic
+Legged Locomotion, SIGGRAPH 1991, and N. M. Thalmann et al.'s survey of walking. Forces are not simulated.
 
 Arrays of legs are [..., L, n]. Lengths are body lengths, float32; positions are mm, float64."""
 
@@ -76,10 +78,10 @@ def measure_cover(
     begin: I64,
     end: I64,
 ) -> None:
-    """Measure how far the resting place of each foot moved over the ground, into `covered` [2, L, n]: ahead and aside of the
+    """Write to `covered` [2, L, n] how far the rest position of each foot moved over the ground: ahead and aside of the
     current body.
 
-    `last_pose`: position, heading and up of bodies at the end of the last frame. Agents that are `new` cover nothing."""
+    `last_pose`: position, heading and up of bodies at the end of the last frame. For `new` agents the result is 0."""
     position, heading, up = last_pose
     for i in independent(begin, end):
         place, ahead, _, aside, size = body_at(bodies, i)
@@ -113,12 +115,13 @@ def plan_steps(
     begin: I64,
     end: I64,
 ) -> tuple[I64, I64]:
-    """Decide which feet of agents from `begin` to before `end` lift and land, and where, and advance the phase.
+    """Advance the phase of agents from `begin` to before `end`, and decide which of their feet lift and land, and where.
 
-    `times`: the frame duration, the cycles per frame of an agent that puts its feet back, two limits. The limits are the least
-    share of a swing per frame and the reach of the shortest leg. `undermined`: feet that lost their ground to digging. Writes
-    into `requests`, from L times `begin` on, the feet that need ground, see `LEG_BITS`. Returns where they begin, and their
-    number."""
+    `times`: frame duration (s), cycles per frame of an agent that puts its feet back, least share of a swing per frame, reach
+        of the shortest leg.
+    `undermined`: feet that lost their ground to digging.
+    `requests`: receives, from index L * `begin` on, the feet that need ground, encoded as `LEG_BITS` describes. Returns where
+        they begin, and their number."""
     count = legs.shape[1]
     dt, rests, swings, shortest = times
     place, start, _ = feet[0]
@@ -246,10 +249,11 @@ def take_steps(
     begin: I64,
     end: I64,
 ) -> None:
-    """Swing feet to the ground that was found, move the trunks over them, and place all feet.
+    """Swing feet to the ground that was found, move the trunks over them, and write the positions of all feet.
 
-    `trunk_steps`: the share of the change to a new tilt or lower height per frame, the share to a greater height, and the largest
-    difference from the height at rest. `last`: receives position, heading and up of bodies for the next frame."""
+    `trunk_steps`: three numbers. First, the share of a change of tilt, or to a lower height, that is made per frame. Second,
+        the share of a change to a greater height. Third, the largest difference from the height at rest.
+    `last`: receives position, heading and up of bodies for the next frame."""
     count = legs.shape[1]
     slower, faster, highest = trunk_steps
     place, start, current_place = feet[0]
@@ -315,21 +319,22 @@ def take_steps(
 
 @inlined
 def _cycle_share(turns: Any) -> Any:
-    """Return the phase in the current cycle after a number of cycles."""
+    """Return the phase (0 to 1) in the current cycle after a number of cycles."""
     return turns - np.floor(turns)
 
 
 @inlined
 def _hip(legs: Any, leg: Any, slope: Any, raised: Any) -> Any:
-    """Return where a leg begins, for a trunk that leans and is raised."""
+    """Return the position of a leg's hip, for a trunk that leans by `slope` and is raised."""
     x, y, z = trunk.lean_point(slope, (legs[HIP, leg], legs[HIP + 1, leg], legs[HIP + 2, leg]))
     return x, y + raised, z
 
 
 @inlined
 def _rest_distance(legs: Any, leg: Any, local_foot: Any, hip: Any) -> Any:
-    """Return how far a foot is from its resting place: the lesser of its distance along the ground and its distance from the
-    straight line from the hip through that place."""
+    """Return how far a foot is from its rest position.
+
+    This is the lesser of two distances: along the ground, and from the straight line from the hip through the rest position."""
     rest_x, rest_z = legs[REST_X, leg], legs[REST_Z, leg]
     x, z = local_foot[0] - rest_x, local_foot[2] - rest_z
     by = hip[1] / max(hip[1] - local_foot[1], _LOWEST * legs[LENGTH, leg])
@@ -339,7 +344,7 @@ def _rest_distance(legs: Any, leg: Any, local_foot: Any, hip: Any) -> Any:
 
 @inlined
 def _is_too_far(legs: Any, leg: Any, local_foot: Any, hip: Any, most: Any) -> Any:
-    """Return whether a foot is farther from its hip than `most` of its leg length, with the trunk as low as allowed."""
+    """Return whether a foot is farther from its hip than the share `most` of its leg length, with the trunk as low as allowed."""
     length = legs[LENGTH, leg]
     x, z = local_foot[0] - hip[0], local_foot[2] - hip[2]
     y = local_foot[1] - hip[1] + legs[FOOT_Y, leg]
@@ -350,7 +355,7 @@ def _is_too_far(legs: Any, leg: Any, local_foot: Any, hip: Any, most: Any) -> An
 
 @inlined
 def _swing_position(legs: Any, leg: Any, ends: Any, progress: Any, stride: Any, lift: Any) -> Any:
-    """Return the position of a foot on its arc, no farther from its hip than its leg reaches."""
+    """Return the position of a foot on its arc, no farther from the hip than the leg reaches."""
     swing_start, local_foot, hip = ends
     eased = progress * progress * (_THREE - _TWO * progress)
     dx, dy, dz = local_foot[0] - swing_start[0], local_foot[1] - swing_start[1], local_foot[2] - swing_start[2]

@@ -28,9 +28,9 @@ _FLAT = _F(1e-6)
 
 @inlined
 def fit_plane(points: Any, held: Any, legs: Any, i: Any) -> Any:
-    """Return height and slopes, ahead and aside, of the plane through the ground of the feet of agent `i`, before smoothing.
+    """Return height, slope ahead and slope aside of the plane through the ground of the feet of agent `i`, before smoothing.
 
-    `points` [3, L, n]: the ground position of each foot. `held` [L, n]: what it stands on, as `Feet.on`."""
+    `points` [3, L, n]: the ground position of each foot. `held` [L, n]: what the foot stands on, as `Feet.on`."""
     count, mean_x, mean_y, mean_z = _ZERO, _ZERO, _ZERO, _ZERO
     for leg in range(legs):
         weight = _ONE if held[leg, i] != NOTHING else _ZERO
@@ -58,7 +58,7 @@ def fit_plane(points: Any, held: Any, legs: Any, i: Any) -> Any:
 
 @inlined
 def lower_trunk(points: Any, standing: Any, legs: Any, rise: Any, slope: Any, least: Any, i: Any) -> Any:
-    """Return the rise of a trunk, lowered as far as the legs of its standing feet require. Its hips lean by `slope`."""
+    """Return the rise of a trunk, lowered as far as the legs of its standing feet require. The trunk leans by `slope`."""
     most = _INFINITE
     for leg in range(legs.shape[1]):
         x, y, z = lean_point(slope, (legs[HIP, leg], legs[HIP + 1, leg], legs[HIP + 2, leg]))
@@ -71,8 +71,9 @@ def lower_trunk(points: Any, standing: Any, legs: Any, rise: Any, slope: Any, le
 
 @inlined
 def lean_point(slope: Any, point: Any) -> Any:
-    """Return a point of a trunk after the shortest rotation of its up to the normal of a plane. `slope`: the plane's slopes ahead
-    and aside."""
+    """Return a point of a trunk after the shortest rotation of the trunk's up to the normal of a plane.
+
+    `slope`: the plane's slopes ahead and aside."""
     x, y, z = point
     a, b = -slope[0], -slope[1]  # the normal is (a, 1, b) by its length
     size = _ONE / np.sqrt((a * a + _ONE) + b * b)
@@ -88,7 +89,7 @@ def lean_point(slope: Any, point: Any) -> Any:
 
 
 def slope_quaternions(slope: Floats) -> Floats:
-    """Return the rotations of trunks with slopes [2, n] as unit quaternions float32[n, 4], x y z w."""
+    """Return the rotations of trunks with slopes [2, n] as unit quaternions float32[n, 4]: x, y, z, w."""
     a, b = -slope[0].astype(np.float64), -slope[1].astype(np.float64)
     size = 1 / np.sqrt((a * a + 1) + b * b)
     x, y, z = b * size, np.zeros_like(a), -a * size

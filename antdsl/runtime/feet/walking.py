@@ -1,4 +1,4 @@
-"""One step of all feet: the kernels of `stepping` over the agents of each species, with the ground that `seeking` finds."""
+"""One step of all feet: runs the kernels of `stepping` for each species, with the ground that `seeking` finds."""
 
 from __future__ import annotations
 
@@ -24,14 +24,14 @@ _AGENTS = 256  # for which a thread pays
 
 
 class LegsOfSpecies:
-    """The legs of one species with its gaits, as its feet use them."""
+    """The legs of one species and their gaits."""
 
     def __init__(self, legs: LegsData) -> None:
         self.legs, self.gaits = legs, Gaits(legs)
 
 
 def begin_feet(world: World) -> None:
-    """Let all agents with legs stand on their feet, if feet are simulated."""
+    """Place the feet of all agents with legs on the ground, if feet are simulated."""
     world.feet, world.walkers, world.floor = {}, {}, None
     if not world.options.feet:
         return
@@ -44,7 +44,7 @@ def begin_feet(world: World) -> None:
 
 
 def measure(world: World) -> None:
-    """Record the ground that the resting place of each foot covered in this step, before the ground itself moves on."""
+    """Record how far the rest position of each foot moved over the ground in this step, before the ground itself moves on."""
     for name, feet in world.feet.items():
         population, walkers = world.populations[name], world.walkers[name]
         feet, new = feet.match_ids(population.ids)
@@ -67,12 +67,12 @@ def walk(world: World) -> None:
 
 
 def _transpose_legs(array: NDArray[Any]) -> NDArray[Any]:
-    """An array [..., n, L] as kernels read it."""
+    """Return an array [..., n, L] in the layout that kernels read."""
     return array.swapaxes(-1, -2)
 
 
 class _Step:
-    """One step of the n agents of a species with L legs."""
+    """One step of the feet of a species with n agents and L legs."""
 
     def __init__(self, world: World, population: Population, walkers: LegsOfSpecies) -> None:
         assert world.floor is not None
@@ -99,7 +99,7 @@ class _Step:
         (self.requests,) = population.get_buffers("requests of feet", 1, (n * legs,), np.int64)
 
     def run(self) -> None:
-        """All feet by one frame."""
+        """Advance all feet by one frame."""
         feet, n = self.feet, len(self.feet)
         if n:
             self._follow_ground()
@@ -112,7 +112,7 @@ class _Step:
         feet.covered = feet.stood = None
 
     def _follow_ground(self) -> None:
-        """Move feet with the ground that they are on, and the start points of swings with the bodies."""
+        """Move feet with the ground that they stand on, and the start points of swings with the bodies."""
         feet = self.feet
         if self.floor.moving:
             self.floor.move_places(self.world, feet.on, feet.face, feet.weight, feet.place)
@@ -121,7 +121,7 @@ class _Step:
                 feet.start += np.where(np.isfinite(displacement), displacement, 0.0)[:, :, None]
 
     def _place_newborn(self) -> None:
-        """Let newborn agents stand with their feet at rest, each at a different phase."""
+        """Place the feet of newborn agents at rest, each agent with a different gait phase."""
         rows, feet, legs = self.new, self.feet, self.gaits.legs
         if not rows.size:
             return
@@ -157,7 +157,7 @@ class _Step:
         self._seek_ground(parallel.join_parts(parts, self.requests)[0])
 
     def _seek_ground(self, requests: NDArray[np.int64]) -> None:
-        """Find ground for feet, requested as `stepping.LEG_BITS` describes."""
+        """Find ground for the requested feet, encoded as `stepping.LEG_BITS` describes."""
         if requests.size:
             feet, gaits, targets = self.feet, self.gaits, self.targets
             goals, measures = (*targets[:3], targets[-1]), (gaits.legs, gaits.exact)

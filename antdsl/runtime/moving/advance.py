@@ -1,13 +1,14 @@
 """A substep of a crowd, from pushes to positions: acceleration, limits of speed and turn, obstacles, the walk, headings and
 bodies.
 
-a = push * max_force / mass; v += a dt; P += v dt (T20 of the sources, explicit Euler as there). An animal with a response of at
-most a step takes its whole change of velocity at once and faces its direction of motion. The heading of others follows within a
-tenth of a second. An agent with a direction to face turns there instead, and walks backward and sideways along its velocity.
+a = push * max_force / mass; v += a dt; P += v dt (T20 of the sources, explicit Euler as in the source). An agent with a
+response of at most one step changes its velocity at once and faces its direction of motion. The heading of other agents
+follows within a tenth of a second. An agent with a direction to face turns to that direction instead, and walks backward and
+sideways along its velocity.
 
-One loop over all agents does everything that does not depend on obstacles or walls. Another walks all agents that stay on their
-own surface and updates their arrival (`strides`). Few agents may touch an obstacle, search for walls, lean or have a wall ahead:
-they have separate loops."""
+One loop over all agents does everything that does not depend on obstacles or walls. A second loop walks all agents that stay
+on their own surface, and updates them after the walk (`strides`). Few agents may touch an obstacle, search for walls, lean or
+have a wall ahead. These have separate loops."""
 
 from __future__ import annotations
 
@@ -62,7 +63,7 @@ _ARRIVALS_PER_THREAD = 64  # agents with separate arrival from which a thread pa
 
 
 def move_agents(world: World, population: Population, substep: int) -> None:
-    """Move all agents of a species by one substep; changes position, velocity, heading, up and footing."""
+    """Move all agents of a species by one substep. This changes position, velocity, heading, up and footing."""
     if not len(population):
         return
     dt = _F(world.dt / world.setting.substeps)
@@ -100,9 +101,11 @@ def move_agents(world: World, population: Population, substep: int) -> None:
 
 @dataclass(slots=True)
 class _CrowdStep:
-    """A crowd on its way for `dt` of `frame_time` seconds: its registers position, velocity, heading and up, and the results of
-    kernels, see `strides`. `previous_axes`: buffers for the previous up and heading of agents that must follow their feet
-    afterwards. With `everyone`, all agents are such."""
+    """The substep of one crowd, for `dt` of the `frame_time` seconds of a frame.
+
+    `registers`: position, velocity, heading and up. The other arrays are results of the kernels in `strides`.
+    `everyone`: whether the bodies of all agents must be aligned with their feet after the walk.
+    `previous_axes`: buffers for the previous up and heading of agents with bodies that must be aligned."""
 
     world: World
     population: Population
@@ -123,7 +126,7 @@ class _CrowdStep:
 
     @staticmethod
     def of(world: World, population: Population, dt: np.float32, everyone: bool) -> _CrowdStep:
-        """A crowd before it sets out."""
+        """Return the state of a substep before the first stage."""
         now, n = population.now, len(population)
         buffer = population.get_buffers("on the way", 17, (n,), np.float32)
         (reach,), (state,) = (
@@ -140,7 +143,7 @@ class _CrowdStep:
         return self.world.options.threads
 
     def prepare_steps(self, substep: int) -> None:
-        """Compute the intended motion of all agents, without obstacles."""
+        """Compute the intended motion of all agents, before obstacles are considered."""
         p, now, frame_time = self.population, self.population.now, self.frame_time
         drive = AgentDrives(vec.vector_registers(now, "push"), *self.registers[1:], p.normal)
         abilities = AgentAbilities(now["max_speed"], now["max_force"], now["mass"], now["response"], now["max_turn"])
@@ -162,7 +165,7 @@ class _CrowdStep:
             self.longest = float(self.long.max(initial=0.0, where=np.isfinite(self.long)))
 
     def bend_at_obstacles(self) -> None:
-        """Bend steps along obstacles in the way, and update the velocities of the agents with bent steps."""
+        """Deflect steps along obstacles, and update the velocities of agents with deflected steps."""
         world, p = self.world, self.population
         if not world.plan.obstacles:
             return
@@ -174,7 +177,7 @@ class _CrowdStep:
             self.step = step
 
     def walk(self, ground: Ground) -> None:
-        """Walk over a ground to new positions, and update the agents there."""
+        """Walk all agents over a ground to their new positions, and update their registers."""
         now = self.population.now
         limits = ArrivalLimits(now["max_speed"], now["max_turn"], now["response"])
         times = ArrivalTimes(self.frame_time * KINEMATIC_STEPS, self.dt, share(self.dt))
@@ -197,7 +200,7 @@ class _CrowdStep:
         p.footing, p.position, p.normal = Footing.on_plane(place), place, arrival.normals
 
     def _walk_meshes(self, ground: MeshGround, arrival: ArrivalArrays) -> bool:
-        """Walk over the triangles of the ground. Returns False if it is not made of triangles."""
+        """Walk all agents over the triangles of the ground. Return False if the ground does not consist of triangles."""
         p, n = self.population, len(self.population)
         walk = ground.crowd_walk(self.longest, self.widest)
         if walk is None:
@@ -229,8 +232,9 @@ class _CrowdStep:
         place: NDArray[np.float64],
         how: NDArray[np.uint8],
     ) -> None:
-        """Move agents that come to something other than the next face of their surface, and those without a footing or with NaN
-        values. Then update their arrival."""
+        """Move the agents that `walk_triangles` left out, then update their registers.
+
+        These reach something other than the next face of their surface, have no footing, or have NaN values."""
         p, n = self.population, len(self.population)
         above, ahead, direction = p.get_buffers("walked", 3, (3, n), np.float64)
         (distance,), (blocked,) = p.get_buffers("gone", 1, (n,), np.float64), p.get_buffers("blocked", 1, (n,), np.bool_)
@@ -254,7 +258,7 @@ class _CrowdStep:
         p.footing, p.position, p.normal = moved.footing, moved.position, arrival.normals
 
     def _move_rows(self, ground: Ground, rows: NDArray[np.intp] | slice) -> GroundMove:
-        """Where a ground moves some agents."""
+        """Return where the ground moves the given agents."""
         p = self.population
         stands = self.state[rows] == STANDING_STATE
         heading = vec.choose(stands, vec.take(self.registers[2], rows), vec.take(self.looking, rows))
@@ -270,8 +274,9 @@ class _CrowdStep:
 def keep_least_speed(
     world: World, population: Population, step: VectorArrays, up: VectorComponents, dt: np.float32
 ) -> VectorArrays:
-    """Return steps (mm) that obstacles have bent. For agents that must keep moving, they have the least length in the same
-    direction, if that is free."""
+    """Return the steps (mm) after deflection by obstacles, lengthened for agents that must keep moving.
+
+    Their steps get the least length in the same direction, if that path is free."""
     now = population.now
     if MIN_SPEED_REGISTER not in now or not world.plan.obstacles:
         return step

@@ -1,4 +1,4 @@
-"""Capsules of bodies, and the distance of any two from each other."""
+"""Kernels for the capsules of bodies and the distance between two capsules."""
 
 from __future__ import annotations
 
@@ -27,7 +27,10 @@ _NEAR_OVERLAP_FLAG, _OVERLAPPING_FLAG = 1, 2  # what is known of a row: that it 
 
 
 class CapsuleArrays(NamedTuple):
-    """Capsules of some rows: middle, ahead and up (3, k), half length and radius."""
+    """Capsules of some rows.
+
+    `middle`, `ahead`, `up` (3, k): middle of the axis (mm), and unit vectors. `half`, `radius` (k): half length and radius
+        (mm)."""
 
     middle: Strided2[F64]
     ahead: Strided2[F64]
@@ -47,8 +50,10 @@ class CrowdCapsules(NamedTuple):
 
 
 class CapsuleShape(NamedTuple):
-    """A species' capsule, in body lengths: length, width and height of its axis, and the distance of its middle ahead of the
-    feet."""
+    """The capsule of a species, in body lengths.
+
+    `length`, `width`: size of the capsule. `height`: height of its axis above the feet. `ahead`: distance of its middle ahead
+        of the feet."""
 
     length: F64
     width: F64
@@ -57,7 +62,7 @@ class CapsuleShape(NamedTuple):
 
 
 class TrunkCapsules(NamedTuple):
-    """Capsules of all agents, as `capsules.Crowd`. `shift`: the distance of their middles ahead of the feet (mm)."""
+    """Capsules of all agents, as in `capsules.CapsuleCrowd`. `shift`: distance (mm) of each middle ahead of the feet."""
 
     half: Array1[F64]
     radius: Array1[F64]
@@ -67,14 +72,17 @@ class TrunkCapsules(NamedTuple):
 
 
 class CrowdBounds(NamedTuple):
-    """The least and the greatest x, y and z of middles, and the reach; NaN if one is not finite."""
+    """The least and the greatest x, y and z of the middles, and of the reach (mm); NaN if a value is not finite."""
 
     least: tuple[F64, F64, F64, F64]
     greatest: tuple[F64, F64, F64, F64]
 
 
 class MeetingCounts(NamedTuple):
-    """The number of pairs that may touch, of their rows, and of pairs without a direction; and the largest radius."""
+    """Counts of the pairs that may touch.
+
+    `pairs`: their number. `rows`: how many agents they contain. `lost`: how many have no separation axis.
+    `widest`: the largest radius (mm)."""
 
     pairs: I64
     rows: I64
@@ -89,7 +97,8 @@ def _read_vector(vectors: VectorColumns, i: I64) -> Vec3:
 
 
 def empty_extremes() -> NDArray[np.float64]:
-    """Return empty bounds for `trunks`: above all, below all, and the number of values that are not finite."""
+    """Return initial bounds for `place_trunks`: +inf for least, -inf for greatest values, and 0 for the number of values that
+    are not finite."""
     return _EMPTY_EXTREMES.copy()
 
 
@@ -104,8 +113,10 @@ def place_trunks(
     to: TrunkCapsules,
     extremes: Array2[F64],
 ) -> CrowdBounds:
-    """Compute the capsules of a species with positions (3, n), stored from `first` on. Returns the bounds of these and earlier
-    species. `extremes` (9, 64): partial bounds, one column for every 64th agent; `empty_extremes` at first."""
+    """Compute the capsules of a species at positions (3, n) mm, and store them from index `first` on.
+
+    Returns the bounds of this species and all earlier ones.
+    `extremes` (9, 64): partial bounds, one column for every 64th agent; initially from `empty_extremes`."""
     length, width, height, ahead = shape
     half, radius, shift, reach, middle = to
     for begin in range(0, size.size, _AGENTS_PER_BATCH):
@@ -137,10 +148,10 @@ def place_trunks(
 def _measure_gap(
     away: Vec3, a: Vec3, b: Vec3, one: Vec3, other: Vec3, reach: F64, length: F64, wide: F64
 ) -> tuple[F64, Vec3, BOOL]:
-    """Return gap and separation axis of a pair, and whether both are at one position and thus have no axis.
+    """Return the gap (mm) and separation axis of a pair, and whether both have the same position and thus no axis.
 
-    The nearest points of two segments follow C. Ericson, Real-Time Collision Detection, 2005, 5.1.9. If the capsule axes cross,
-    the separation axis goes from middle to middle."""
+    The nearest points of two segments are computed as in C. Ericson, Real-Time Collision Detection, 2005, 5.1.9. If the
+    capsule axes cross, the separation axis is the direction between the middles."""
     between = plus(one, other)
     factor = 0.0 if dot(one, other) < _OPPOSITE_SIDES_COSINE else 1 / np.sqrt(max(dot(between, between), 1e-12))
     between = times(between, factor)
@@ -179,7 +190,7 @@ def measure_listed(
     count: I64,
     lost: Array1[I64],
 ) -> I64:
-    """As `measured`, for the first `count` pairs in `pair_numbers`."""
+    """Measure the first `count` pairs in `pair_numbers`, as `measure_changed` does."""
     middle, ahead, up, half, radius = bodies
     for n in independent(0, count):
         pair = pair_numbers[n]
@@ -207,8 +218,10 @@ def measure_changed(
     pair_numbers: Array1[I64],
     lost: Array1[I64],
 ) -> I64:
-    """As `capsules.Near.measure`, into `gap` and `direction`. Returns the number of pairs without a separation axis, listed first
-    in `lost`. `pair_numbers` is a work buffer."""
+    """Write `gap` and `direction` of the pairs with a `changed` row, as described for `capsules.NearbyPairs.measure`.
+
+    Returns the number of pairs without a separation axis; these are listed at the start of `lost`. `pair_numbers`: a work
+    buffer."""
     for pair in independent(0, i.size):
         pair_numbers[pair] = 1 if changed[i[pair]] | changed[j[pair]] else 0
     return measure_listed(bodies, displacement, i, j, gap, direction, pair_numbers, compact_indices(pair_numbers, i.size), lost)
@@ -225,8 +238,9 @@ def measure_before(
     depth: Array1[F64],
     lost: Array1[I64],
 ) -> I64:
-    """As `capsules.Near.before`, into `gap`, `direction` and `depth`. Returns the number of pairs without a separation axis,
-    listed first in `lost`."""
+    """Write `gap`, `direction` and `depth` before the step, as described for `capsules.NearbyPairs.measure_before`.
+
+    Returns the number of pairs without a separation axis; these are listed at the start of `lost`."""
     middle, ahead, up, half, radius = bodies
     for start in range(0, i.size, _PREFETCH_GROUP_SIZE):
         for pair in range(min(start + _PREFETCH_GROUP_SIZE, i.size), min(start + 2 * _PREFETCH_GROUP_SIZE, i.size)):
@@ -266,9 +280,11 @@ def find_meetings(
     every: BOOL,
     dead: F64,
 ) -> MeetingCounts:
-    """Select the pairs `i` and `j` that may touch, as `capsules.find` does. They are moved to the front of `i`, `j`, `gap` and
-    `direction`; `known` gets the indices of those without a separation axis. `number` is a work buffer. `every`: include pairs in
-    which neither overlaps another by more than `dead` times the two collision radii."""
+    """Select the pairs (`i`, `j`) that may touch, for `capsules.find_near_pairs`, and move them to the front of all pair
+    arrays.
+
+    `known`: receives the indices of pairs without a separation axis. `number`: a work buffer.
+    `every`: if False, only pairs with a row that overlaps another by more than `dead` times the sum of both radii."""
     middle, ahead, up, half, radius = crowd
     for start in range(0, i.size, _PREFETCH_GROUP_SIZE):
         for pair in range(min(start + _PREFETCH_GROUP_SIZE, i.size), min(start + 2 * _PREFETCH_GROUP_SIZE, i.size)):
@@ -338,7 +354,7 @@ def find_meetings(
 
 @kernel
 def gather_bodies(rows: Array1[I64], crowd: CrowdCapsules, to: CapsuleArrays) -> None:
-    """The capsules of some rows."""
+    """Write the capsules of the given rows to `to`."""
     middle, ahead, up, half, radius = crowd
     for k in independent(0, rows.size):
         row = rows[k]

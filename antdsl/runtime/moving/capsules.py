@@ -1,7 +1,8 @@
-"""Bodies as capsules: where the trunks of all agents are, and the distance of any two.
+"""Bodies as capsules: the trunks of all agents, and the distance between any two.
 
-A capsule is a segment along the heading with a radius, at the height of the trunk above the feet. Two capsules are measured in
-the plane between their up directions, and across it. So neither a slope nor bodies above each other count as an overlap."""
+A capsule is a segment along the heading with a radius, at the height of the trunk above the feet. The distance of two capsules
+is measured in the plane between their up directions, and separately across it. So neither a slope nor bodies above each other
+count as an overlap."""
 
 from __future__ import annotations
 
@@ -40,8 +41,8 @@ _SPECIES_KEY_STEP = 1 << 40  # more than there are ids of a species
 
 
 def capsule_of(world: World, species: str) -> Capsule:
-    """Return the capsule of a species' body: from its own file, else from the first crowd line that names a body, else from its
-    name."""
+    """Return the capsule of a species' body. It comes from the body's own file, else from the body that the first crowd line
+    names, else from the body with the species' name."""
     own = world.setting.rooms.get(species)
     if own is not None:
         return Capsule(own.length, own.width, own.height, own.ahead)
@@ -52,8 +53,9 @@ def capsule_of(world: World, species: str) -> Capsule:
 
 
 class CapsuleCrowd:
-    """All agents of a world, species by species. Each property is read on access as one array: the current values, or those at
-    the `start` of the step."""
+    """The capsules of all agents of a world, species by species.
+
+    Each property is read on access as one array, from the current values, or from those at the `start` of the step."""
 
     def __init__(self, world: World, start: bool = False) -> None:
         self.world, self._start = world, start
@@ -65,7 +67,7 @@ class CapsuleCrowd:
         self.bounds = self._measure()  # of x, y and z of middles and of reaches
 
     def _measure(self) -> Bounds:
-        """Measure the capsules of each species; return the bounds of all."""
+        """Compute the capsules of each species; return the bounds of all capsules."""
         self.half, self.radius, self.ahead, self.reach = np.empty((4, len(self)))
         self.middle = np.empty((3, len(self)))
         extremes, bounds = empty_extremes(), ()
@@ -82,12 +84,13 @@ class CapsuleCrowd:
         return int(self.first[-1])
 
     def of(self, read: Callable[[Population], NDArray[Any]], axis: int = 0) -> NDArray[Any]:
-        """Return what `read` returns for each species, concatenated along an axis."""
+        """Apply `read` to each species, and return the results concatenated along an axis."""
         arrays = [read(population) for population in self.species]
         return arrays[0] if len(arrays) == 1 else np.concatenate(arrays, axis=axis)
 
     def split_rows(self, rows: Rows) -> Iterator[tuple[Population, Rows]]:
-        """Yield each species with its part of some ascending rows of the crowd, counted from the first agent of the species."""
+        """Yield each species with its part of the given ascending rows. The parts are counted from the first agent of the
+        species."""
         if len(self.species) == 1:
             yield self.species[0], rows
             return
@@ -96,7 +99,7 @@ class CapsuleCrowd:
             yield population, rows[begin:end] - first if first else rows[begin:end]
 
     def vector(self, name: str) -> vec.VectorArrays:
-        """The three registers of a vector."""
+        """Return the three registers of a vector, concatenated over all species."""
         x, y, z = (self.of(lambda p, axis=axis: self._registers(p)[f"{name}.{axis}"]) for axis in AXES)  # type: ignore[misc]
         return x, y, z
 
@@ -106,11 +109,15 @@ class CapsuleCrowd:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class NearbyPairs:
-    """Pairs of capsules that are near each other. `rows` of the crowd that are in any pair, ascending. `i` and `j` index these;
-    the first of a pair comes first by species and id. For each row, when the pairs were found: `middle`, `ahead` and `up` (3, k),
-    `half` and `radius` (k), mm; `widest`: the largest radius of these. For each pair, as last measured: `gap` (m) mm, the
-    distance to contact, negative for overlaps. `direction` (3, m): the separation axes, unit vectors from the second to the
-    first."""
+    """Pairs of capsules that are near each other. Lengths are in mm.
+
+    `rows`: ascending rows of the crowd that are in any pair.
+    `i`, `j`: indices of both agents in `rows`; the first comes first by species and id.
+    For each row, at the time when the pairs were listed:
+    `middle`, `ahead`, `up` (3, k); `half`, `radius` (k): the capsules. `widest`: the largest radius.
+    For each pair, as last measured:
+    `gap` (m): distance to contact, negative for overlaps.
+    `direction` (3, m): separation axis, a unit vector from the second to the first."""
 
     crowd: CapsuleCrowd
     rows: Rows
@@ -127,12 +134,12 @@ class NearbyPairs:
 
     @property
     def bodies(self) -> CapsuleArrays:
-        """Its capsules, as kernels read them."""
+        """Return the capsules of the rows as kernels read them."""
         return CapsuleArrays(self.middle, self.ahead, self.up, self.half, self.radius)
 
     def measure_before(self, walked: Floats) -> tuple[Floats, Floats, Floats]:
-        """Return gaps and separation axes of all pairs before rows `walked` (3, k) mm, with current headings, and the greatest
-        overlap (k) mm of each row."""
+        """Return gaps and separation axes of all pairs before the rows `walked` (3, k) mm, with current headings. Also return
+        the greatest overlap (k) mm of each row."""
         pairs, rows = len(self.i), len(self.rows)
         gap, direction, depth, lost = np.empty(pairs), np.empty((3, pairs)), np.empty(rows), np.empty(pairs, np.intp)
         count = measure_before(self.bodies, walked, self.i, self.j, gap, direction, depth, lost)
@@ -140,14 +147,14 @@ class NearbyPairs:
         return gap, direction, depth
 
     def measure(self, displacement: Floats, changed: Flags) -> None:
-        """Measure again the pairs of which a row has `changed` (k), after rows moved by (3, k) mm."""
+        """Measure all pairs with a row that has `changed` (k), after displacements of the rows by (3, k) mm."""
         pair_numbers, lost = np.empty((2, len(self.i)), np.intp)
         count = measure_changed(self.bodies, displacement, self.i, self.j, changed, self.gap, self.direction, pair_numbers, lost)
         self.draw_directions(self.direction, lost[:count])
 
     def draw_directions(self, direction: Floats, which: Rows) -> None:
-        """Draw the separation axes (3, m) of pairs at one position: along the ground of the first agent, by the seed and both
-        ids."""
+        """Draw separation axes (3, m) for pairs with equal positions. Each lies along the ground of the first agent and
+        depends on the seed and both ids."""
         if not len(which):
             return
         crowd, i, j = self.crowd, self.i.take(which), self.j.take(which)
@@ -166,8 +173,9 @@ class NearbyPairs:
 
 
 def find_near_pairs(crowd: CapsuleCrowd, dead: float | None = None) -> NearbyPairs:
-    """Return the pairs of a crowd that may touch. With `dead`, only pairs with a row that overlaps another by more than this
-    share of both radii."""
+    """Return the pairs of a crowd that may touch.
+
+    With `dead`, only pairs are returned that have a row which overlaps another by more than this share of both radii."""
     x, y, z = crowd.middle
     pairs = find_touching((x, y, z), crowd.reach, crowd.key, crowd.bounds)
     i, j, m = *parallel.contiguous(pairs.i, pairs.j), len(pairs.i)
@@ -185,8 +193,8 @@ def find_near_pairs(crowd: CapsuleCrowd, dead: float | None = None) -> NearbyPai
 
 
 def overlap_depths(world: World) -> Floats:
-    """Return each agent's greatest penetration depth, in widths of its trunk; 0 apart. The result is float64[n], species by
-    species."""
+    """Return each agent's greatest penetration depth in widths of its trunk, 0 without overlap. The result is float64[n],
+    species by species."""
     crowd = CapsuleCrowd(world)
     near = find_near_pairs(crowd)
     depth = np.zeros(len(crowd))
@@ -195,7 +203,7 @@ def overlap_depths(world: World) -> Floats:
 
 
 def greatest_depths(count: int, i: Rows, j: Rows, gap: Floats) -> Floats:
-    """Return the greatest overlap (mm) of each of `count` rows, by the gaps of pairs; 0 without overlap."""
+    """Return the greatest overlap (mm) of each of `count` rows, from the gaps of pairs; 0 without overlap."""
     depth, inside = np.zeros(count), np.flatnonzero(gap < 0)
     for k in (i.take(inside), j.take(inside)):
         np.maximum.at(depth, k, -gap.take(inside))

@@ -1,13 +1,13 @@
-"""Contacts: bodies that overlap after all agents have walked are separated along the surface, all species at once.
+"""Contacts: bodies that overlap after all agents have walked are separated along the surface, all species together.
 
-Position-based contacts (M. Müller et al., Position Based Dynamics, VRIPHYS 2006, 3.3) in Jacobi sweeps. Each agent takes the mean
-of its contacts (M. Macklin et al., Unified Particle Physics for Real-Time Applications, SIGGRAPH 2014, 4.2). A sweep adds over
-pairs exactly, so the result does not depend on their order. Two bodies separate in shares by their masses.
+Position-based contacts (M. Müller et al., Position Based Dynamics, VRIPHYS 2006, 3.3) in Jacobi sweeps. Each agent takes the
+mean of its contacts (M. Macklin et al., Unified Particle Physics for Real-Time Applications, SIGGRAPH 2014, 4.2). A sweep adds
+over pairs exactly, so the result does not depend on their order. Two bodies separate in shares by their masses.
 
-No agent moves farther from its position at the start of the step than it may walk in that time. A step into another agent is cut
-and slides along it. Agents that already overlapped separate as fast as they can walk. The remaining overlap is measured
-(`motion_measures`). The surface and obstacles have the last word. An agent loses the part of its velocity that leads into
-another. Being pushed gives it none, or resting agents would glide on for ever."""
+No agent moves farther from its position at the start of the step than it can walk in the step's duration. A step into another
+agent is cut and slides along it. Agents that overlapped before the step separate as fast as they can walk. The remaining
+overlap is measured (`motion_measures`). Surface and obstacles take precedence over contacts. An agent loses the part of its
+velocity that leads into another agent. Being pushed adds no velocity, because resting agents would then never stop moving."""
 
 from __future__ import annotations
 
@@ -37,8 +37,10 @@ _SOFT_CONTACT_SECONDS = 0.1  # s, in which two part by the most of their overlap
 
 @dataclass(frozen=True, slots=True)
 class SolverEffort:
-    """How much is done about overlaps in a substep. `looks`: how often pairs are measured again, each time with `sweeps` sweeps.
-    `rounds`: the number of rounds; those after the first are for agents that the ground deflected or something held."""
+    """The number of iterations against overlaps in a substep.
+
+    `looks`: how often pairs are measured again. `sweeps`: the number of sweeps after each measurement.
+    `rounds`: the number of rounds. Rounds after the first are for agents that the ground deflected or that could not move."""
 
     looks: int
     sweeps: int
@@ -46,7 +48,7 @@ class SolverEffort:
 
     @property
     def is_single(self) -> bool:
-        """Return whether only agents that overlap when the pairs are found are moved."""
+        """Return whether there is one look, sweep and round. Then only agents that overlap at the first measurement are moved."""
         return self.looks == self.sweeps == self.rounds == 1
 
 
@@ -62,7 +64,7 @@ class StartStances:
 
 
 def record_stances(world: World) -> StartStances | None:
-    """Return the current positions and headings of agents, for `resolve`; None if bodies take no room."""
+    """Return the current positions and headings of agents, for `resolve_contacts`; None if contacts are off."""
     if world.setting.contacts == "off":
         return None
     species, headings = world.populations.items(), {}
@@ -72,7 +74,7 @@ def record_stances(world: World) -> StartStances | None:
 
 
 def resolve_contacts(world: World, began: StartStances, dt: float) -> None:
-    """Move overlapping agents apart, after a substep of `dt` s that started at `began`."""
+    """Separate overlapping agents after a substep of `dt` s. `began`: the stances at its start."""
     if len(world) < 2:
         return
     effort, crowd = SOLVER_EFFORTS[world.setting.contacts], CapsuleCrowd(world)
@@ -112,7 +114,7 @@ def resolve_contacts(world: World, began: StartStances, dt: float) -> None:
 
 
 def _find_approach(crowd: CapsuleCrowd, rows: Rows, dt: float) -> Floats:
-    """Return the displacement (3, k) mm of rows of a crowd in the same time before this substep, by their velocity then."""
+    """Return the previous displacement (3, k) mm of the given rows: their velocity before this substep times `dt`."""
     first, displacement = 0, np.empty((3, len(rows)))
     for population, own in crowd.split_rows(rows):
         fill_approach(own, first, vec.vector_registers(population.start, "velocity"), dt, displacement)
@@ -121,9 +123,11 @@ def _find_approach(crowd: CapsuleCrowd, rows: Rows, dt: float) -> Floats:
 
 
 def _record_pushes(crowd: CapsuleCrowd, rows: Rows, cut: Floats, moved_rows: Rows, requested_moves: Floats, got: Floats) -> None:
-    """Add to the pushed distance of some rows of a crowd in this step, for species with a program that reads it. `rows` are
-    ascending; `moved_rows` are their indices among those in pairs. Of the requested displacement `requested_moves`, (3, k) mm,
-    only what others pushed counts, not what their own step was `cut` by. Of that, only the achieved part (`got`) counts."""
+    """Add the distance that each row was pushed in this step, for species with a program that reads it.
+
+    Only the displacement that others caused counts, without the correction `cut` (3, k) of the row's own step.
+    `rows`: ascending rows of the crowd. `moved_rows`: indices of moved rows among these.
+    `requested_moves` (3, k) mm: the requested displacements. `got`: the displacements that were reached; only these count."""
     if not any(PUSHED_REGISTER in population.now for population in crowd.species):
         return
     pushed = requested_moves - cut.take(moved_rows, axis=1)
@@ -138,10 +142,11 @@ def _record_pushes(crowd: CapsuleCrowd, rows: Rows, cut: Floats, moved_rows: Row
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _PairAgents:
-    """What a substep needs of the rows in pairs.
+    """Values of the rows in pairs for one substep.
 
-    `start` (3, k) mm: their start; `reach` (k) mm: how far they may walk; `mass`; `yields`: the share of `mass` against which
-    neighbours can push them; the normals (3, k) of the ground below their feet; `frozen`: stopped by a fault."""
+    `start` (3, k) mm: positions at the start. `reach` (k) mm: how far each row may walk.
+    `mass`: masses. `yields`: a factor, at most 1, of the distance that neighbours can push a row.
+    `normal` (3, k): normals of the ground below the feet. `frozen`: stopped by a fault."""
 
     start: Floats
     reach: Floats
@@ -152,7 +157,7 @@ class _PairAgents:
 
     @staticmethod
     def of(crowd: CapsuleCrowd, near: NearbyPairs, began: StartStances, dt: float) -> tuple[_PairAgents, Floats]:
-        """Return these values, and the displacement (3, k) mm of agents from their start."""
+        """Return these values, and the displacement (3, k) mm of each row from its start."""
         rows = near.rows
         vectors, (reach, mass), first = np.empty((3, 3, len(rows))), np.empty((2, len(rows))), 0
         for p, own in crowd.split_rows(rows):
@@ -181,10 +186,10 @@ def _separate(
     cut: Floats,
     work: tuple[Any, ...],
 ) -> Floats:
-    """Return the displacements (3, k) mm of rows that separate some of the pairs (m).
+    """Return the displacements (3, k) mm of rows that separate the pairs flagged in `which` (m).
 
-    Pairs are measured after steps were `cut` by (3, k) mm. Rows that are `held` are not moved farther. Rows have `walked` (3, k)
-    mm; `depth` (k) mm: their overlap before. `work`: buffers for kernels."""
+    Pairs are measured after steps were changed by `cut` (3, k) mm. `held`: rows that are not moved farther.
+    `walked` (3, k) mm: the displacement of each row. `depth` (k) mm: its overlap before. `work`: buffers for kernels."""
     magic = np.ldexp(1.5, int(np.frexp(near.widest)[1]) + 1 - SUM_BITS + 52)
     which, displacement = which.copy(), cut.copy()
     looks, lost = effort.looks, np.empty(len(near.i), np.intp)
@@ -198,8 +203,9 @@ def _separate(
 
 
 def _restore_headings(crowd: CapsuleCrowd, near: NearbyPairs, stopped: Rows, facing: Mapping[str, VectorArrays]) -> None:
-    """Reset the headings of some rows of `near` to those before the substep: between others, an agent that cannot walk cannot
-    turn either."""
+    """Reset the headings of the `stopped` rows of `near` to those before the substep.
+
+    An agent that cannot walk, because others surround it, cannot turn either."""
     rows, last = near.rows.take(stopped), 0
     for population, own in crowd.split_rows(rows):
         first, last = last, last + len(own)

@@ -1,4 +1,5 @@
-"""Walks that contacts request: agents move over their ground, along obstacles, no farther than they may walk in that time."""
+"""Walks for the displacements that contacts request. Agents move over their ground and along obstacles, no farther than they
+can walk in the step's duration."""
 
 from __future__ import annotations
 
@@ -34,13 +35,13 @@ _FLOAT32_ZERO, _FLOAT32_ONE, _MIN_VECTOR_LENGTH, _MIN_MASS = np.float32(0), np.f
 
 
 class CorrectionWalker:
-    """Walks of agents of a crowd in one substep of `dt` s. `began`: start positions (n, 3) mm of each species."""
+    """Walks agents of a crowd within one substep of `dt` s. `began`: start positions (n, 3) mm, by species."""
 
     def __init__(self, crowd: CapsuleCrowd, began: Mapping[str, Floats], dt: float) -> None:
         self._crowd, self._began, self._dt = crowd, began, dt
 
     def walk(self, rows: Rows, displacement: Floats) -> Floats:
-        """Walk ascending rows of the crowd by (3, k) mm each; return the displacements reached."""
+        """Walk the given ascending rows of the crowd by (3, k) mm; return the displacements reached."""
         got: list[Floats] = []
         for population, own in self._crowd.split_rows(rows):
             first = sum(each.shape[1] for each in got)
@@ -48,8 +49,9 @@ class CorrectionWalker:
         return got[0] if len(got) == 1 else np.concatenate(got, axis=1)
 
     def _walk(self, population: Population, rows: Rows, displacement: Floats) -> Floats:
-        """Walk some agents by (3, k) mm over their ground, along obstacles. Their velocity loses its part against that direction.
-        Returns the displacements reached."""
+        """Walk agents of one species by (3, k) mm over their ground, along obstacles; return the displacements reached.
+
+        Their velocity loses its component against the displacement."""
         if not len(rows):
             return np.empty_like(displacement)
         world, threads = self._crowd.world, self._crowd.world.options.threads
@@ -69,8 +71,9 @@ class CorrectionWalker:
     def _prepare_walk(
         self, population: Population, rows: Rows, displacement: Floats
     ) -> tuple[VectorArrays, VectorComponents, Floats, Floats, Floats]:
-        """Return the inputs of a walk by (3, k) mm for some agents: step and ground normal, float32; the same normal and
-        headings, float64 (k, 3); sizes (mm)."""
+        """Return the inputs of a walk by (3, k) mm for the given rows.
+
+        These are: step and ground normal, float32; the same normal and the headings, float64 (k, 3); sizes (mm)."""
         now = population.now
         step, feet = np.empty((2, 3, len(rows)), np.float32)
         up, heading, size = *np.empty((2, 3, len(rows))), np.empty(len(rows))
@@ -89,8 +92,9 @@ class CorrectionWalker:
         return (step[0], step[1], step[2]), feet, up.T, heading.T, size
 
     def _lead_back(self, population: Population, rows: Rows, moved: GroundMove, size: Floats) -> Rows | None:
-        """Move agents back towards the start that curved ground led farther than they may walk. Returns the ascending indices of
-        rows that are then within range; None for all."""
+        """Move agents back towards their start if curved ground took them farther than they may walk.
+
+        Returns the ascending indices of rows that are within range afterwards; None for all."""
         for _ in range(_MAX_BACKTRACKS):
             far, most = self._measure_reach(population, rows, moved)
             if far is None:
@@ -107,16 +111,18 @@ class CorrectionWalker:
         return None if far is None else np.flatnonzero(far <= most * _DISTANCE_SLACK_FACTOR)
 
     def _measure_reach(self, population: Population, rows: Rows, moved: GroundMove) -> tuple[Floats | None, Floats]:
-        """Return the distances (mm) of some agents from their start, None if no agent exceeds its limit, and these limits."""
+        """Return the distances (mm) of agents from their start, and the largest allowed distances. The first is None if no
+        agent exceeds its limit."""
         began, max_speed = self._began[population.name], population.now["max_speed"]
         far, most = np.empty((2, len(rows)))
         is_too_far = _find_too_far(rows, moved.position, began, population.position, max_speed, self._dt, far, most)
         return (far if is_too_far else None), most
 
     def _apply_move(self, population: Population, rows: Rows, moved: GroundMove) -> Floats:
-        """Write the corrected footings of some agents; return the displacements (3, k) mm. Bodies stay upright as they are, or
-        they would overlap others again: they lean, and the next step turns them after their feet. The arrays written to were
-        created by the walk of this substep, so they are not shared."""
+        """Write the new positions and footings of agents; return their displacements (3, k) mm.
+
+        Bodies retain their up, because leaning bodies would overlap others again. The next step aligns them with their feet.
+        The arrays were created by the walk of this substep, so they are not shared."""
         at, velocity = (vec.vector_registers(population.now, name) for name in ("position", "velocity"))
         got = np.empty((3, len(rows)))
         _store_arrivals(rows, moved.position, moved.up, self._dt, at, velocity, population.position, population.normal, got)
@@ -126,7 +132,7 @@ class CorrectionWalker:
 
 @inlined
 def _read_row(table: Strided2[F64], i: I64) -> Vec3:
-    """One of vectors (n, 3)."""
+    """Return row i of vectors (n, 3)."""
     return table[i, 0], table[i, 1], table[i, 2]
 
 
@@ -136,8 +142,10 @@ def _to_float32(v: Vec3) -> Vec3F32:
 
 
 class FootPositions(NamedTuple):
-    """Where feet of a species `began` and are now (n, 3), the normal of the ground (n, 3), the speed limit and the mass of
-    agents."""
+    """Feet of the agents of a species.
+
+    `began`, `place` (n, 3) mm: positions at the start and now. `normal` (n, 3): normal of the ground.
+    `max_speed` (mm/s), `mass`: of each agent."""
 
     began: Strided2[F64]
     place: Strided2[F64]
@@ -158,8 +166,10 @@ def fill_stances(
     reach: Array1[F64],
     mass: Array1[F64],
 ) -> None:
-    """Write how some rows of a species stand after a substep of `dt` s, from index `first` on among all rows: as in
-    `contacts.Agents`, and how far they have `walked` (3, k) mm."""
+    """Write the stances of the given rows of a species after a substep of `dt` s, from index `first` on among all rows in
+    pairs.
+
+    The outputs are as in `contacts._PairAgents`; `walked` (3, k) is the displacement (mm)."""
     began, place, feet, max_speed, weight = species
     for n in independent(0, rows.size):
         row, k = rows[n], first + n
@@ -173,7 +183,7 @@ def fill_stances(
 
 @kernel
 def fill_approach(rows: Array1[I64], first: I64, velocity: VectorColumns, dt: F32, displacement: Array2[F64]) -> None:
-    """Write the previous displacement (mm) of some rows of a species, in a time of `dt`, from index `first` on among all rows."""
+    """Write the previous displacement (mm) of the given rows of a species, their velocity times `dt`, from index `first` on."""
     for n in independent(0, rows.size):
         for axis in range(3):
             displacement[axis, first + n] = velocity[axis][rows[n]] * dt
@@ -192,8 +202,9 @@ def _prepare_walk(
     heading: Array2[F64],
     size: Array1[F64],
 ) -> None:
-    """Compute the inputs of a walk by (3, k) mm for some rows of a species. These are step and ground normal, float32; the same
-    normal, headings and sizes, float64."""
+    """Write the inputs of a walk by (3, k) mm for the given rows of a species.
+
+    These are: step and ground normal, float32; the same normal, headings and sizes (mm), float64."""
     for k in independent(0, rows.size):
         row = rows[k]
         size[k] = long[row]
@@ -214,8 +225,10 @@ def _find_too_far(
     far: Array1[F64],
     most: Array1[F64],
 ) -> BOOL:
-    """Return whether any of some rows would end at `to` (k, 3) farther away than allowed, or at an unknown distance. Writes the
-    distance (mm) from where it `began` (n, 3), and the allowed distance."""
+    """Return whether any of the given rows would end at `to` (k, 3) farther from its start than allowed, or at an unknown
+    distance.
+
+    `began` (n, 3): start positions. Writes the distance from the start (mm) to `far`, and the allowed distance to `most`."""
     is_too_far = False
     for k in range(rows.size):
         row = rows[k]
@@ -239,8 +252,9 @@ def _store_arrivals(
     feet: Strided2[F32],
     got: Array2[F64],
 ) -> None:
-    """Place agents at the end of their corrections, all but footings: at positions `to` with up `above` (k, 3), after a
-    displacement `got` (3, k) mm."""
+    """Write the values of agents at the end of their corrections, except footings.
+
+    `to`, `above` (k, 3): positions and ups. `got` (3, k) mm: the displacements."""
     for k in independent(0, rows.size):
         row = rows[k]
         end, up = _read_row(to, k), _to_float32(_read_row(above, k))
@@ -264,30 +278,32 @@ def _store_arrivals(
 
 
 def led(corrections: Floats) -> tuple[Rows, Floats]:
-    """Return which rows have a nonzero displacement in `corrections` (3, k) mm, and these displacements."""
+    """Return the rows with a nonzero displacement in `corrections` (3, k) mm, and these displacements."""
     moved_rows, requested_moves = np.empty(corrections.shape[1], np.intp), np.empty_like(corrections)
     count = _select_moves(corrections, moved_rows, requested_moves)
     return moved_rows[:count], requested_moves[:, :count]
 
 
 def find_missed(near: NearbyPairs, moved_rows: Rows, requested_moves: Floats, got: Floats, held: Flags) -> Flags:
-    """Return which rows (k) are measured again. Rows `moved_rows` were to move by `requested_moves` (3, ..) mm and have moved by
-    `got`. Updates their positions. Sets `held` (k) for rows that advanced too little; flags already set stay."""
+    """Return which rows (k) must be measured again, and update their positions.
+
+    `moved_rows`: the rows to move. `requested_moves`, `got` (3, ..) mm: their requested and reached displacements.
+    `held` (k): set for rows that advanced too little; flags that are already set stay."""
     touched = np.zeros(len(held), np.bool_)
     _find_missed(moved_rows, requested_moves, got, near.radius, near.middle, held, touched)
     return touched
 
 
 def find_visible_pairs(near: NearbyPairs, touched: Flags) -> Flags | None:
-    """Return which pairs (m) have a row that is `touched` (k); None if none of them overlaps enough for another round."""
+    """Return which pairs (m) have a row that is `touched` (k); None if no such pair overlaps enough for another round."""
     which = np.empty(len(near.i), np.bool_)
     return which if _find_visible_pairs(near.i, near.j, near.gap, near.radius, touched, which) else None
 
 
 @kernel
 def _select_moves(corrections: Array2[F64], moved_rows: Array1[I64], requested_moves: Array2[F64]) -> I64:
-    """Return how many rows have a nonzero displacement. The first entries of `moved_rows` and `requested_moves` (3, k) are these
-    rows."""
+    """Write the rows with a nonzero displacement to the start of `moved_rows` and `requested_moves` (3, k); return their
+    number."""
     count = 0
     for k in range(moved_rows.size):
         correction = of(corrections, k)
@@ -321,7 +337,7 @@ def _find_missed(
 def _find_visible_pairs(
     i: Array1[I64], j: Array1[I64], gap: Array1[F64], radius: Array1[F64], touched: Array1[BOOL], which: Array1[BOOL]
 ) -> BOOL:
-    """Write which pairs have a row that is `touched`; return whether any of them overlaps enough for another round."""
+    """Write to `which` the pairs that have a `touched` row; return whether any of them overlaps enough for another round."""
     for pair in independent(0, i.size):
         which[pair] = touched[i[pair]] | touched[j[pair]]
     has_overlap = False

@@ -1,5 +1,4 @@
-"""Steps that would lead agents into others are deflected along them, then cut: no agent goes farther than half of the free
-gap."""
+"""Steps into other agents are deflected along them, then cut. No agent walks farther than half of the free gap."""
 
 from __future__ import annotations
 
@@ -25,14 +24,16 @@ _MAX_DEFLECTIONS = 3  # times that a step is bent along those in its way, before
 def cut_steps(
     near: NearbyPairs, approach: Floats, mass: Floats, walked: Floats, gap: Floats, direction: Floats
 ) -> tuple[Floats, Rows, Flags]:
-    """Cut and deflect steps of rows that `walked` (3, k) mm, so that no agent enters another. Returns the displacements (3, k) mm
-    of that correction, the stopped rows, and flags (k) of rows that are cut or stopped. An agent that goes less than half of its
-    step is stopped. `approach` (3, k) mm: the displacements in a period of equal length before this one. `gap` (m) and
-    `direction` (3, m) of pairs are those before the steps.
+    """Cut and deflect the steps of rows that `walked` (3, k) mm, so that no agent enters another.
 
-    As in J. van den Berg et al., Reciprocal n-Body Collision Avoidance, 2011, each agent respects half-planes independently.
-    Towards each neighbour it goes no farther than half of the gap, and than the neighbour's withdrawal if that continues its
-    previous displacement. The shared limits thus need no iteration between agents, and a pressing crowd stands still. Of two
+    Returns the corrections (3, k) mm, the stopped rows, and flags (k) of rows that are cut or stopped. An agent is stopped if
+    less than half of its step remains.
+    `approach` (3, k) mm: displacements in the previous period of equal length.
+    `gap` (m), `direction` (3, m): gaps and separation axes of pairs before the steps.
+
+    As in J. van den Berg et al., Reciprocal n-Body Collision Avoidance, 2011, each agent observes half-planes independently.
+    Towards a neighbour it walks at most half of the gap, plus the neighbour's withdrawal if that continues its previous
+    displacement. Since limits are shared in this way, agents need no iteration, and a pressing crowd comes to rest. Of two
     masses, the heavier is cut less."""
     most = max(walked.max(), -walked.min(), 1e-30)
     magic = np.ldexp(1.5, int(np.frexp(most)[1]) + 2 - _SUM_BITS + 52)
@@ -46,7 +47,7 @@ def cut_steps(
 
 @inlined
 def add_rounded(sums: Array2[F64], i: I64, v: Vec3, magic: F64) -> None:
-    """Add a term, rounded to the quantum of `magic`, to a sum."""
+    """Add a vector to a sum, after rounding it to the quantum that `magic` defines."""
     for axis in range(3):
         sums[axis, i] += (v[axis] + magic) - magic
 
@@ -57,7 +58,7 @@ def negate(v: Vec3) -> Vec3:
 
 
 class CutBuffers(NamedTuple):
-    """Work buffers: `free` (2, m), `sums` (3, k), `part`, `meeting_counts` and `bent_rows` (k) and `pairs` (m)."""
+    """Work buffers. `free` is (2, m), `sums` (3, k); `part`, `meeting_counts` and `bent_rows` are (k), `pairs` is (m)."""
 
     free: Array2[F64]
     sums: Array2[F64]
@@ -82,10 +83,11 @@ def _bend_steps(
     stopped: Array1[I64],
     changed: Array1[BOOL],
 ) -> I64:
-    """Bend and cut steps as `cut` describes. Writes by what steps are `cut` (3, k), which rows have `changed` (k), and the
-    `stopped` rows first in `stopped`. Returns their number.
+    """Deflect and cut steps as `cut_steps` describes. Return the number of stopped rows.
 
-    After a pass over all pairs, only pairs with a bent row are visited again, because no other step has changed."""
+    `cut` (3, k): receives the corrections (mm). `changed`: receives flags of changed rows.
+    `stopped`: receives the stopped rows at its start.
+    After a pass over all pairs, only pairs with a deflected row are visited again, because no other step has changed."""
     free, sums, part, meeting_counts, bent_rows, pairs = buffers
     for pair in independent(0, i.size):
         pair_direction, over = of(direction, pair), 0

@@ -1,5 +1,5 @@
-"""Limits falling: no agent gets farther in a step than it may. An agent that lost its ground to digging stays in the air for as
-long as its fall takes."""
+"""Limits the speed of falls: no agent moves farther in a step than `max_speed` allows. An agent that lost its ground to
+digging stays in the air during its fall."""
 
 from __future__ import annotations
 
@@ -20,8 +20,10 @@ _FALL_BODY_LENGTHS_PER_SECOND = 7.5  # body lengths a second: falling speed of a
 
 
 def limit_fall(world: World, population: Population, moved: GroundMove, dt: np.float32) -> GroundMove:
-    """Limit the result of a walk: agents that would exceed `max_speed` go only that far on the straight line to their target.
-    They are then in the air of the solid that they fall from or come to. Their next step continues from there."""
+    """Limit the result of a walk: agents that would exceed `max_speed` move only that far, on the straight line to their
+    target.
+
+    They are then in the air of the solid that they fall from or fall to. Their next step continues from that position."""
     now, first = population.now, len(world.ground.names) - len(world.solids)
     speed = np.where(now["max_speed"] > 0, now["max_speed"], now["size"] * np.float32(_FALL_BODY_LENGTHS_PER_SECOND)).astype(
         np.float64
@@ -41,7 +43,7 @@ def limit_fall(world: World, population: Population, moved: GroundMove, dt: np.f
 
 
 def find_airborne(world: World, population: Population, rows: Rows) -> Rows:
-    """Return which of some agents (ascending indices into `rows`) are falling through the air of a solid."""
+    """Return which of the given agents fall through the air of a solid, as ascending indices into `rows`."""
     first = len(world.ground.names) - len(world.solids)
     mesh = population.footing.mesh[rows]
     is_airborne = np.zeros(len(rows), np.bool_)
@@ -54,7 +56,8 @@ def find_airborne(world: World, population: Population, rows: Rows) -> Rows:
 
 
 def push_airborne(world: World, population: Population, rows: Rows, displacement: Floats) -> GroundMove:
-    """Return where pushes (k, 3) mm move agents in the air of a solid: straight ahead, but not into a solid."""
+    """Return the positions to which pushes (k, 3) mm move agents in the air of a solid. They move in a straight line, but not
+    into a solid."""
     place = population.position[rows] + displacement
     for volume in world.solids.values():
         inside = volume.sample(place) < 0

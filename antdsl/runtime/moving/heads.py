@@ -1,4 +1,4 @@
-"""Heads inside the ground: behind a surface that agents walk on, or in a solid."""
+"""Finds heads that are inside the ground: behind a surface that agents walk on, or in a solid."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ HEAD_DEPTH_TOLERANCE = 0.1  # of a body: a head that is no deeper inside but tou
 
 
 def find_heads_inside(world: World, population: Population) -> NDArray[np.bool_]:
-    """Return which heads, bool[n], are inside the ground or a solid in the current state.
+    """Return which heads are inside the ground or a solid in the current state, bool[n].
 
-    A head is half a body ahead of the middle. The middle is above the feet, along the mean of the ground's normal and the body's
-    up. A head is inside if a surface lies between head and middle, or if it is in a solid. In both cases it must be more than a
-    tenth of a body behind that."""
+    A head is half a body ahead of the middle. The middle is above the feet, along the mean of the ground's normal and the
+    body's up. A head is inside if a surface lies between head and middle, or if it is in a solid. It must be more than a tenth
+    of a body behind that surface or inside that solid."""
     now = population.now
     size = now["size"].astype(np.float64)
     high = np.maximum(MIN_BODY_HEIGHT_SHARE * size, now["clearance"])

@@ -1,5 +1,7 @@
-"""Moving things of the world: they are placed for a frame, agents are carried by their ground, and obstacles push agents aside.
-All of it is a function of the frame and of the agents' positions."""
+"""Moving things of the world: placing them for a frame, carrying agents with their ground, and pushing agents out of
+obstacles.
+
+All results are functions of the frame and of the agents' positions."""
 
 from __future__ import annotations
 
@@ -22,7 +24,7 @@ _F = np.float32
 
 
 def move_world(world: World) -> None:
-    """Move everything to the next frame: agents with the ground they stand on, then out of the way of obstacles."""
+    """Move all moving things to the next frame. Agents move with their ground, then out of obstacles that have reached them."""
     if not world.setting.moves:
         return
     ground = moving_ground(world)
@@ -38,8 +40,7 @@ def move_world(world: World) -> None:
 
 
 def pose_world(world: World, frame: int) -> None:
-    """Move all moving things to their places at a frame of the scene. Agents stay on their footing and are not moved
-    themselves."""
+    """Move all moving things to their positions at a frame of the scene. Agents retain their footing and position."""
     moves = world.setting.moves
     if not moves:
         return
@@ -62,13 +63,13 @@ def pose_world(world: World, frame: int) -> None:
 
 
 def moving_ground(world: World) -> MovingGround | None:
-    """The ground of meshes, if some of them move."""
+    """Return the part of the ground that consists of meshes, if some of them move; else None."""
     meshes = world.ground.meshes
     return meshes if isinstance(meshes, MovingGround) else None
 
 
 def pose_ground(world: World, frame: int) -> None:
-    """Move only the ground, using NumPy alone: for callers that read a world and cast no rays."""
+    """Move only the ground to a frame, using NumPy alone. This is for callers that read a world and cast no rays."""
     ground = moving_ground(world)
     if ground is not None:
         moved = [name for name in world.setting.moves.meshes if name in world.setting.surfaces]
@@ -83,7 +84,7 @@ def vertices_at(world: World, name: str, frame: int) -> NDArray[np.float64]:
 
 
 def make_curve(points: NDArray[np.float64]) -> SampledCurve:
-    """Return a curve that is ready for queries."""
+    """Return a curve through `points`, prepared for queries."""
     return SampledCurve(points, _CURVE_SPACING_MM)
 
 
@@ -106,12 +107,13 @@ def ground_velocity(world: World, population: Population) -> NDArray[np.float64]
 
 
 def agent_rest_positions(world: World, population: Population) -> NDArray[np.float64]:
-    """Return the rest positions (n, 3) of the ground points below agents: the space in which fields have their cells."""
+    """Return the rest positions (n, 3) mm of the ground points below agents. The cells of fields are defined at rest
+    positions."""
     return rest_positions(world, population.footing, population.position)
 
 
 def rest_positions(world: World, footing: Footing, place: NDArray[np.float64]) -> NDArray[np.float64]:
-    """As `agent_rest_positions`, for any footings at places (n, 3)."""
+    """Return rest positions as `agent_rest_positions` does, for footings at positions `place` (n, 3) mm."""
     ground = moving_ground(world)
     if ground is None:
         return place
@@ -122,7 +124,8 @@ def rest_positions(world: World, footing: Footing, place: NDArray[np.float64]) -
 
 
 def rotate_from_rest(world: World, population: Population, rows: NDArray[np.intp] | slice, vectors: VectorArrays) -> VectorArrays:
-    """Return vectors (three float32 arrays) of the ground at rest, rotated to the current ground below each agent."""
+    """Return vectors at the ground's rest pose (three float32 arrays), rotated to the current pose of the ground below each
+    agent."""
     ground = moving_ground(world)
     if ground is None:
         return vectors
@@ -140,8 +143,9 @@ def rotate_from_rest(world: World, population: Population, rows: NDArray[np.intp
 
 
 def move_from_rest(world: World, population: Population, rows: NDArray[np.intp] | slice, positions: VectorArrays) -> VectorArrays:
-    """Return the current positions of places (three float32 arrays) near agents on the ground at rest. All ground near an agent
-    is assumed to have moved like its own face."""
+    """Return the current positions of points near agents, given at the ground's rest pose (three float32 arrays, mm).
+
+    All ground near an agent is assumed to have moved like the agent's own face."""
     ground = moving_ground(world)
     if ground is None:
         return positions
@@ -164,7 +168,7 @@ def _make_ray_scene(world: World, name: str, frame: int) -> RayScene:
 
 
 def _find_riders(ground: MovingGround | None, population: Population) -> tuple[NDArray[np.intp], FaceAxes | None]:
-    """Return the rows of agents on moving ground, and the frames of their faces before it moves."""
+    """Return the rows of agents on moving ground, and the axes of their faces before the ground moves."""
     if ground is None:
         return np.empty(0, np.intp), None
     rows = ground.rows_on_moving(population.footing.mesh)
@@ -172,7 +176,7 @@ def _find_riders(ground: MovingGround | None, population: Population) -> tuple[N
 
 
 def _carry_riders(ground: MovingGround, population: Population, rows: NDArray[np.intp], previous_axes: FaceAxes) -> None:
-    """Rotate the position, up, heading and velocity of agents on moved ground as their face has turned."""
+    """Move and rotate agents with their face after the ground has moved: position, up, heading and velocity."""
     footing = population.footing.take_on_meshes(rows)
     next_axes = ground.axes(footing)
     now = population.now
@@ -194,7 +198,7 @@ def _carry_riders(ground: MovingGround, population: Population, rows: NDArray[np
 
 
 def _rotate_vectors(previous_axes: FaceAxes, next_axes: FaceAxes, v: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return vectors (3, n) with unchanged components along the axes of a frame that has turned."""
+    """Return vectors (3, n) with unchanged components along axes that have turned."""
     parts = [(a[0] * v[0] + a[1] * v[1]) + a[2] * v[2] for a in previous_axes]
     turned: NDArray[np.float64] = (parts[0] * next_axes[0] + parts[1] * next_axes[1]) + parts[2] * next_axes[2]
     return turned
@@ -205,7 +209,7 @@ def _read_vectors(population: Population, name: str, rows: NDArray[np.intp]) -> 
 
 
 def _push_out(world: World, population: Population, name: str) -> None:
-    """Walk agents out of an obstacle that has reached them, away from its nearest face, until its margin is free."""
+    """Walk agents out of an obstacle that has reached them, away from its nearest face, until their margin is free."""
     scene, now = obstacle_mesh(world, name), population.now
     place = vec.vector_registers(now, "position")
     margin = np.maximum(now["radius"], _F(0)) * _OBSTACLE_MARGIN_SHARE
@@ -237,7 +241,7 @@ def _push_out(world: World, population: Population, name: str) -> None:
 
 
 def _apply_move(population: Population, rows: NDArray[np.intp], moved: GroundMove) -> None:
-    """Place some agents where a push has moved them; their velocity continues along the ground there."""
+    """Place the given agents at the results of a push, and project their velocity onto the ground at the new positions."""
     footing = population.footing.copy()  # a snapshot may have the one from before
     footing.put(rows, moved.footing)
     population.footing = footing

@@ -1,4 +1,4 @@
-"""A lower bound of each agent's distance from an obstacle at the start of the step: most agents then need no ray."""
+"""A lower bound of each agent's distance from an obstacle at the start of the step. With it, most agents need no ray."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ _ROUNDING_SLACK = np.float32(ROUNDING_BOUND)
 
 
 def cached_clearance(world: World, population: Population, obstacle: str) -> NDArray[np.float32]:
-    """Return a distance (mm, float32[n]) within which an agent has no face of the obstacle; 0 when near. Cached for the step."""
+    """Return a distance (mm, float32[n]) within which no face of the obstacle lies; 0 for agents near it. Cached for the step."""
     key = (population.name, obstacle, population.version)
     distances = world.clearances.get(key)
     if distances is None:
@@ -24,5 +24,5 @@ def cached_clearance(world: World, population: Population, obstacle: str) -> NDA
 
 
 def may_touch(clear: NDArray[np.float32], reach: NDArray[np.float32]) -> NDArray[np.bool_]:
-    """Return which agents may have a face within `reach` (mm)."""
+    """Return which agents may have a face within `reach` (mm). `clear`: the result of `cached_clearance`."""
     return clear <= reach * (1 + _ROUNDING_SLACK) + _ROUNDING_SLACK

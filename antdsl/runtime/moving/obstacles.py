@@ -1,4 +1,4 @@
-"""Obstacles are hard: a step that would move an agent's centre into one is shortened, and the rest of it slides along."""
+"""Obstacles are hard: a step that would move an agent's centre into an obstacle is shortened, and its rest slides along it."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ _RAY_SLACK_FACTOR, _STEP_SLACK_FACTOR = 1 + 1e-6, _F(1) + _F(1e-6)  # more than 
 
 
 def slide(world: World, population: Population, step: VectorArrays, up: VectorComponents, radius: Floats) -> VectorArrays:
-    """Return the step (mm) of every agent, bent along the obstacles in its way. `up` is the normal of the ground."""
+    """Return the step (mm) of every agent, deflected along the obstacles ahead. `up` is the normal of the ground."""
     names = _obstacle_names(world)
     if names:
         place, began = vec.vector_registers(population.now, "position"), _is_at_start(population, world.options.threads)
@@ -45,7 +45,7 @@ def slide(world: World, population: Population, step: VectorArrays, up: VectorCo
 
 
 def slide_some(world: World, population: Population, rows: Rows, step: VectorArrays, up: VectorComponents) -> VectorArrays:
-    """As `slide`, for some agents, from their current positions within a step that began elsewhere."""
+    """Return steps as `slide` does, for agents that have moved within the step and continue from their current positions."""
     names = _obstacle_names(world)
     if names:
         place, radius, drift = _measure_drift(population, rows)
@@ -64,12 +64,12 @@ def _measure_drift(population: Population, rows: Rows) -> tuple[VectorArrays, Fl
 
 
 def _obstacle_names(world: World) -> list[str]:
-    """Obstacles that there are."""
+    """Return the names of the obstacles."""
     return [name for name in world.plan.obstacles if name in world.obstacles]
 
 
 def obstacle_mesh(world: World, name: str) -> RayScene:
-    """Return the mesh of an obstacle that agents cannot walk through. Solids are not among them."""
+    """Return the mesh of an obstacle that agents cannot enter; solids are not among these obstacles."""
     scene = world.obstacles[name]
     assert isinstance(scene, RayScene)
     return scene
@@ -86,7 +86,7 @@ def _slide_along(
     scene: RayScene, place: VectorArrays, step: VectorArrays, up: VectorComponents, radius: Floats,
     clear: Floats, threads: int,
 ) -> VectorArrays:  # fmt: skip
-    """Return the steps (mm) of agents at `place`, bent along one obstacle. `clear` (mm): a lower bound of their distance from
+    """Return steps (mm) of agents at `place`, deflected along one obstacle; `clear`: a lower bound (mm) of their distance from
     it."""
     n, tables = len(radius), scene.tables()
     if tables is not None:
@@ -123,8 +123,7 @@ def _turn_at_hits(
     scene: RayScene, step: VectorArrays, rows: NDArray[np.int64], columns: Floats, hit_rows: NDArray[np.int64],
     hits: Floats, parts: list[tuple[int, int, int, int]], threads: int,
 ) -> VectorArrays:  # fmt: skip
-    """Return the steps, with those deflected by the kernel `along` replaced. Steps that also hit a face are turned aside from
-    it."""
+    """Return the steps with those deflected by `bend_steps` replaced. Steps that still hit a face are deflected along it."""
     rows, columns = parallel.join_parts(parts, rows, columns)
     if not len(rows):
         return step
@@ -140,7 +139,7 @@ def _turn_at_hits(
 
 
 def _replace_rows(step: VectorArrays, rows: NDArray[np.int64], own: Floats) -> VectorArrays:
-    """Steps, of some rows their own (3, k)."""
+    """Return the steps, with those of the given rows replaced by `own` (3, k)."""
     to = np.empty((3, len(step[0])), np.float32)
     replace_rows(step, rows, own, to)
     return to[0], to[1], to[2]
@@ -151,7 +150,7 @@ def _turn_aside(
     hit_rows: Rows,
     free: Floats, normal: VectorArrays, threads: int,
 ) -> None:  # fmt: skip
-    """Bend, in place, the steps of agents that `hit_rows` a face with this normal after `free` mm."""
+    """Deflect, in place, the steps of agents `hit_rows` along a face with this normal, which they hit after `free` mm."""
     u, intended_steps = vec.take(up, hit_rows), vec.take(step, hit_rows)
     size = vec.length(intended_steps)
     wall = vec.unit(vec.flat(normal, u), normal)
@@ -173,7 +172,7 @@ def _turn_aside(
 def _find_hits(
     scene: RayScene, place: VectorArrays, step: VectorArrays, margin: Floats, threads: int
 ) -> tuple[Rows, Floats, VectorArrays]:
-    """Which agents meet a face on their step, how much of the step (mm) is free, and the face's normal."""
+    """Return the agents that hit a face on their step, the free length of each step (mm), and the normal of the face."""
     size = vec.length(step)
     going = np.flatnonzero(size > _MIN_STEP_MM)
     size, margin = size[going], margin[going]
@@ -186,7 +185,7 @@ def _find_hits(
 
 @kernel
 def is_unchanged(one: VectorColumns, other: VectorColumns, begin: I64, end: I64) -> BOOL:
-    """Whether vectors from `begin` to before `end` are all equal, none of them NaN."""
+    """Return whether two sets of vectors are equal from `begin` to before `end`, without any NaN."""
     is_same = True
     for i in range(begin, end):
         is_same = is_same and one[0][i] == other[0][i] and one[1][i] == other[1][i] and one[2][i] == other[2][i]
@@ -195,7 +194,7 @@ def is_unchanged(one: VectorColumns, other: VectorColumns, begin: I64, end: I64)
 
 @inlined
 def _measure_step(step: VectorColumns, radius: Array1[F32], clear: Array1[F32], i: I64) -> tuple[F32, F32, BOOL]:
-    """Return the length of a step, its margin, and whether it may touch an obstacle."""
+    """Return the length of a step (mm), its margin (mm), and whether it may touch an obstacle."""
     vector = (step[0][i], step[1][i], step[2][i])
     size = np.sqrt(dot(vector, vector))
     margin = (_FLOAT32_ZERO if radius[i] <= 0 else radius[i]) * _CENTRE_MARGIN_SHARE
@@ -206,8 +205,7 @@ def _measure_step(step: VectorColumns, radius: Array1[F32], clear: Array1[F32], 
 def _keep_margin(
     step: Vec3F32, up: Vec3F32, size: F32, margin: F32, clear: F32, gap: F32, out: Vec3F32
 ) -> tuple[Vec3F32, F32, BOOL]:
-    """Return a step that keeps the margin from the nearest face, `gap` away along `out`; its length, and whether it may hit a
-    face."""
+    """Return a step that keeps the margin from the face `gap` mm away along `out`, its length, and whether it may hit a face."""
     wall = minus(out, times(up, dot(out, up)))
     long = np.sqrt(dot(wall, wall))
     if long > _MIN_VECTOR_LENGTH and np.isfinite(long):
@@ -230,8 +228,8 @@ def _keep_margin(
 
 
 class TouchCounts(NamedTuple):
-    """`begin`; the number of agents that may touch an obstacle on their step; how many of these hit it on the step that keeps the
-    margin; for how many the grid gives no answer."""
+    """Counts from a range of agents that starts at `begin`. `agents`: those that may touch an obstacle on their step.
+    `hits`: those that hit it even after the step keeps the margin. `unknown`: those for which the grid gives no answer."""
 
     begin: I64
     agents: I64
@@ -254,10 +252,10 @@ def bend_steps(
     begin: I64,
     end: I64,
 ) -> TouchCounts:
-    """Find agents from `begin` to before `end` that may touch an obstacle on their step, that is, closer than `clear`. Agents
-    outside with their nearest face beyond their range are left out: their steps stay. From index `begin` on, writes their `rows`,
-    and into `columns` [10, n] position, deflected step, `up` of the ground (3, n) and margin. `hit_rows`: those that hit a face;
-    `hits` [4, n]: the free length (mm) of the step, and the normal."""
+    """Find the agents from `begin` to before `end` that may touch an obstacle on their step, and write from index `begin` on:
+    `rows`: these agents. `columns` [10, n]: position, deflected step, `up` of the ground, margin. `hit_rows`: those that hit.
+    `hits` [4, n]: free length of the step (mm) and normal of the face. `clear`: a lower bound (mm) of the distance.
+    Agents outside the obstacle with the nearest face out of range are left out: their steps do not change."""
     asking = begin
     for i in range(begin, end):
         _, _, may_touch = _measure_step(step, radius, clear, i)
@@ -304,7 +302,7 @@ def bend_steps(
 
 @kernel
 def replace_rows(step: VectorColumns, rows: Array1[I64], own: Strided2[F32], to: Array2[F32]) -> None:
-    """Write the steps to `to` (3, n): for some rows their `own` (3, k)."""
+    """Write the steps to `to` (3, n), with those of the given rows replaced by `own` (3, k)."""
     for i in independent(0, step[0].size):
         to[0, i], to[1, i], to[2, i] = step[0][i], step[1][i], step[2][i]
     for k in range(rows.size):
@@ -322,10 +320,9 @@ def select_touching(
     begin: I64,
     end: I64,
 ) -> tuple[I64, I64]:
-    """Find agents from `begin` to before `end` that may touch an obstacle, `clear` mm away, on their step.
-
-    Returns `begin` and their number. From `begin` on, writes their rows, and into `columns` [9, ..]: length of the step, margin
-    (mm) and `clear`, then both vectors."""
+    """Find the agents from `begin` to before `end` that may touch an obstacle on their step; return `begin` and their number.
+    `clear`: a lower bound (mm) of the distance from the obstacle. From index `begin` on, writes the agents to `rows`, and to
+    `columns` [9, ..] the length of the step, the margin (mm), `clear`, the position and the step."""
     count = begin
     for i in range(begin, end):
         size, margin, may_touch = _measure_step(step, radius, clear, i)
@@ -347,10 +344,9 @@ def keep_margins(
     going: Array1[I64],
     rays: Array2[F32],
 ) -> I64:
-    """Compute deflected steps, `new_steps` [3, n], that keep the margin from the nearest face, for agents found by `touching`.
-    `above` is the up of the ground; the nearest face lies at distance `gaps` along `out` [3, n]. Returns how many agents may hit
-    a face on these steps. Writes which ones (`going`) and their `rays` [9, n]: position, direction, range, the length of the step
-    and the margin."""
+    """Write steps `new_steps` [3, n] that keep the margin from the nearest face, for agents found by `select_touching`.
+    `above`: up of the ground. `gaps`, `out` [3, n]: distance and direction of the nearest face. Return how many may hit it.
+    Writes these agents to `going`, and to `rays` [9, n] their position, direction, range, length of the step and margin."""
     count = 0
     for i in range(gaps.size):
         margin, up, away = near[1, i], (above[0][i], above[1][i], above[2][i]), (out[0, i], out[1, i], out[2, i])
@@ -372,8 +368,7 @@ def keep_margins(
 def slow_velocities(
     intended_step: VectorColumns, step: VectorColumns, velocity: VectorColumns, rate: F32, begin: I64, end: I64
 ) -> None:
-    """Set the velocities of agents from `begin` to before `end` with steps other than `intended_step` to `rate` times their
-    steps."""
+    """Set velocities to `rate` times the step, for agents from `begin` to before `end` with a step other than `intended_step`."""
     for i in independent(begin, end):
         if step[0][i] != intended_step[0][i] or step[1][i] != intended_step[1][i] or step[2][i] != intended_step[2][i]:
             for k in range(3):
@@ -390,8 +385,8 @@ def measure_drift(
     radius: Array1[F32],
     drift: Array1[F32],
 ) -> None:
-    """Write the positions `at` (3, k) of some rows, their radii, and their distance from the start of the step, slightly
-    increased."""
+    """Write the positions `at` (3, k) of rows, their radii, and their slightly increased distance (mm) from the start of the
+    step."""
     for k in independent(0, rows.size):
         row = rows[k]
         to = (place[0][row], place[1][row], place[2][row])

@@ -1,9 +1,8 @@
-"""How a body stands on the ground, other than by the ground's smooth normal: from the turn of its direction, or from two probes.
-Both follow the sources (R15), and use the normal of the ground where they fail.
+"""Orients bodies on the ground by another method than the ground's smooth normal. The normal is used where a method fails.
 
-`turns` (method 1 there) does not query the ground. Two successive directions of motion span the plane of flat ground, and their
-cross product is its normal. `probes` (method 2) puts two points on the surface, ahead and to the left, and stands perpendicular
-to the directions to them."""
+Both methods follow the sources (R15). `turns` (method 1 in the source) does not query the ground. Two successive directions of
+motion span the plane of flat ground, and their cross product is its normal. `probes` (method 2) finds two points on the
+surface, ahead and to the left. The body is perpendicular to the directions to these points."""
 
 from __future__ import annotations
 
@@ -27,10 +26,10 @@ _MAX_PROBE_TILT_COSINE = 0.7071067811865476  # cosine of 45 degrees: the same of
 def orient_bodies(
     world: World, population: Population, previous_velocity: VectorArrays, previous_up: VectorArrays, normal: NDArray[np.float32]
 ) -> None:
-    """Orient bodies as the scene requests, starting from their orientation on the ground's normal; changes up and heading.
+    """Orient bodies as the scene requests, starting from the orientation by the ground's normal. This changes up and heading.
 
-    `previous_velocity`, `previous_up` and `normal` (n, 3) are the velocity, the up of the body and the normal below the feet
-    before the step."""
+    `previous_velocity`, `previous_up`: velocity and up of the body before the step.
+    `normal` (n, 3): normal of the ground below the feet before the step."""
     ground = population.normal.T.astype(np.float64)
     up = _UP_ESTIMATORS[world.setting.orient](
         world, population, np.stack(previous_velocity).astype(np.float64), np.stack(previous_up), normal, ground
@@ -53,9 +52,11 @@ def _up_from_turns(
     normal: NDArray[np.float32],
     ground: Floats,
 ) -> Floats:
-    """Return ups (3, n) perpendicular to the last two directions of motion. The previous up is retained where the directions
-    agree and where an animal stands. So it is where the ground curves by more than a tenth of the angle between the directions.
-    The result is at most 10 degrees from the ground's normal."""
+    """Return up vectors (3, n) perpendicular to the last two directions of motion, at most 10 degrees from the ground's
+    normal.
+
+    The previous up is retained where the directions agree and where an agent stands. It is also retained where the ground
+    curves by more than a tenth of the angle between the directions."""
     zero = np.zeros_like(previous_velocity)
     one, other = _normalise_or(previous_velocity, zero), _normalise_or(population.vector("velocity").T, zero)
     across = stacked_cross(one, other)
@@ -69,7 +70,7 @@ def _up_from_turns(
 
 
 def _limit_tilt(up: Floats, ground: Floats) -> Floats:
-    """Return up vectors (3, n), limited to 10 degrees from the ground's normals, in the plane of both."""
+    """Return up vectors (3, n), rotated towards the ground's normals so that they differ by at most 10 degrees."""
     aside = _normalise_or(up - ground * dot(up, ground), np.zeros_like(up))
     most = ground * _MAX_TILT_COSINE + aside * np.sqrt(1.0 - _MAX_TILT_COSINE * _MAX_TILT_COSINE)
     return np.where(dot(up, ground) < _MAX_TILT_COSINE, _normalise_or(most, ground), up)
@@ -83,9 +84,10 @@ def _up_from_probes(
     normal: NDArray[np.float32],
     ground: Floats,
 ) -> Floats:
-    """Return up vectors (3, n) perpendicular to the directions to two ground points: the nearest ones to half a body ahead and
-    half a body to the left. Where these are in line with the body, or the result is more than 45 degrees off the ground's normal,
-    return that normal."""
+    """Return up vectors (3, n) perpendicular to the directions to two ground points.
+
+    The points are those nearest to half a body ahead and to half a body to the left. The ground's normal is returned where a
+    point is in line with the body, or where the result is more than 45 degrees from the normal."""
     heading = population.vector("heading").T
     reach = np.maximum(population.now["size"], np.float32(0)).astype(np.float64) / 2
     place = population.position.T
@@ -101,7 +103,7 @@ def _up_from_probes(
 
 
 def _normalise_or(v: Floats, otherwise: Floats) -> Floats:
-    """Normalize vectors (3, n); return `otherwise` where there is no direction."""
+    """Return unit vectors (3, n) in the directions of `v`; `otherwise` where v has no direction."""
     size = np.sqrt(dot(v, v))
     good = size > 1e-12
     return np.where(good, v / np.where(good, size, 1.0), otherwise)

@@ -1,7 +1,7 @@
-"""Rises before agents: a wall of the ground that the next steps reach, and how far a body is tilted for it by then.
+"""Walls ahead of agents: parts of the ground that the next steps reach, and how far a body tilts before it reaches them.
 
-A body of length L tilts over a distance of L before a wall, linearly. So its head, L/2 before its feet, stays out of a wall up to
-a right angle. For an overhanging wall, the distance is longer by angle / sine."""
+A body of length L tilts linearly over a distance of L before a wall. Its head is L/2 ahead of its feet, so it stays out of a
+wall of up to a right angle. For an overhanging wall, the distance is longer by angle / sine."""
 
 from __future__ import annotations
 
@@ -31,10 +31,12 @@ MAX_TILT_DISTANCE_HALVES = 3.0  # half bodies before a wall within which a body 
 
 
 class WallsAhead(NamedTuple):
-    """Walls before some agents, lengths in mm.
+    """Walls ahead of some agents, lengths in mm.
 
-    `wall` (3, k): normals on the agents' side; `ahead` (3, k): direction; `angle` (radians): between ground and wall. `far`:
-    distance of the feet from the wall; `over`: the distance over which the body tilts; `half`: half of its length."""
+    `wall` (3, k): normals on the agents' side. `ahead` (3, k): directions towards the walls.
+    `angle` (radians): between ground and wall.
+    `far`: distance of the feet from the wall. `over`: the distance over which the body tilts. `half`: half of the body's
+        length."""
 
     wall: Floats
     ahead: Floats
@@ -50,10 +52,12 @@ _NO_WALLS = WallsAhead(*np.empty((2, 3, 0)), *np.empty((4, 0)))
 def find_walls(
     world: World, population: Population, looking: VectorArrays, step: VectorArrays, reach: Floats, state: NDArray[np.int32]
 ) -> WallsAhead:
-    """Find walls within `reach` (mm) of agents, along their heading over the ground and along their step (mm). Of two walls, the
-    one that tilts the body further counts. An agent that walks backward with a separate facing direction has no head in its
-    direction of motion. `state` of an agent becomes the number of its wall. `looking` has the headings of leaning agents only,
-    and gets those of all agents that search for walls."""
+    """Return the walls within `reach` (mm) of agents, along their heading over the ground and along their step (mm).
+
+    Of two walls, the one that tilts the body further is used. For an agent that walks backward while it faces another
+    direction, the step is not searched, because its head is on the other side.
+    `state`: set to the number of the wall of each agent with a wall.
+    `looking`: initially contains the headings along the ground of leaning agents; set for all agents that search for walls."""
     meshes = world.ground.meshes
     if meshes is None:
         return _NO_WALLS
@@ -88,14 +92,16 @@ def half_size(size: F32) -> F64:
 
 @kernel
 def fill_reach(size: Array1[F32], reach: Array1[F64]) -> None:
-    """Write how far (mm) ahead bodies of sizes (mm) search for walls."""
+    """Write how far ahead (mm) bodies of the given sizes (mm) search for walls."""
     for i in independent(0, size.size):
         reach[i] = MAX_TILT_DISTANCE_HALVES * half_size(size[i])
 
 
 class BodyDirections(NamedTuple):
-    """Headings of agents; `looking`: those along the ground, for agents that lean by their `state`; their steps; whether `face`
-    has directions to face."""
+    """Directions of agents.
+
+    `heading`: headings. `looking`: headings along the ground, for agents that lean according to `state`.
+    `step`: steps (mm). `faces`: whether `face` contains directions to face."""
 
     heading: VectorColumns
     looking: VectorColumns
@@ -116,11 +122,11 @@ def fill_looks(
     origin: Array2[F64],
     ray: Array2[F64],
 ) -> I64:
-    """Write the `looks` of agents with rays (3, ..) and return their number.
+    """Write the rays (3, ..) with which agents search for walls, and their data `looks`; return their number.
 
-    First all `rows`, along their heading over the ground. Then the agents that step aside from it, along their step, unless they
-    walk backward. The buffers have space for two per row. `looking` has this heading for agents that lean by their `state`, and
-    afterwards for all rows."""
+    The first rays are along the heading over the ground, one for each of `rows`. Then come rays along the step, for agents
+    that step sideways and do not walk backward. The buffers have space for two rays per row. `looking` contains the heading
+    along the ground for leaning agents, and for all rows afterwards."""
     which, halves, sizes, aheads, normals = looks
     heading, looking, state, step, faces, face = directions
     count = rows.size
@@ -174,10 +180,10 @@ def fill_walls(
     half: Array1[F64],
     state: Array1[I32],
 ) -> I64:
-    """Write the `WallsAhead` of agents with a wall before them, and return their number.
+    """Write the `WallsAhead` of agents with a wall ahead, and return their number.
 
-    `hit`: the looks that hit something, ascending; the `first` looks are straight ahead. Of two walls, the one that needs more
-    tilt counts. Writes the number of the wall to `state`."""
+    `hit`: ascending indices of the rays that hit something; the `first` rays are along the heading.
+    Of two walls, the one that needs more tilt is used. Its number is written to `state`."""
     which, halves, sizes, aheads, normals = looks
     middle = 0
     while middle < hit.size and hit[middle] < first:

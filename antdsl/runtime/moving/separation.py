@@ -1,4 +1,4 @@
-"""Loops that separate pairs of bodies. Sums over pairs are exact, so the order does not matter."""
+"""Kernels that separate pairs of bodies. Sums over pairs are exact, so the order of pairs does not matter."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ _CHOSEN_PAIR_ROW, _FIRST_AGENT_ROW, _SECOND_AGENT_ROW, _TOUCHING_PAIR_ROW = rang
 
 
 def arrays(rows: int, pairs: int) -> tuple[NDArray[Any], ...]:
-    """Return buffers for `parted`, for one crowd and its pairs."""
+    """Return the buffers that `separate_pairs` needs for a crowd with this number of rows and pairs."""
     return (
         np.empty((3, rows)), np.empty((3, rows)), np.empty((7, rows)), np.empty((3, rows), np.int64), np.empty(rows, np.bool_),
         np.empty((6, pairs)), np.empty((2, pairs, 3)), np.empty((4, pairs), np.int64), np.full(rows + 1, -1, np.int64),
@@ -79,8 +79,9 @@ def restore_headings(
     ahead: Array2[F64],
     middle: Array2[F64],
 ) -> None:
-    """Reset the headings and trunks of rows of a species to those before the substep. `stopped`: their indices among the rows of
-    pairs; `crowd_rows`: among all."""
+    """Reset headings and trunks of the given rows of a species to those before the substep.
+
+    `stopped`: indices of the rows among all rows in pairs. `crowd_rows`: their indices in the crowd."""
     for n in independent(0, rows.size):
         row, k = rows[n], stopped[n]
         above = (up[0][row], up[1][row], up[2][row])
@@ -107,12 +108,14 @@ def _maximum(numbers: Array1[F64], count: I64) -> F64:
 
 @called
 def _share_overlap(m: I64, count: I64, buffers: SolverBuffers, light: Array1[F64], heap_share: Array1[F64]) -> None:
-    """Compute the shares of the overlap by which the first and second of each pair move; they add up to 1. The lighter agent
-    moves more, and so does the less locked one. Applies to the first `m` pairs of `buffers`, among the first `count` rows.
+    """Compute the shares of the overlap by which the first and the second agent of each pair move; they add up to 1.
 
-    An agent is locked if it deeply overlaps others that deeply overlap others. The value adds up overlaps along contacts
-    repeatedly: power iteration to the first eigenvector of the contact graph. That decreases from the middle of a dense cluster
-    to its rim."""
+    The lighter and the less locked agent move more. Only the first `m` pairs of `buffers`, among the first `count` rows, are
+    used.
+
+    An agent is locked if it deeply overlaps others that deeply overlap others. The measure repeatedly adds up overlaps along
+    contacts: power iteration to the first eigenvector of the contact graph. It decreases from the middle of a dense cluster to
+    its rim."""
     locked, spread = buffers[2][_LOCKED_ROW], buffers[2][_SPREAD_ROW]
     numbers, first, second = buffers[5], buffers[7][_FIRST_AGENT_ROW], buffers[7][_SECOND_AGENT_ROW]
     depth = numbers[_DEPTH_ROW]
@@ -149,7 +152,7 @@ def _share_overlap(m: I64, count: I64, buffers: SolverBuffers, light: Array1[F64
 
 @inlined
 def _limit_correction(correction: Vec3, middle: Vec3, limit: F64) -> Vec3:
-    """Limit a correction: it ends no farther than `limit` from a point. `middle` is the vector from that point to the end of the
+    """Return a correction that ends at most `limit` (mm) from a point. `middle`: the vector from that point to the end of the
     walk."""
     displacement = plus(middle, correction)
     size = np.sqrt(dot(displacement, displacement))
@@ -171,10 +174,10 @@ def separate_pairs(
     lost: Array1[I64],
     buffers: SolverBuffers,
 ) -> tuple[I64, I64]:
-    """Separate pairs in several looks, each with its sweeps, by a share `slow` of their overlap; change `gap`, `direction`,
-    `which` and `displacement`.
+    """Separate pairs in `looks` measurements with `sweeps` sweeps each, by a share `slow` of their overlap.
 
-    If pairs have no separation axis, returns the number of remaining looks and of these pairs, listed first in `lost`."""
+    Changes `gap`, `direction` and `which` of the pairs, and `displacement` (mm). It stops if pairs without a separation axis
+    occur. It then returns the number of remaining looks and of these pairs, listed at the start of `lost`."""
     radius = bodies.radius
     i, j, gap, direction, which = pairs
     number, row_list, changed = buffers[3][_NUMBER_ROW], buffers[3][_ROW_LIST_ROW], buffers[4]
@@ -219,13 +222,13 @@ def separate_pairs(
 
 @inlined
 def _dead_gap(radius: Array1[F64], i: Array1[I64], j: Array1[I64], pair: I64) -> F64:
-    """The gap of a pair below which it counts."""
+    """Return the gap (mm) of a pair below which it is separated."""
     return -((radius[i[pair]] + radius[j[pair]]) * DEAD_ZONE_SHARE)
 
 
 @called
 def _group_pairs(i: Array1[I64], j: Array1[I64], starts: Array1[I64], row_pairs: Array1[I64]) -> None:
-    """List the pairs `row_pairs` each row: for row k from `starts[k]` to before `starts[k + 1]`."""
+    """List the pairs of each row k in `row_pairs`, from index `starts[k]` to before `starts[k + 1]`."""
     starts[:] = 0
     for pair in range(i.size):
         starts[i[pair]] += 1
@@ -242,7 +245,8 @@ def _group_pairs(i: Array1[I64], j: Array1[I64], starts: Array1[I64], row_pairs:
 
 @called
 def _find_limits(radius: Array1[F64], stand: AgentArrays, row_list: Array1[I64], count: I64, of_rows: Array2[F64]) -> None:
-    """Compute four values for some rows: mobility, degree of being in a dense cluster, and how far each may get and be pushed."""
+    """Compute four values of the given rows: mobility, membership in a dense cluster (0 to 1), largest distance from the start
+    and push limit (mm)."""
     mass, yields, reach, depth, held, _, walked, _ = stand
     light, heap_share, most, push_limit = (
         of_rows[_INVERSE_MASS_ROW],
@@ -277,9 +281,11 @@ def _run_look(
     alone: BOOL,
     buffers: SolverBuffers,
 ) -> tuple[BOOL, I64]:
-    """Make one look and its sweeps, with `touch` touching pairs: for all pairs of their rows, or for these `alone`.
+    """Make the sweeps of one look, for `touch` touching pairs. With `alone`, only these pairs are used, else all pairs of
+    their rows.
 
-    Writes which rows have changed. Returns whether any has, and how many rows were visited, listed first in `row_list`."""
+    Marks the rows that changed. Returns whether any row changed, and how many rows were visited; these are listed at the start
+    of `row_list`."""
     i, j, gap, direction, which = pairs
     normal, walked, cut = stand[5], stand[6], stand[7]
     new_displacement, sums, of_rows, wholes, changed, numbers, side_directions, indices, starts, row_pairs = buffers

@@ -1,5 +1,7 @@
-"""A substep of a crowd in two loops over all agents. `prepare_steps` does everything before obstacles and walls. Then one loop
-for each kind of ground walks agents and updates them at their new positions."""
+"""A substep of a crowd in two loops over all agents.
+
+`prepare_steps` does everything before obstacles and walls. Then one loop for each kind of ground walks agents and updates them
+    at their new positions."""
 
 from __future__ import annotations
 
@@ -41,9 +43,12 @@ _FLOAT32_ZERO = _F(0)
 
 
 class IntendedMotion(NamedTuple):
-    """The intended motion of agents: velocities, the `step` (mm) in `dt`, and `looking`, the heading along the ground of agents
-    that lean. Also the length of the step, the largest tilt (radians), how far ahead (mm) it searches for walls, and how bodies
-    stand, `state`."""
+    """The intended motion of agents.
+
+    `velocity` (mm/s). `step`: the displacement in `dt` (mm). `length`: the length of the step (mm).
+    `looking`: heading along the ground, for agents that lean.
+    `most`: the largest tilt (radians). `reach`: how far ahead the agent searches for walls (mm).
+    `state`: how the body stands, see `velocities`."""
 
     velocity: VectorColumns
     step: VectorColumns
@@ -55,7 +60,8 @@ class IntendedMotion(NamedTuple):
 
 
 class WaitingWalks(NamedTuple):
-    """Values of agents that wait, see `walk`, and the status of each agent."""
+    """Values of the agents that `walk_triangles` leaves to a later walk: `reals` and `wholes`, and in `how` the status of
+    every agent."""
 
     reals: Array2[F64]
     wholes: Array2[I64]
@@ -75,8 +81,10 @@ def prepare_steps(
     begin: I64,
     end: I64,
 ) -> tuple[F64, F64]:
-    """Compute the intended motion of agents from `begin` to before `end` after their push. `keeps`: whether `min_speed` counts.
-    Returns the longest finite step and the greatest size, -inf if there is no number."""
+    """Compute the intended motion of agents from `begin` to before `end` after their push. `keeps`: whether `min_speed`
+    applies.
+
+    Returns the longest finite step and the greatest size (mm), -inf if there is no finite number."""
     heading, up, normal = drive.heading, drive.up, drive.normal
     max_speed, max_turn, dt = abilities.max_speed, abilities.max_turn, times_of.dt
     to, step, looking, long, most, reach, state = outset
@@ -100,7 +108,7 @@ def prepare_steps(
 
 @inlined
 def _level_heading(heading: VectorColumns, looking: VectorColumns, state: Array1[I32], i: I64) -> Vec3:
-    """The heading along the ground, in float64."""
+    """Return the heading of agent i along the ground, in float64."""
     if state[i] == STANDING_STATE:
         return np.float64(heading[0][i]), np.float64(heading[1][i]), np.float64(heading[2][i])
     return np.float64(looking[0][i]), np.float64(looking[1][i]), np.float64(looking[2][i])
@@ -121,8 +129,12 @@ def walk_triangles(
     begin: I64,
     end: I64,
 ) -> tuple[I64, I64, I64]:
-    """`walk_all` over triangles, by steps and headings in float32, from footings `at` to `placed` and `place` (3, n). Agents that
-    reach their end are updated as by `arrive`."""
+    """Walk agents over triangles by their float32 steps and headings, and update those that reach their end as `arrive_rows`
+    does.
+
+    `at`: initial footings. `placed`, `place` (n, 3): resulting footings and positions (mm). `held`: values of agents that wait
+        for a later walk.
+    Returns `begin`, and the numbers of agents that wait and of agents that are left out."""
     mesh, face, b1s, b2s, overs = at
     first, step, how = surface.first, arrival.step, held.how
     registers, heading, state = arrival.registers, arrival.registers.heading, arrival.bodies.state
@@ -173,8 +185,9 @@ def walk_triangles(
 def walk_plane(
     plane: Array1[F64], looking: VectorColumns, arrival: ArrivalArrays, place: Array2[F64], begin: I64, end: I64
 ) -> None:
-    """Walk agents from `begin` to before `end` perpendicular to the unit vector `plane` to points `place` (n, 3), and update them
-    as by `arrive`."""
+    """Walk agents from `begin` to before `end` along a plane to points `place` (n, 3), and update them as `arrive_rows` does.
+
+    `plane`: the unit normal of the plane."""
     at, step, heading, state = arrival.old, arrival.step, arrival.registers.heading, arrival.bodies.state
     up = (plane[0], plane[1], plane[2])
     for i in independent(begin, end):

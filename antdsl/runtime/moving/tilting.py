@@ -1,9 +1,9 @@
-"""Bodies follow the ground below their feet: smoothly, no faster than they turn, and with the head out of rises ahead.
+"""Bodies follow the ground below their feet smoothly, no faster than they can turn, and with the head out of walls ahead.
 
-Feet are exact: their footing and the normal below them (`Population.normal`) change at once, at an edge by any angle. The body's
-up and heading turn towards them step by step, and are what frames store. Programs read and push along those of the feet. Before a
-wall the body tilts ahead of the feet: a right angle over about its own length. If it cannot tilt as fast as it walks, the feet
-wait."""
+Feet are exact. Their footing and the normal below them (`Population.normal`) change at once, at an edge by any angle. The
+body's up and heading turn towards those of the feet step by step; frames store the body's values. Programs sense and push
+along the axes of the feet. Before a wall, the body tilts ahead of the feet: by a right angle over about its own length. If it
+cannot tilt as fast as it walks, the feet slow down."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ _WAITING_VELOCITY_SHARE = _F(0.05)  # of a velocity: retained by an agent that w
 
 
 def settle_bodies(world: World, population: Population, rows: NDArray[np.intp]) -> None:
-    """Tilt new bodies at once as far as the rises ahead require, so that their heads are free."""
+    """Tilt new bodies at once as far as the walls ahead require, so that their heads are free."""
     n, now = len(population), population.now
     state, reach, rest = np.full(n, STANDING_STATE, np.int32), np.empty(n), np.zeros(n, np.float32)
     x, y, z = np.empty((3, n), np.float32)
@@ -63,8 +63,9 @@ def settle_bodies(world: World, population: Population, rows: NDArray[np.intp]) 
 
 
 def lay_headings(population: Population, threads: int = 1) -> None:
-    """Show programs the heading and up of the feet, along the ground, during a step. So a push ahead continues over an edge while
-    the body tilts."""
+    """Replace heading and up of leaning bodies by those of the feet, along the ground, while programs run.
+
+    Thus a push ahead continues over an edge while the body tilts."""
     n, start, now = len(population), population.start, population.now
     (leaning_rows,) = population.get_buffers("leaning", 1, (n,), np.int64)
     lean = population.get_buffers("laid", 3, (3, n), np.float32)
@@ -74,7 +75,7 @@ def lay_headings(population: Population, threads: int = 1) -> None:
 
 
 def restore_bodies(population: Population) -> None:
-    """Restore the up and heading that `lay_headings` replaced. An agent that got a new heading in between keeps it."""
+    """Restore the up and heading that `lay_headings` replaced, except headings that have changed since."""
     if population.laid is not None:
         _restore_rows(*population.laid, *_pose_registers(population.start), *_pose_registers(population.now))
     population.laid = None
@@ -86,13 +87,13 @@ def _pose_registers(values: dict[str, NDArray[Any]]) -> tuple[VectorArrays, Vect
 
 @inlined
 def _read_vector(vectors: VectorColumns, i: I64) -> Vec3:
-    """One of vectors (3, n), in float64."""
+    """Return vector i of vectors (3, n), in float64."""
     return np.float64(vectors[0][i]), np.float64(vectors[1][i]), np.float64(vectors[2][i])
 
 
 @inlined
 def _perpendicular(v: Vec3, up: Vec3) -> Vec3:
-    """Return a unit vector perpendicular to `up`, as near to v as possible; an arbitrary one if v has no direction."""
+    """Return the unit vector perpendicular to `up` that is nearest to v; an arbitrary one if v has no direction."""
     flat = minus(v, times(up, dot(v, up)))
     size = np.sqrt(dot(flat, flat))
     if size > 1e-6:
@@ -110,14 +111,15 @@ def _is_leaning(up: VectorColumns, normal: Array2[F32], i: I64) -> BOOL:
 
 @inlined
 def _maximum(a: F32, b: F32) -> F32:
-    """Return the same as np.maximum of a number that may be NaN and one that is not."""
+    """Return the greater number as np.maximum does. Only the first may be NaN."""
     return b if a <= b else a
 
 
 @called
 def _turn_axis(one: Vec3, other: Vec3, ahead: Vec3) -> tuple[Vec3, F64, F64]:
-    """Return the axis of the least rotation of one unit vector into another, and the cosine and sine of its angle. Near half a
-    turn, where the axis is undefined, the rotation goes over `ahead`."""
+    """Return the axis of the least rotation from one unit vector to another, and the cosine and sine of its angle.
+
+    Near half a turn, where the axis is undefined, the rotation passes through `ahead`."""
     axis, cosine = cross(one, other), min(max(dot(one, other), -1.0), 1.0)
     sine = np.sqrt(dot(axis, axis))
     if sine > _OPPOSITE_SINE or cosine > 0:
@@ -127,21 +129,21 @@ def _turn_axis(one: Vec3, other: Vec3, ahead: Vec3) -> tuple[Vec3, F64, F64]:
 
 @called
 def _turn_heading(heading: Vec3, one: Vec3, other: Vec3) -> Vec3:
-    """Return a heading perpendicular to one normal, after the rotation that turns this normal into another."""
+    """Return a heading after the rotation that turns the normal `one` into the normal `other`, perpendicular to the latter."""
     axis, cosine, sine = _turn_axis(one, other, heading)
     return _perpendicular(rotate_about_axis(heading, axis, cosine, sine), other)
 
 
 @inlined
 def _approach(displacement: Vec3, wall: Vec3, ahead: Vec3) -> F64:
-    """Return by how much the distance to the wall along `ahead` shrinks after a displacement `displacement`."""
+    """Return by how much (mm) a displacement reduces the distance to the wall along `ahead`."""
     return dot(displacement, wall) / min(dot(ahead, wall), -1e-3)
 
 
 @called
 def _tilt_up(n: Vec3, wall: Vec3, ahead: Vec3, angle: F64, far: F64, over: F64, displacement: Vec3) -> Vec3:
-    """Return the up of a body on ground with a normal, after a displacement `displacement`: this normal, or tilted towards that
-    of the wall ahead."""
+    """Return the up of a body after a displacement, on ground with normal `n`, tilted towards the normal of the wall ahead if
+    needed."""
     part = min(max(1.0 - (far - _approach(displacement, wall, ahead)) / over, 0.0), 1.0) * angle
     axis, cosine = cross(n, wall), dot(n, wall)
     sine = np.sqrt(dot(axis, axis))
@@ -169,8 +171,10 @@ def begin_stance(
     looking: VectorColumns,
     state: Array1[I32],
 ) -> None:
-    """Compute how body i stands at the start of a step: its tilt limit (radians) `most`, its `state` without walls, and, if it
-    leans, its heading along the ground, into `looking`."""
+    """Compute the stance of body i at the start of a step.
+
+    Writes its tilt limit (radians) to `most`, its `state` without walls, and, if it leans, its heading along the ground to
+    `looking`."""
     walking = _maximum(max_speed[i], _FLOAT32_ZERO) / (size[i] if size[i] > 0 else _FLOAT32_ONE) * _RIGHT_ANGLE
     rate = _maximum(max_turn[i], _FLOAT32_ZERO)
     if not rate < walking and rate == rate:
@@ -191,7 +195,7 @@ def settle_rows(
     rows: Array1[I64], state: Array1[I32], normal: Array2[F32], looking: VectorColumns, walls: WallArrays,
     start_up: VectorColumns, start_heading: VectorColumns, now_up: VectorColumns, now_heading: VectorColumns,
 ) -> None:  # fmt: skip
-    """Tilt the bodies of `rows` that have a wall ahead by their `state`."""
+    """Tilt the bodies of `rows` that have a wall ahead according to `state`."""
     wall, ahead, angle, far, over = walls
     for i in rows:
         j = state[i]
@@ -220,10 +224,10 @@ def _lay_rows(
     begin: I64,
     end: I64,
 ) -> tuple[I64, I64]:
-    """Replace the headings of leaning agents, from `begin` to before `end`, by those along the ground.
+    """Replace the headings and ups of leaning agents, from `begin` to before `end`, by those along the ground.
 
-    Returns `begin` and the number of leaning agents. From `begin` on, writes their rows, and their up, heading and displayed
-    heading (3, n) in that order."""
+    Returns `begin` and the number of leaning agents. From index `begin` on, writes their `rows`, and their `up`, `heading` and
+    replaced heading `along` (3, n)."""
     count = begin
     for i in range(begin, end):
         if not _is_leaning(now_up, normal, i):
@@ -251,7 +255,7 @@ def _restore_rows(
     now_up: VectorColumns,
     now_heading: VectorColumns,
 ) -> None:
-    """Restore up and heading of some rows, except a heading that is no longer the displayed one, `along` the ground."""
+    """Restore up and heading of the given rows. A heading that differs from the replaced one, `along`, is not restored."""
     for j in range(rows.size):
         i = rows[j]
         has_turned = now_heading[0][i] != along[0, j] or now_heading[1][i] != along[1, j] or now_heading[2][i] != along[2, j]
@@ -275,8 +279,9 @@ def limit_pace(
     begin: I64,
     end: I64,
 ) -> None:
-    """Reduce steps and velocities of agents from `begin` to before `end` so that bodies can follow. This applies to agents that
-    lean or have a wall ahead, by their `state`."""
+    """Reduce steps and velocities of agents from `begin` to before `end` so that bodies can follow the feet.
+
+    This applies to agents that lean or have a wall ahead, according to `state`."""
     wall, ahead, angle, far, over = walls
     zero = (0.0, 0.0, 0.0)
     for i in range(begin, end):
@@ -305,7 +310,7 @@ def limit_pace(
 
 
 class BodyPosture(NamedTuple):
-    """Up and heading of bodies, and their positions (n, 3)."""
+    """Postures of bodies: `up`, `heading`, and position `place` (n, 3) mm."""
 
     up: VectorColumns
     heading: VectorColumns
@@ -313,7 +318,7 @@ class BodyPosture(NamedTuple):
 
 
 class TurnLimits(NamedTuple):
-    """The tilt limit of bodies, and how fast they turn, in `dt` seconds."""
+    """Limits of a turn. `most`: the largest tilt of each body (radians). `max_turn`: turn limits (rad/s). `dt`: duration (s)."""
 
     most: Array1[F32]
     max_turn: Array1[F32]
@@ -335,9 +340,11 @@ def follow_ground(
     begin: I64,
     end: I64,
 ) -> None:
-    """Turn bodies from `begin` to before `end` after their feet, from `now_up` and `now_heading`, which change. Bodies with a
-    `state` that says they stand as their feet do are skipped. Feet have moved from the `previous` position to `place`. A body
-    that would turn its head into a wall tilts first. `rows` is a work buffer."""
+    """Turn the bodies from `begin` to before `end` after their feet; changes `now_up` and `now_heading`.
+
+    `previous`: postures before the step. `place`: new positions of the feet. `rows`: a work buffer.
+    Bodies that stand as their feet do, according to `state`, are skipped. A body that would turn its head into a wall tilts
+    first."""
     before_up, before_heading, before = previous
     most, max_turn, dt = limits
     wall, ahead, angle, far, over = walls

@@ -1,7 +1,8 @@
-"""Velocities after a push, and velocities and headings where a walk has led, for one agent at a time in float32.
+"""Velocities after a push, and velocities and headings after a walk, for one agent at a time in float32.
 
-How fast headings follow the movement, which differences count, and the states of bodies. The `state` of a body is the number
-of the wall before it; or it leans, or stands as its feet do, or hastens: it stands so, but would turn too fast."""
+This module defines how fast headings follow the movement and the states of bodies. The `state` of a body is the number of the
+wall ahead, or one of three values. The body leans; or it stands as its feet do; or it hastens, that is, it stands so but would
+turn too fast."""
 
 from __future__ import annotations
 
@@ -35,12 +36,12 @@ LEANING_STATE, STANDING_STATE, HURRYING_STATE = -1, -2, -3
 
 @cache
 def share(dt: np.float32) -> np.float32:
-    """Return the share of the turn towards the movement that is done in a substep."""
+    """Return the share of the turn towards the movement that is made in a substep of `dt` s."""
     return _F(1.0 - float(elementary.exp(_F(-float(dt) / _HEADING_SECONDS))))
 
 
 class AgentDrives(NamedTuple):
-    """What moves agents: push, velocity, heading and up, and the normal (n, 3) of the ground."""
+    """The inputs of an agent's motion: push, velocity (mm/s), heading, up, and the normal (n, 3) of the ground."""
 
     push: VectorColumns
     velocity: VectorColumns
@@ -50,7 +51,7 @@ class AgentDrives(NamedTuple):
 
 
 class AgentAbilities(NamedTuple):
-    """Abilities of agents, by their names in programs."""
+    """Abilities of agents, with the names that programs use."""
 
     max_speed: Array1[F32]
     max_force: Array1[F32]
@@ -60,8 +61,10 @@ class AgentAbilities(NamedTuple):
 
 
 class PushTimes(NamedTuple):
-    """`at_once`: the longest response of agents with a push that acts for the whole step in the first substep. `first`: its time
-    in this substep, 0 in later ones. `dt`: the time of a push for other agents."""
+    """Durations (s) of a push in a substep.
+
+    `at_once`: agents with a response of at most this get the push of the complete step in the first substep.
+    `first`: the duration of their push in this substep, 0 in later ones. `dt`: the duration for all other agents."""
 
     at_once: F32
     first: F32
@@ -69,7 +72,7 @@ class PushTimes(NamedTuple):
 
 
 class ArrivalLimits(NamedTuple):
-    """Of agents that arrive."""
+    """Abilities of agents that limit their velocity and turn after a walk."""
 
     max_speed: Array1[F32]
     max_turn: Array1[F32]
@@ -77,7 +80,7 @@ class ArrivalLimits(NamedTuple):
 
 
 class ArrivalBodies(NamedTuple):
-    """The tilt limit of each body, its state, and buffers for the previous up and heading."""
+    """Bodies after a walk: tilt limits `most` (radians), states, and buffers for the previous `up` and `heading`."""
 
     most: Array1[F32]
     state: Array1[I32]
@@ -86,7 +89,10 @@ class ArrivalBodies(NamedTuple):
 
 
 class ArrivalTimes(NamedTuple):
-    """The longest response of agents that face their movement at once, the time, and the share of a turn that is done in it."""
+    """Times of a turn after a walk.
+
+    `at_once`: agents with a response (s) of at most this face their movement at once.
+    `dt`: the duration (s). `share`: the share of the turn that the others make in this time."""
 
     at_once: F32
     dt: F32
@@ -94,7 +100,8 @@ class ArrivalTimes(NamedTuple):
 
 
 class GazeDirections(NamedTuple):
-    """Whether there are directions to face, the directions, and whether all bodies have to follow their feet."""
+    """Directions to face. `is_set`: whether there are any. `direction`: the directions.
+    `everyone`: whether all bodies must be aligned with their feet."""
 
     is_set: BOOL
     direction: VectorColumns
@@ -102,7 +109,7 @@ class GazeDirections(NamedTuple):
 
 
 class MotionRegisters(NamedTuple):
-    """Those that a step changes."""
+    """The registers that a step changes."""
 
     position: VectorColumns
     velocity: VectorColumns
@@ -111,8 +118,10 @@ class MotionRegisters(NamedTuple):
 
 
 class ArrivalArrays(NamedTuple):
-    """The input of `arrive_rows`: positions (n, 3), steps and velocities from before the walk, and the arrays for results; for up
-    also `normals` (n, 3)."""
+    """The inputs and outputs of `arrive_rows`.
+
+    `old` (n, 3), `step`, `velocity`: positions, steps and velocities before the walk.
+    `registers`, `normals` (n, 3): receive the results. The other fields are inputs."""
 
     old: Strided2[F64]
     step: VectorColumns
@@ -126,7 +135,7 @@ class ArrivalArrays(NamedTuple):
 
 
 class WalkedPoses(NamedTuple):
-    """Position, up, heading and direction (3, n) after a walk, and which agents are blocked."""
+    """Poses after a walk: position, up, heading and direction (3, n), and which agents are `blocked`."""
 
     place: Strided2[F64]
     up: Strided2[F64]
@@ -139,8 +148,10 @@ class WalkedPoses(NamedTuple):
 def apply_push(
     drive: AgentDrives, up: Vec3F32, abilities: AgentAbilities, keeps: BOOL, min_speed: Array1[F32], times_of: PushTimes, i: I64
 ) -> Vec3F32:
-    """Return the velocity of agent i after its push along the ground with normal `up`, within the limits of speed and turn: see
-    `strides.set_out`."""
+    """Return the velocity of agent i after its push along the ground, within the limits of speed and turn. `up`: normal of the
+    ground.
+
+    `keeps`: whether `min_speed` applies."""
     push, velocity, heading, _, _ = drive
     max_speed, max_force, mass, response, max_turn = abilities
     at_once, first, dt = times_of
@@ -173,8 +184,10 @@ def apply_push(
 
 @inlined
 def _raise_speed(velocity: Vec3F32, previous_velocity: Vec3F32, heading: Vec3F32, least: F32) -> Vec3F32:
-    """Raise a velocity to a least speed. A slower agent continues in its direction `previous_velocity` (from rest: along its
-    heading), by as much as is missing. A sideways push turns it; braking never reverses it."""
+    """Return a velocity raised to a least speed.
+
+    A slower agent gets the missing speed in its previous direction (from rest: along its heading). A sideways push turns it;
+    braking never reverses it."""
     square = dot(velocity, velocity)
     if not square < least * least:
         return velocity
@@ -190,8 +203,9 @@ def _raise_speed(velocity: Vec3F32, previous_velocity: Vec3F32, heading: Vec3F32
 
 @called
 def _limit_turn(velocity: Vec3F32, previous_velocity: Vec3F32, up: Vec3F32, most: F32) -> Vec3F32:
-    """Return the velocity turned by at most `most` (radians) from the previous one, at its own speed. From rest it may have any
-    direction."""
+    """Return the velocity turned by at most `most` (radians) from the previous one, with unchanged speed.
+
+    From rest it may have any direction."""
     if not length(previous_velocity) > 0:
         most = _F(4.0)
     ahead, good = _normalise(previous_velocity)
@@ -215,7 +229,7 @@ def _limit_turn(velocity: Vec3F32, previous_velocity: Vec3F32, up: Vec3F32, most
 
 @inlined
 def arrive_agent(i: I64, pose: AgentPose, blocked: BOOL, arrival: ArrivalArrays) -> None:
-    """Write the position, up, heading and direction of agent i after its walk, in float64: see `arrive_rows`."""
+    """Write position, up, heading and direction of agent i after its walk, in float64, as `arrive_rows` describes."""
     place, above, ahead, direction = pose
     old, step, velocity, limits, bodies, times_of, facing, registers, normals = arrival
     max_speed, max_turn, response = limits
@@ -258,10 +272,11 @@ def arrive_agent(i: I64, pose: AgentPose, blocked: BOOL, arrival: ArrivalArrays)
 
 @kernel
 def arrive_rows(rows: Array1[I64], walked: WalkedPoses, arrival: ArrivalArrays, begin: I64, end: I64) -> None:
-    """Write velocity, heading, position and up of `rows` from `begin` to before `end` after the walk into the registers. Bodies
-    get a `state` that says so in two cases. Either their up turns by more than `most` (radians), or they turn by more than
-    `BEYOND` times `max_turn` allows. For bodies that do not stand as their feet do, the previous up and heading are stored
-    there."""
+    """Write velocity, heading, position and up of `rows` from `begin` to before `end` into the registers after the walk.
+
+    The `state` of a body that stands as its feet do becomes "hastens" in two cases. Its up turns by more than `most`
+    (radians), or it turns more than `TURN_SLACK_FACTOR` times as fast as `max_turn` allows. For bodies that do not stand as
+    their feet do, the previous up and heading are stored in `bodies`."""
     place, above, ahead, direction, blocked = walked
     for j in range(begin, end):
         i = rows[j]
@@ -276,8 +291,9 @@ def arrive_rows(rows: Array1[I64], walked: WalkedPoses, arrival: ArrivalArrays, 
 
 @inlined
 def _squared_angle(square: F32) -> F32:
-    """Return the square of an angle, by the first terms of its series in the squared chord of unit vectors. Beyond 1 rad the
-    result is too small."""
+    """Return the square of an angle between unit vectors from their squared chord, by the first terms of its series.
+
+    Beyond 1 rad the result is too small."""
     return square * (_FLOAT32_ONE + square * (ANGLE_COEFFICIENT_1_12 + square * ANGLE_COEFFICIENT_1_90))
 
 
@@ -295,9 +311,10 @@ def _turn_heading(
     dt: F32,
     part: F32,
 ) -> Vec3F32:
-    """Return the heading turned towards the movement or the direction to face: by a `part` of the turn or at once. Together with
-    the body's tilt (`tilt`, its squared angle), it turns no faster than max_turn. Beyond a right angle it turns towards its side
-    first."""
+    """Return the heading turned towards the movement, or towards the direction to face: completely or by the share `part`.
+
+    The turn and the tilt of the body (`tilt`, its squared angle) together are no faster than `max_turn`. For more than a right
+    angle, the heading turns over its side first."""
     heading, good = _normalise(flat(heading, up))
     if not good:
         heading = _perpendicular(up)
@@ -337,13 +354,13 @@ def _turn_heading(
 
 @inlined
 def maximum(a: F32, b: F32) -> F32:
-    """Return the greater number; a NaN of the first is propagated, as in NumPy."""
+    """Return the greater number; NaN if the first is NaN, as in NumPy."""
     return b if a <= b else a
 
 
 @inlined
 def _minimum(a: F32, b: F32) -> F32:
-    """NaN where either is, as NumPy does."""
+    """Return the lesser number; NaN if either is NaN, as in NumPy."""
     return a if a < b or a != a else b
 
 
@@ -354,7 +371,7 @@ def length(a: Vec3F32) -> F32:
 
 @inlined
 def _normalise(a: Vec3F32) -> tuple[Vec3F32, BOOL]:
-    """Length 1, and whether there is a direction."""
+    """Return the vector scaled to length 1, and whether it has a direction."""
     size = length(a)
     good = size > _MIN_VECTOR_LENGTH and np.isfinite(size)
     return times(a, _FLOAT32_ONE / (size if good else _FLOAT32_ONE)), good

@@ -1,4 +1,4 @@
-"""Agents that walk as the scene says: straight on at one speed for a length, without senses or decisions (P18)."""
+"""Agents that the scene guides: they walk straight on at one speed for a distance, without senses or decisions (P18)."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ _F = np.float32
 
 
 def walks_by_line(world: World, population: Population) -> dict[int, WalkData]:
-    """Return the walks of a species by the number of the crowd's line."""
+    """Return the walks of a species, by the number of the crowd line."""
     walks = {}
     for crowd in world.setting.crowds:  # runs a few times in each step: most scenes guide no agents
         if crowd.walk is not None and crowd.species == population.name:
@@ -25,7 +25,7 @@ def walks_by_line(world: World, population: Population) -> dict[int, WalkData]:
 
 
 def find_walkers(world: World, population: Population) -> NDArray[np.bool_]:
-    """Who walks as the scene says, bool[n]."""
+    """Return which agents the scene guides, bool[n]."""
     is_walker: NDArray[np.bool_] = np.isin(population.now["group"], list(walks_by_line(world, population)))
     return is_walker
 
@@ -38,8 +38,10 @@ def deciding_rows(world: World, population: Population) -> Rows | None:
 
 
 def start_walks(world: World, population: Population, rows: Rows) -> None:
-    """Turn those of `rows` that the scene guides to their direction along the ground, at the scene's speed, which may exceed
-    their own."""
+    """Turn those of `rows` that the scene guides to their direction along the ground, and set their velocity to the scene's
+    speed.
+
+    That speed may exceed the agents' own limit."""
     now, start = population.now, population.start
     for group, walk in walks_by_line(world, population).items():
         own = rows[now["group"][rows] == group]
@@ -55,8 +57,9 @@ def start_walks(world: World, population: Population, rows: Rows) -> None:
 
 
 def lead_walkers(world: World, population: Population, velocity: VectorArrays, up: VectorArrays) -> VectorArrays:
-    """Return velocities in which agents guided by the scene continue in their direction, at the scene's speed. They stop after
-    the scene's distance since their birth."""
+    """Return velocities (mm/s) in which guided agents continue in their direction at the scene's speed.
+
+    They stop once they have walked the scene's distance since their birth."""
     velocities = velocity
     for group, walk in walks_by_line(world, population).items():
         own = np.flatnonzero(population.now["group"] == group)

@@ -1,7 +1,7 @@
-"""Arrays of files: values as float64, and NPZ files read with suspicion, from bytes or an open archive: no pickle, no
-compression, sizes held against the file.
+"""Arrays of files: values as float64, and NPZ files from bytes or an open archive.
 
-The layout is NumPy's own (NEP 1 inside an uncompressed zip): what `numpy.savez` writes can be read here."""
+No content of a file is trusted: no pickle, no compression, and all sizes are compared with the size of the file. The layout is
+NumPy's own (NEP 1 inside an uncompressed zip), so files of `numpy.savez` can be read."""
 
 from __future__ import annotations
 
@@ -26,17 +26,16 @@ _MEMBER_NAME_PATTERN = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.\-#>|/]*", re.ASCII)
 
 
 class ArrayFileError(Exception):
-    """Why a file is not in our format, or not complete, in words that fit after its name."""
+    """Reason why a file is not in the expected format, or not complete. The message fits after the file's name."""
 
 
 def read_arrays(data: bytes) -> dict[str, NDArray[Any]]:
-    """Return all arrays of an NPZ file's bytes, with checksums compared. Raises ArrayFileError with the reason."""
+    """Return all arrays of an NPZ file's bytes, after checking their checksums. Raises ArrayFileError with the reason."""
     return read_archive(io.BytesIO(data), len(data))
 
 
 def read_archive(file: IO[bytes], size: int, only: Container[str] | None = None) -> dict[str, NDArray[Any]]:
-    """Read an archive as `read_arrays` does, from an open file of `size` bytes. `only`: the names to read; the bytes of others
-    are skipped."""
+    """Return the arrays of an open file of `size` bytes, as `read_arrays` does. `only`: the names to read; None for all."""
     try:
         with zipfile.ZipFile(file) as archive:
             return _read_members(archive, size, only)
@@ -67,7 +66,7 @@ def _read_members(archive: zipfile.ZipFile, size: int, only: Container[str] | No
 
 
 def parse_npy(data: bytes, name: str) -> NDArray[Any]:
-    """Return one array from the bytes of an .npy file, version 1. The shape is checked against the number of bytes before use."""
+    """Return the array in the bytes of an .npy file, version 1. The shape is compared with the number of bytes first."""
     if not data.startswith(NPY_MAGIC) or len(data) < 10:
         raise ArrayFileError(f"has an array `{name}` of an unknown kind")
     length = int.from_bytes(data[8:10], "little")

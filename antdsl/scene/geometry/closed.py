@@ -1,5 +1,6 @@
-"""Whether triangles form a closed body, and which of their sides is outside: by how often, and in which direction, each edge is
-traversed."""
+"""Checks whether triangles form a closed body, and which of their sides is outside.
+
+Both follow from how often each edge is traversed, and in which directions."""
 
 from __future__ import annotations
 
@@ -20,12 +21,13 @@ if TYPE_CHECKING:
 Floats = NDArray[np.float64]
 Index = NDArray[np.int64]
 
-_WELD_SUBDIVISIONS = 16.0  # so that what lies nearer than a millionth of the extent is one place
+_WELD_SUBDIVISIONS = 16.0  # with it, corners nearer than a millionth of the extent coincide
 
 
 def to_voxels(corners: Floats) -> tuple[Index, int]:
-    """Return corners float64[n,3,3], in voxels, as integers, and how many units a voxel has. Corners nearer than a unit
-    coincide."""
+    """Return corners float64[n, 3, 3], given in voxels, as integers, and the number of integer units per voxel.
+
+    Corners that round to the same integers coincide."""
     extent = max(float(np.abs(corners).max()), 1.0)
     # Products of two sides stay below 2**62.
     grain = 1 << min(16, 29 - math.ceil(math.log2(extent)))
@@ -33,8 +35,7 @@ def to_voxels(corners: Floats) -> tuple[Index, int]:
 
 
 def count_open_edges(corners: Index) -> tuple[int, bool]:
-    """Return how many edges an odd number of triangles share, and whether each edge is traversed equally often in both
-    directions.
+    """Return the number of edges with an odd number of triangles, and whether each edge is traversed equally often both ways.
 
     `corners` (n, 3, 3): corners of triangles as integers; equal positions are one corner."""
     _, direction, first, count = _group_edges(corners)
@@ -43,10 +44,10 @@ def count_open_edges(corners: Index) -> tuple[int, bool]:
 
 
 def count_inside_out(vertices: Floats, faces: NDArray[np.int32]) -> tuple[int, int]:
-    """Return how many closed pieces of a mesh face inward, and how many have faces that are oriented unlike their neighbours.
+    """Return the number of closed pieces of a mesh that face inward, and of pieces with inconsistent orientation.
 
-    A piece is connected across edges of two faces. A piece that faces inward inside the box of another is a correct hollow of
-    it."""
+    A piece is connected across edges of two faces. A piece that faces inward inside the box of another piece is a correct
+    hollow."""
     if not len(faces):
         return 0, 0
     corners = vertices[faces]
@@ -74,7 +75,9 @@ def count_inside_out(vertices: Floats, faces: NDArray[np.int32]) -> tuple[int, i
 
 
 def _connect_nodes(n: int, one: Index, two: Index) -> Index:
-    """Return for each of n nodes the least node that edges connect it to (S. Zhang et al., FastSV, SIAM PP 2020)."""
+    """Return, for each of n nodes, the least node that edges connect it to. `one`, `two`: the ends of the edges.
+
+    S. Zhang et al., FastSV, SIAM PP 2020."""
     label = np.arange(n)
     while (is_separate := label[one] != label[two]).any():
         one, two = one[is_separate], two[is_separate]
@@ -86,8 +89,10 @@ def _connect_nodes(n: int, one: Index, two: Index) -> Index:
 
 
 def _group_edges(corners: Index) -> tuple[Index, Index, Index, Index]:
-    """Return all sides of triangles, sorted by edge: their triangle and their direction (1 or -1); and for each edge its first
-    side and its number of sides."""
+    """Return the edges of triangles, as all their sides sorted by edge.
+
+    The results are: for each side, its triangle and its direction (1 or -1); for each edge, its first side and number of
+    sides."""
     points = corners.reshape(-1, 3)
     order = np.lexsort(points.T)
     ranked = points[order]
@@ -111,7 +116,7 @@ def _count_wrong_sides(mesh: MeshData) -> tuple[int, int]:
 
 
 def check_sides(staging: SceneStaging) -> None:
-    """Warn of obstacles with parts that face inward: agents would be held inside instead of outside."""
+    """Warn about obstacles with parts that face inward. Such parts would hold agents inside instead of outside."""
     for name, mesh in staging.obstacles.items():
         inward, mixed = _count_wrong_sides(mesh)
         if inward or mixed:
@@ -122,7 +127,7 @@ def check_sides(staging: SceneStaging) -> None:
 
 @cached_per_mesh
 def count_border_edges(mesh: MeshData) -> int:
-    """Return how many edges of a mesh belong to exactly one triangle."""
+    """Return the number of edges of a mesh that belong to exactly one triangle."""
     corners = mesh.vertices[mesh.faces]
     tables = stored_tables.get_or_compute("border edges", len(corners), (corners,), partial(_border_edge_table, corners))
     return int(tables["count"][0])
@@ -135,8 +140,9 @@ def _border_edge_table(corners: Floats) -> stored_tables.Tables:
 
 
 def find_odd_edges(vertices: Floats, faces: NDArray[np.int32], grain: float) -> tuple[Index, Floats]:
-    """Return the edges (k, 2) that an odd number of faces share, as indices of positions, and the positions (p, 3). Corners
-    nearer than about `grain` coincide."""
+    """Return the edges (k, 2) with an odd number of faces, as indices of positions, and the positions (p, 3).
+
+    Corners nearer to each other than about `grain` coincide."""
     corners = vertices[faces].reshape(-1, 3)
     cells = to_voxels((corners - corners.min(axis=0)).reshape(-1, 3, 3) / grain)[0].reshape(-1, 3)
     _, first, name = np.unique(cells, axis=0, return_index=True, return_inverse=True)
@@ -147,7 +153,7 @@ def find_odd_edges(vertices: Floats, faces: NDArray[np.int32], grain: float) -> 
 
 
 def count_open_solid_edges(solid: SolidData) -> int:
-    """Return how many edges prevent a solid from having an inside: an odd number of triangles share each."""
+    """Return the number of edges with an odd number of triangles. A solid with such edges has no inside."""
     corners = solid.mesh.vertices[solid.mesh.faces]
     loose, _ = count_open_edges(to_voxels((corners - corners.min(axis=(0, 1))) / solid.voxel)[0])
     return loose

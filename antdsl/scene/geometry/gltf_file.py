@@ -1,5 +1,7 @@
-"""Reader of glTF 2.0 files (.gltf, .glb): the JSON, and the accessors as arrays. Counts, offsets and sizes are checked against
-the buffers and the limits before anything is allocated. Khronos Group, glTF 2.0 Specification, 2021, sections 3.6 and 4."""
+"""Reader of glTF 2.0 files (.gltf, .glb): the JSON, and the accessors as arrays.
+
+Counts, offsets and sizes are compared with the buffers and the limits before anything is allocated. Khronos Group, glTF 2.0
+Specification, 2021, sections 3.6 and 4."""
 
 from __future__ import annotations
 
@@ -41,8 +43,10 @@ _IGNORED_EXTENSIONS = (
 
 
 class GltfError(Exception):
-    """Why a file cannot be used, in words that fit after its name. `code`: a diagnostic's code, if it is not the reader's usual
-    one. `help`: what to do instead."""
+    """Reason why a file cannot be used. The message fits after the file's name.
+
+    `code`: the diagnostic's code, if it is not the reader's usual one.
+    `help`: what to do instead."""
 
     def __init__(self, message: str, help: str | None = None, code: str = "") -> None:
         super().__init__(message)
@@ -50,10 +54,11 @@ class GltfError(Exception):
 
 
 class GltfDocument:
-    """The file's JSON with checked access: every requested index and kind is validated. Raises GltfError with the reason."""
+    """A glTF file with checked access to its JSON. Every index and type is validated on access. Raises GltfError with the
+    reason."""
 
     def __init__(self, data: bytes, beside: Callable[[str, int], bytes]) -> None:
-        """`beside(path, cap)` reads a file in the same folder, of at most `cap` bytes."""
+        """`beside(path, cap)` returns the bytes of a file in the same folder, of at most `cap` bytes."""
         text, self._binary = _split_chunks(data)
         self.tree = _parse_json(text)
         self._beside = beside
@@ -76,32 +81,32 @@ class GltfDocument:
     # ---- JSON
 
     def get_object(self, holder: dict[str, Any], key: str) -> dict[str, Any]:
-        """An object, empty where there is none."""
+        """Return the object at a key. It is empty if the key is absent."""
         value = holder.get(key, {})
         if not isinstance(value, dict):
             raise GltfError(f"has a `{key}` that is not an object", _EXPORT_AGAIN_HELP)
         return value
 
     def get_list(self, holder: dict[str, Any], key: str) -> list[Any]:
-        """A list, empty where there is none."""
+        """Return the list at a key. It is empty if the key is absent."""
         items = holder.get(key, [])
         if not isinstance(items, list):
             raise GltfError(f"has `{key}` that are no list", _EXPORT_AGAIN_HELP)
         return items
 
     def get_objects(self, holder: dict[str, Any], key: str) -> list[dict[str, Any]]:
-        """A list of objects, empty where there is none."""
+        """Return the list of objects at a key. It is empty if the key is absent."""
         items = self.get_list(holder, key)
         if not all(isinstance(each, dict) for each in items):
             raise GltfError(f"has `{key}` that are not objects", _EXPORT_AGAIN_HELP)
         return items
 
     def get_index(self, holder: dict[str, Any], key: str, count: int) -> int | None:
-        """Return an index into `count` things, or None if the key is absent."""
+        """Return the index at a key, below `count`. Return None if the key is absent."""
         return None if key not in holder else self.check_index(holder[key], key, count)
 
     def check_index(self, value: Any, what: str, count: int) -> int:
-        """A number of one of `count` things."""
+        """Return a value as an index below `count`. `what`: its kind, for messages."""
         if isinstance(value, bool) or not isinstance(value, int) or not 0 <= value < count:
             raise GltfError(f"names `{what}` {str(value)[:20]}, of which there are {count:,}", _EXPORT_AGAIN_HELP)
         return value
@@ -113,7 +118,7 @@ class GltfDocument:
         return self._tops[key]
 
     def get_floats(self, holder: dict[str, Any], key: str, otherwise: tuple[float, ...]) -> NDArray[np.float64]:
-        """Return as many numbers as `otherwise` has, which is the default for an absent key."""
+        """Return the numbers at a key, as many as `otherwise` has. If the key is absent, return `otherwise`."""
         numbers = holder.get(key, otherwise)
         right = isinstance(numbers, list | tuple) and len(numbers) == len(otherwise)
         if not right or not all(isinstance(x, int | float) and not isinstance(x, bool) and abs(x) < 1e30 for x in numbers):
@@ -121,7 +126,7 @@ class GltfDocument:
         return np.array(numbers, np.float64)
 
     def name(self, holder: dict[str, Any], otherwise: str) -> str:
-        """A name that can be shown and written."""
+        """Return the name of an object in a form that is safe to display and write. `otherwise`: the result without a name."""
         text = holder.get("name")
         if not isinstance(text, str) or not text.strip():
             return otherwise
@@ -182,7 +187,7 @@ class GltfDocument:
         return dense_values
 
     def _read_rows(self, view: Any, start: Any, count: int, kind: str, width: int) -> NDArray[Any]:
-        """`count` rows of a buffer view, from byte `start` of it on."""
+        """Return `count` rows of a buffer view, from its byte `start` on."""
         views = self.top("bufferViews")
         buffer_view = views[self.check_index(view, "bufferView", len(views))]
         offset, length, stride = buffer_view.get("byteOffset", 0), buffer_view.get("byteLength"), buffer_view.get("byteStride", 0)
@@ -313,7 +318,7 @@ def scene_roots(file: GltfDocument) -> list[int]:
 
 
 def nodes_below(file: GltfDocument, roots: Iterable[int]) -> list[int]:
-    """Return the nodes and all their descendants, parents first, children in the order of the file."""
+    """Return `roots` and all their descendants: parents first, children in the order of the file."""
     nodes, ordered_nodes = file.top("nodes"), []
     visited: set[int] = set()
     waiting = list(reversed(list(roots)))
@@ -330,8 +335,9 @@ def nodes_below(file: GltfDocument, roots: Iterable[int]) -> list[int]:
 
 
 def primitive_triangles(file: GltfDocument, primitive: dict[str, Any], points: int) -> tuple[NDArray[np.int64], int]:
-    """Return the triangles (n, 3) of a primitive with `points` points: a list, a strip or a fan. Also return how many corners
-    remain at the end, too few for a triangle."""
+    """Return the triangles (n, 3) of a primitive with `points` points. The primitive is a list, a strip or a fan.
+
+    The second result is the number of corners that remain at the end, too few for a triangle."""
     corners = file.read_accessor(primitive["indices"], 1)[:, 0].astype(np.int64) if "indices" in primitive else np.arange(points)
     mode = primitive.get("mode", TRIANGLES_MODE)
     if mode == STRIP_MODE:

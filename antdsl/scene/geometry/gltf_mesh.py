@@ -1,5 +1,8 @@
-"""All meshes of a glTF file (.gltf, .glb) as one, in metres with y up: the transform of every node, triangles, strips and fans.
-Khronos Group, glTF 2.0 Specification, 2021, sections 3.5 and 3.7."""
+"""Reader of all meshes of a glTF file (.gltf, .glb) as one mesh, in metres with y up.
+
+The transforms of nodes are applied. Triangles, strips and fans are read. Khronos Group, glTF 2.0 Specification, 2021, sections
+3.5
+and 3.7."""
 
 from __future__ import annotations
 
@@ -27,10 +30,10 @@ _NON_SURFACE_MODES = ("points", "lines", "lines", "lines")
 
 
 def read_gltf_mesh(data: bytes, notes: ImportNotes, part: str | None, beside: SiblingReader) -> PolygonMesh:
-    """Return all meshes of the file's scene. With `part`, only those at and below the nodes of that name (or with a mesh of that
-    name).
+    """Return all meshes of the file's scene as one. Raises MeshError with the reason if that fails.
 
-    `beside(path, cap)` reads a file in the same folder. Raises MeshError with the reason."""
+    `part`: the name of nodes or meshes; only these nodes and all below them are read.
+    `beside(path, cap)`: returns the bytes of a file in the same folder."""
     notes.form = "binary glTF" if data[:4] == b"glTF" else "glTF"
     try:
         with np.errstate(all="ignore"):
@@ -91,7 +94,7 @@ def _is_hidden(file: gltf_file.GltfDocument, node: dict[str, Any]) -> bool:
 
 
 def _topmost_nodes(numbers: list[int], parents: list[int]) -> list[int]:
-    """Return the nodes that are not descendants of another one in the list."""
+    """Return the nodes that are not descendants of another node in the list."""
     chosen, tops = set(numbers), []
     for number in numbers:
         above = parents[number]
@@ -103,7 +106,7 @@ def _topmost_nodes(numbers: list[int], parents: list[int]) -> list[int]:
 
 
 def _node_transform(file: gltf_file.GltfDocument, node: dict[str, Any]) -> Floats:
-    """Return the transform (3, 4) from a node's space to that of its parent."""
+    """Return the transform (3, 4) from a node's space to the space of its parent."""
     if "matrix" in node:
         return file.get_floats(node, "matrix", tuple(np.eye(4).ravel())).reshape(4, 4).T[:3]
     return transform_of_parts(
@@ -114,7 +117,7 @@ def _node_transform(file: gltf_file.GltfDocument, node: dict[str, Any]) -> Float
 
 
 def _find_named_nodes(file: gltf_file.GltfDocument, scene_nodes: list[int], part: str) -> set[int]:
-    """Return the nodes that have a name, or have a mesh of that name, and all nodes below them."""
+    """Return the nodes with the name `part`, or with a mesh of this name, and all nodes below them."""
     from antdsl.diagnostics.suggestion import nearest_name
 
     nodes, meshes = file.top("nodes"), file.top("meshes")
@@ -138,7 +141,7 @@ def _find_named_nodes(file: gltf_file.GltfDocument, scene_nodes: list[int], part
 def _read_primitive(
     file: gltf_file.GltfDocument, primitive: dict[str, Any], notes: ImportNotes
 ) -> tuple[Floats, NDArray[np.int64]] | None:
-    """Return the points and triangles of a primitive. If it has none that can be read, return None and add a note."""
+    """Return the points and triangles of a primitive. If it has no readable ones, add a note and return None."""
     mode = primitive.get("mode", gltf_file.TRIANGLES_MODE)
     if mode not in (gltf_file.TRIANGLES_MODE, gltf_file.STRIP_MODE, gltf_file.FAN_MODE):
         known = isinstance(mode, int) and not isinstance(mode, bool) and 0 <= mode < len(_NON_SURFACE_MODES)

@@ -1,5 +1,6 @@
-"""Surfaces of triangles from heights in rows and columns: 16-bit grey images and arrays. Sizes are checked against the limits
-before anything is unpacked."""
+"""Surfaces of triangles from heights in rows and columns, which come from 16-bit grey images and arrays.
+
+Sizes are compared with the limits before anything is unpacked."""
 
 from __future__ import annotations
 
@@ -21,11 +22,11 @@ _MAX_GREY_SAMPLE = 65535.0  # the sample of a 16-bit image that is 1
 
 
 def read_heights(data: bytes, name: str, array: str | None = None, layer: int | None = None) -> Floats:
-    """Return the samples float64[rows, columns] of a file's bytes: from 0 to 1 for a 16-bit image, unchanged for a float image or
-    an array.
+    """Return the samples float64[rows, columns] of a file's bytes. Raises MeshError with the reason if that fails.
 
-    `array`: the name of one in an .npz file, if it has several. `layer`: the first index, if the array has three dimensions.
-    Raises MeshError with the reason."""
+    Samples of a 16-bit image are from 0 to 1. Samples of a float image or an array are unchanged.
+    `array`: the name of an array in an .npz file, if it has several.
+    `layer`: the first index, if the array has three dimensions."""
     kind = name.rsplit(".", 1)[-1].lower() if "." in name else ""
     if kind == "npz":
         samples = _read_array(data, array, layer)
@@ -93,10 +94,11 @@ def _check_size(rows: int, columns: int) -> None:
 
 
 def height_surface(heights: Floats, extent: tuple[float, float]) -> tuple[Floats, NDArray[np.int64]]:
-    """Return vertices (n, 3) and faces (m, 3) of heights [rows, columns] over an extent in x and z, centred at the origin, y up.
-    The front of faces is above.
+    """Return vertices (n, 3) and faces (m, 3) of heights [rows, columns]. The surface is centred at the origin, with y up.
 
-    Vertices are samples, row by row: columns go along +x, rows along +z, like a picture seen from above."""
+    `extent`: the size in x and z.
+    Faces have their front above. Vertices are samples, row by row. Columns go along +x and rows along +z, like a picture seen
+    from above."""
     rows, columns = heights.shape
     x = -extent[0] / 2 + np.arange(columns) * (extent[0] / (columns - 1))
     z = -extent[1] / 2 + np.arange(rows) * (extent[1] / (rows - 1))
@@ -109,7 +111,8 @@ def height_surface(heights: Floats, extent: tuple[float, float]) -> tuple[Floats
 
 
 def surface_deviation(heights: Floats) -> float:
-    """Return the largest distance of the triangles from the bilinear surface through the samples: in the middle of a cell, a
-    fourth of its twist."""
+    """Return the largest distance between the triangles and the bilinear surface through the samples.
+
+    It is in the middle of a cell: a quarter of the cell's twist, the difference of the sums of its diagonal corners."""
     twist = heights[:-1, :-1] - heights[:-1, 1:] - heights[1:, :-1] + heights[1:, 1:]
     return float(np.abs(twist).max()) / 4

@@ -1,4 +1,4 @@
-"""What reading a mesh file left out, cut or joined: a report for the user who imports it."""
+"""The import report: what the reader of a mesh file left out, cut or joined."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 
 @dataclass(slots=True)
 class SkippedElement:
-    """Something in a file that is not read: how often, and the line of its first occurrence if the file has lines."""
+    """An element of a file that is not read. `count`: how often it occurs; `line`: its first line, if the file has lines."""
 
     what: str
     count: int = 0
@@ -17,8 +17,12 @@ class SkippedElement:
 
 @dataclass(slots=True)
 class ImportNotes:
-    """Notes on one mesh file. `cut`: polygons with more than three corners; `concave`: those of them with a corner that points
-    inward. `crossing`: polygons that cut or cover themselves; the first is the face `crossing_face`."""
+    """Notes on one mesh file.
+
+    `cut`: polygons with more than three corners.
+    `concave`: polygons in `cut` with a corner that points inward.
+    `crossing`: polygons that cut or cover themselves.
+    `crossing_face`: the index of the first of these."""
 
     form: str = ""
     vertices: int = 0
@@ -30,7 +34,7 @@ class ImportNotes:
     skipped: dict[str, SkippedElement] = field(default_factory=dict)
 
     def skip(self, what: str, count: int = 1, line: int | None = None) -> None:
-        """Count something that is not read."""
+        """Count elements `what` that are not read."""
         if not count:
             return
         if what not in self.skipped:
@@ -40,7 +44,7 @@ class ImportNotes:
         self.skipped[what].count += count
 
     def skipped_phrases(self) -> list[str]:
-        """Phrases such as `3 × `l` (line 8)`."""
+        """Return the skipped elements as phrases, such as `3 × `l` (line 8)`."""
         return [
             (f"{each.count:,} × " if each.count > 1 else "") + each.what + ("" if each.line is None else f" (line {each.line:,})")
             for each in self.skipped.values()
@@ -52,11 +56,15 @@ FloatTriple = tuple[float, float, float]
 
 @dataclass(frozen=True, slots=True)
 class MeshImport:
-    """The report on one mesh of a scene: the contents of its file, what was changed, and its location, in scene units.
+    """The import report of one mesh of a scene. Lengths are in scene units.
 
-    `polygons`: those with more than three corners; `concave` and `crossing` as in `ImportNotes`. `dropped`: triangles without an
-    area or with a duplicate. `welded`: vertices moved onto others. `left`: triangles in the scene, None if unknown.
-    `border_edges`: edges with exactly one triangle."""
+    `polygons`: polygons with more than three corners.
+    `concave`, `crossing`: as in `ImportNotes`.
+    `dropped`: triangles without an area, or with a duplicate.
+    `welded`: vertices moved onto others.
+    `left`: triangles in the scene; None if unknown.
+    `border_edges`: edges with exactly one triangle.
+    `low`, `high`: the corners of the mesh's box."""
 
     file: str
     form: str
@@ -75,7 +83,7 @@ class MeshImport:
 
 
 def import_lines(mesh_import: MeshImport, units: str) -> Iterator[str]:
-    """The report as lines of text."""
+    """Yield the lines of the report as text."""
     counts = f"{_count_phrase(mesh_import.vertices, 'vertex', 'vertices')}, {_count_phrase(mesh_import.triangles, 'triangle')}"
     yield f"{mesh_import.file}, {mesh_import.form}: {counts}"
     size = " × ".join(f"{high - low:.9g}" for low, high in zip(mesh_import.low, mesh_import.high, strict=True))

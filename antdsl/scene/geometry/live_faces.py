@@ -1,5 +1,6 @@
-"""Which triangles of a surface are ground: the rule of scenes and of the ground itself. A triangle is not ground if it is a line,
-if two of its corners coincide, or if another triangle has the same three corners."""
+"""The rule that decides which triangles of a surface are ground, for scenes and for the ground itself.
+
+A triangle is not ground if it is a line, if two of its corners coincide, or if another triangle has the same three corners."""
 
 from __future__ import annotations
 
@@ -13,19 +14,19 @@ Ints = NDArray[np.int32]
 
 _JOIN_DISTANCE = 1e-6  # of the extent of all surfaces: corners nearer than this are one corner
 _FLAT_TRIANGLE_RATIO = 1e-7  # height over longest edge below which a triangle is a line
-_ISOLATION_GRAINS = 5.0  # grains: corners with this much room about them are joined with no other
-_FACES_TRIED_FIRST = 8  # faces that are looked at before all are
+_ISOLATION_GRAINS = 5.0  # grains: a corner this far from all others is not joined with any
+_FACES_TRIED_FIRST = 8  # faces that are examined before all others
 
 
 def has_area(a: Floats, b: Floats, c: Floats) -> NDArray[np.bool_]:
-    """Return whether triangles with corners a, b, c (m, 3) are more than a line."""
+    """Return whether each triangle with the corners a, b, c (m, 3) has an area."""
     area = _length(np.cross(b - a, c - a))
     longest = np.maximum.reduce([_length(edge) for edge in (b - a, c - a, c - b)])
     return np.asarray((area > _FLAT_TRIANGLE_RATIO * longest * longest) & (area > 0))
 
 
 def live_faces(numbers: Ints, a: Floats, b: Floats, c: Floats) -> NDArray[np.bool_]:
-    """Return whether faces with corners a, b, c (m, 3) are ground. `numbers`: the result of `corner_numbers`."""
+    """Return whether each face with the corners a, b, c (m, 3) is ground. `numbers`: the result of `corner_numbers`."""
     live = has_area(a, b, c)
     key = np.sort(numbers, axis=1)
     live &= (key[:, 0] != key[:, 1]) & (key[:, 1] != key[:, 2])
@@ -38,7 +39,7 @@ def live_faces(numbers: Ints, a: Floats, b: Floats, c: Floats) -> NDArray[np.boo
 def has_live_face(vertices: Floats, faces: Ints, extent: float) -> bool:
     """Return whether any face of a mesh is ground. `extent`: the width of all surfaces together.
 
-    Usually one of the largest faces has corners far from all others, so that not all corners need numbers."""
+    Usually one of the largest faces has corners far from all others. Then not all corners need numbers."""
     a, b, c = (vertices[faces[:, k]] for k in range(3))
     area = np.where(has_area(a, b, c), _length(np.cross(b - a, c - a)), 0.0)
     clearance = _ISOLATION_GRAINS * extent * _JOIN_DISTANCE
@@ -60,9 +61,11 @@ def _length(v: Floats) -> Floats:
 
 
 def corner_numbers(vertices: Floats, faces: Ints, mesh: Ints, extent: float) -> Ints:
-    """Return numbers int32[m, 3] of the corners of faces: corners of one mesh at one position share a number.
+    """Return numbers int32[m, 3] of the corners of faces. Corners of one mesh at one position share a number.
 
-    `vertices` float64[n, 3]; `faces` int32[m, 3]; `mesh` int32[m]: the mesh of each face; `extent`: of all meshes together."""
+    `vertices` float64[n, 3]; `faces` int32[m, 3].
+    `mesh` int32[m]: the mesh of each face.
+    `extent`: the width of all meshes together."""
     grain = max(extent * _JOIN_DISTANCE, 1e-300)
     flat = faces.ravel()
     place = np.round((vertices[flat] - vertices[flat].min(axis=0, initial=np.inf)) / grain).astype(np.int64)
@@ -76,8 +79,9 @@ def corner_numbers(vertices: Floats, faces: Ints, mesh: Ints, extent: float) -> 
 
 
 def component_numbers(pairs: NDArray[np.int64], count: int) -> NDArray[np.int32]:
-    """Return the connected component of each of `count` things, which `pairs` (k, 2) connect. Components are numbered from 0, in
-    the order of their first members."""
+    """Return the connected component int32[count] of each node. `pairs` (k, 2): the nodes that are connected.
+
+    Components are numbered from 0, in the order of their first nodes."""
     parent = np.arange(count)
     one, two = pairs[:, 0], pairs[:, 1]
     while one.size:  # each round leaves at most half of the roots that are joined with others
@@ -92,8 +96,8 @@ def component_numbers(pairs: NDArray[np.int64], count: int) -> NDArray[np.int32]
 
 
 def _merge_cells(points: Floats, owner: Ints, cell: NDArray[np.int64], grain: float) -> NDArray[np.int64]:
-    """Return cell numbers in which cells of one owner share a number if they have corners nearer than `grain` across their
-    border."""
+    """Return new cell numbers int64[n]. Cells of one owner share a number if they have corners nearer to each other than
+    `grain`."""
     begin = np.unique(cell, return_index=True)[1]
     near = np.stack(pairs_within(points[begin], grain), axis=1)
     near = near[owner[begin][near[:, 0]] == owner[begin][near[:, 1]]]

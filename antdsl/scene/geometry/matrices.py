@@ -1,5 +1,6 @@
-"""Transforms from one space to another as matrices (…, 3, 4): rotation and scale, and a shift. Sums are explicit, so that every
-point gets the same bits for any number of points."""
+"""Transforms from one space to another as matrices (…, 3, 4): rotation and scale, then translation.
+
+Sums are explicit, so that every point gets the same bits for any number of points."""
 
 from __future__ import annotations
 
@@ -21,7 +22,7 @@ def still(*shape: int) -> Floats:
 
 
 def transform_of_parts(translation: Floats, rotation: Floats, scale: Floats) -> Floats:
-    """Return the transform (3, 4) that scales, then rotates by a quaternion x y z w of any length, then shifts."""
+    """Return the transform (3, 4) that scales, then rotates, then translates. `rotation`: a quaternion x y z w of any length."""
     x, y, z, w = rotation / max(float(np.sqrt((rotation * rotation).sum())), 1e-30)
     transform = still()
     transform[:, :3] = [
@@ -35,25 +36,25 @@ def transform_of_parts(translation: Floats, rotation: Floats, scale: Floats) -> 
 
 
 def compose(outer: Floats, inner: Floats) -> Floats:
-    """The inner way first, then the outer."""
+    """Return the transform that applies `inner` first, then `outer`."""
     composed = matrix_product(outer[..., :3], inner)
     composed[..., 3] += outer[..., 3]
     return composed
 
 
 def matrix_product(a: Floats, b: Floats) -> Floats:
-    """Of matrices (…, j, 3) and (…, 3, k)."""
+    """Return the product of matrices (…, j, 3) and (…, 3, k)."""
     result: Floats = (a[..., 0, None] * b[..., 0:1, :] + a[..., 1, None] * b[..., 1:2, :]) + a[..., 2, None] * b[..., 2:3, :]
     return result
 
 
 def determinant(transform: Floats) -> float:
-    """Return the determinant of a transform (3, 4): the factor of volumes, negative if it mirrors."""
+    """Return the determinant of a transform (3, 4): the factor by which volumes grow, negative if it mirrors."""
     return float(determinants(transform))
 
 
 def determinants(transforms: Floats) -> Floats:
-    """The same of ways (…, 3, 4)."""
+    """Return the determinants (…) of transforms (…, 3, 4)."""
     a, b, c = (transforms[..., row, :3] for row in range(3))
     across = np.cross(b, c)
     result: Floats = (a[..., 0] * across[..., 0] + a[..., 1] * across[..., 1]) + a[..., 2] * across[..., 2]
@@ -61,7 +62,7 @@ def determinants(transforms: Floats) -> Floats:
 
 
 def uniform_scale(transform: Floats) -> float:
-    """Return the factor of lengths, if it is the same in all directions."""
+    """Return the factor by which a transform scales lengths. It must be the same in all directions."""
     with localcontext(prec=40):
         return float(abs(Decimal(determinant(transform))) ** (Decimal(1) / 3)) if determinant(transform) else 0.0
 
@@ -79,19 +80,19 @@ def cosine_and_sine(angle: float) -> tuple[float, float]:
 
 
 def inverses(transforms: Floats) -> Floats:
-    """Return the inverses of transforms (…, 3, 4) that have one."""
+    """Return the inverses of transforms (…, 3, 4). All of them must be invertible."""
     a, b, c = (transforms[..., row, :3] for row in range(3))
     turn = np.stack([np.cross(b, c), np.cross(c, a), np.cross(a, b)], axis=-1) / determinants(transforms)[..., None, None]
     return np.concatenate([turn, -matrix_product(turn, transforms[..., 3:])], axis=-1)
 
 
 def has_inverse(transform: Floats) -> bool:
-    """Return whether a transform has an inverse, that is, flattens nothing."""
+    """Return whether a transform has an inverse. A transform that flattens space has none."""
     return bool(have_inverses(transform))
 
 
 def have_inverses(transforms: Floats) -> NDArray[np.bool_]:
-    """The same of ways (…, 3, 4)."""
+    """Return whether each of the transforms (…, 3, 4) has an inverse."""
     turn = transforms[..., :3].reshape(*transforms.shape[:-2], 9)
     square = (turn * turn).sum(axis=-1)
     is_large = np.abs(determinants(transforms)) > 1e-12 * square * np.sqrt(square)
@@ -99,15 +100,18 @@ def have_inverses(transforms: Floats) -> NDArray[np.bool_]:
 
 
 def apply_transforms(transform: Floats, points: Floats) -> Floats:
-    """Apply one transform (3, 4) to points (n, 3), or to each its own (n, 3, 4)."""
+    """Apply one transform (3, 4) to points (n, 3), or a separate transform (n, 3, 4) to each point."""
     x, y, z = (points[:, axis, None] for axis in range(3))
     result: Floats = ((transform[..., 0] * x + transform[..., 1] * y) + transform[..., 2] * z) + transform[..., 3]
     return result
 
 
 def distinct_points(points: Floats) -> tuple[NDArray[np.int64], NDArray[np.bool_], NDArray[np.int64]]:
-    """Return an order by x, y, z of points (n, 3); which points in that order differ from the one before; and for each point the
-    index of its distinct point. Zero and minus zero are equal."""
+    """Return the distinct points among points (n, 3). Zero and minus zero are equal.
+
+    The results are: an order by x, y, z; which points in this order differ from the previous one; and for each point the index of
+    its
+    distinct point."""
     order = np.lexsort(points.T[::-1])
     ranked = points[order]
     new = np.ones(len(points), np.bool_)

@@ -1,7 +1,7 @@
 """The tokenizer of text meshes: .obj, .ply and .stl files to blocks of words with their lines.
 
-Only this module handles the line ends of all systems, byte order marks, indentation, comments and continued lines. NumPy finds
-the words of a block, so that a reader takes columns of numbers from thousands of lines at once."""
+Only this module handles line ends of all systems, byte order marks, indentation, comments and continued lines. NumPy finds the
+words of a block, so a reader gets columns of numbers from thousands of lines at once."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ _NAME_KEYWORDS = [[word] for word in b"mtllib usemtl o g maplib usemap".split()]
 
 
 class MeshError(Exception):
-    """Why a file is not a usable mesh, in words that fit after its name. `help`: what to do about it."""
+    """Reason why a file is not a usable mesh. The message fits after the file's name; `help` says what to do."""
 
     def __init__(self, message: str, help: str | None = _EXPORT_AGAIN_HELP) -> None:
         super().__init__(message)
@@ -47,19 +47,19 @@ class MeshError(Exception):
 
 
 def display_word(word: bytes, most: int = 20) -> str:
-    """Return a word of an untrusted file in a form that is safe in a message."""
+    """Return a word of an untrusted file in a form that is safe in a message, limited to `most` characters."""
     text = word[:most].decode("ascii", "replace")
     return printable(text)
 
 
 def check_count(count: int, most: int, what: str) -> None:
-    """MeshError where there is more than may be."""
+    """Raise MeshError if `count` is larger than `most`. `what`: the plural of what is counted."""
     if count > most:
         raise MeshError(f"has more than {most:,} {what}", "use a lighter mesh")
 
 
 def check_text(data: bytes) -> None:
-    """Raise MeshError if a file is not text of single bytes."""
+    """Raise MeshError if a file is text in UTF-16 or UTF-32, or not text at all."""
     if data.startswith(_UTF16_BYTE_ORDER_MARKS) or (data[1:2] == b"\0" and data[:4096].count(0) > len(data[:4096]) // 4):
         raise MeshError("is text in UTF-16 or UTF-32", "save it as UTF-8 or plain ASCII text")
     if b"\0" in data[:4096]:
@@ -94,8 +94,11 @@ def _continuation(end: re.Match[bytes]) -> bytes:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TextBlock:
-    """Lines of a text that have words. `number` int64[L]: the number of each line in the file, from 1; its words are `first[k]`
-    to `first[k] + count[k]`. `start`, `end` int64[W]: the range of each word in the bytes `data`."""
+    """The lines of a text that have words.
+
+    `number` int64[L]: the number of each line in the file, from 1.
+    `first`, `count` int64[L]: line k has the words `first[k]` to before `first[k] + count[k]`.
+    `start`, `end` int64[W]: the range of each word in the bytes `data`."""
 
     number: Integers
     first: Integers
@@ -110,18 +113,18 @@ class TextBlock:
 
     @property
     def words(self) -> list[bytes]:
-        """All words of the block's bytes."""
+        """Return all words of the block, by line."""
         if not self._words:
             self._words.append(self.data.tobytes().split())
         return self._words[0]
 
     def slice(self, begin: int, stop: int) -> TextBlock:
-        """Some of its lines."""
+        """Return a block with the lines `begin` to before `stop`."""
         part = slice(begin, stop)
         return TextBlock(self.number[part], self.first[part], self.count[part], self.start, self.end, self.data, self._words)
 
     def line(self, k: int) -> list[bytes]:
-        """The words of the line at place k."""
+        """Return the words of the k-th line."""
         return self.words[self.first[k] : self.first[k] + self.count[k]]
 
     def line_keywords(self) -> NDArray[np.bytes_]:
@@ -135,7 +138,7 @@ class TextBlock:
         return found.view("S8")[:, 0]
 
     def read_floats(self, at: Integers, what: str) -> Floats:
-        """Return the words at indices `at` as numbers, same shape. Raises MeshError with the line of the first that is not a
+        """Return the words at indices `at` as numbers, in the same shape. Raises MeshError with the line of the first invalid
         number."""
         flat = at.ravel()
         longest = int((self.end[flat] - self.start[flat]).max(initial=0))
@@ -164,12 +167,13 @@ class TextBlock:
             raise MeshError(words, help) from None
 
     def line_number(self, at: int) -> int:
-        """The line of a word."""
+        """Return the line number of the word at index `at`."""
         return int(self.number[np.searchsorted(self.first, at, side="right") - 1])
 
     def read_integers(self, at: Integers, slash: bool = False) -> tuple[Integers, NDArray[np.bool_]]:
-        """Return the words at indices `at` as integers, and which of them are integers. With `slash`, only the part before a
-        slash counts, as in `1/2/3`."""
+        """Return the words at indices `at` as integers, and whether each word is an integer.
+
+        With `slash`, only the part before a slash counts, as in `1/2/3`."""
         start, end = self.start[at], self.end[at]
         negative = self.data[start] == 45
         start = start + negative
@@ -191,8 +195,9 @@ class TextBlock:
 
 
 def read_blocks(text: bytes, number: int = 1) -> Iterator[TextBlock]:
-    """Yield the lines of a `plain_text`, the first of which is line `number` of the file. Raises MeshError for a line that is too
-    long."""
+    """Yield the lines of a `plain_text` in blocks. Raises MeshError for a line that is too long.
+
+    `number`: the number of the first line in the file."""
     at = 0
     while at < len(text):
         stop = text.rfind(b"\n", at, at + _READ_BLOCK_BYTES) + 1

@@ -1,5 +1,6 @@
-"""Readers of mesh files to `MeshData`. Counts are checked against the file's size before anything is allocated. This module also
-checks what mesh readers accept: indices out of range, values that are not finite, faces without area."""
+"""Readers of mesh files to `MeshData`. Counts are compared with the file's size before anything is allocated.
+
+This module also checks the results of all mesh readers: indices out of range, values that are not finite, faces without area."""
 
 from __future__ import annotations
 
@@ -32,9 +33,10 @@ _MAX_COORDINATE_MM = 1e9  # mm; a thousand kilometres
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RawMesh:
-    """Vertices in the file's units and axes, and the number of faces without area that were left out.
+    """A mesh with vertices in the file's units and axes, and the number of faces without area that were left out.
 
-    `own_vertices` and `own_faces`: their indices in the file. `counts`: vertices and triangles of the file."""
+    `own_vertices`, `own_faces`: the index of each vertex and face in the file.
+    `counts`: the numbers of vertices and triangles of the file."""
 
     vertices: Floats
     faces: Faces
@@ -48,8 +50,8 @@ class RawMesh:
 def read_mesh(data: bytes, name: str, group: str | None = None, beside: SiblingReader | None = None) -> RawMesh:
     """Return the triangles of a file's bytes. Raises MeshError with the reason if there are none.
 
-    `group`: only one group or object of an .obj file, or only what is at and below a node of glTF. `beside(path, cap)` reads a
-    file in the same folder."""
+    `group`: the only group or object of an .obj file to read, or the only node of a glTF file, with all below it.
+    `beside(path, cap)`: returns the bytes of a file in the same folder."""
     is_cached = len(data) <= _MAX_CACHED_BYTES and not name.lower().endswith(
         ".gltf"
     )  # buffers of .gltf files may be in other files
@@ -61,7 +63,7 @@ _MAX_CACHED_BYTES = 2 * limits.MIB  # of a file that is read again for the next 
 
 @lru_cache(maxsize=16)
 def _read(data: bytes, name: str, group: str | None) -> RawMesh:
-    """Read a mesh; small ones that several scenes share are read once. Their arrays must not be changed."""
+    """Read a mesh. Small meshes are cached for further scenes, so the arrays must not be changed."""
     mesh = _read_checked(data, name, group, None)
     for array in (mesh.vertices, mesh.faces, mesh.own_vertices, mesh.own_faces):
         array.setflags(write=False)
@@ -76,7 +78,9 @@ def _read_checked(data: bytes, name: str, group: str | None, beside: SiblingRead
 def mesh_arrays(
     data: bytes, name: str, group: str | None = None, beside: SiblingReader | None = None, notes: ImportNotes | None = None
 ) -> tuple[Floats, Faces]:
-    """As `read_mesh`, with all triangles of the file. Only what reading needs is checked. `notes` receives what was left out."""
+    """Return vertices and all triangles of a file, with the arguments of `read_mesh`. Only what reading needs is checked.
+
+    `notes`: receives what was left out."""
     notes = ImportNotes() if notes is None else notes
     kind = name.rsplit(".", 1)[-1].lower() if "." in name else ""
     if kind not in MESH_SUFFIXES:
@@ -97,12 +101,12 @@ def mesh_arrays(
         raise MeshError(str(why)) from None
     except TooManyCorners as why:
         raise MeshError(str(why), "cut it into smaller faces in the program that made the mesh") from None
-    except Exception as problem:  # a reader of other people's making meets a file of other people's making
+    except Exception as problem:  # an external reader may raise anything for an untrusted file
         raise MeshError(f"cannot be read ({type(problem).__name__})") from problem
 
 
 def _triangulate(mesh: PolygonMesh, notes: ImportNotes) -> tuple[Floats, Faces]:
-    """The polygons of a mesh as triangles."""
+    """Return the vertices of a mesh, and its polygons as triangles."""
     wrong = np.flatnonzero((mesh.indices < 0) | (mesh.indices >= len(mesh.points)))
     if len(wrong):
         face = int(np.searchsorted(np.cumsum(mesh.counts), wrong[0], side="right"))
@@ -125,7 +129,7 @@ def _triangulate(mesh: PolygonMesh, notes: ImportNotes) -> tuple[Floats, Faces]:
 
 
 def check_mesh(vertices: Floats, faces: Faces, notes: ImportNotes | None = None) -> RawMesh:
-    """The checks that hold for every format."""
+    """Check vertices and faces by the rules that hold for every format, and return them. Raises MeshError with the reason."""
     if len(vertices) == 0 or len(faces) == 0:
         raise MeshError("has no faces")
     if len(faces) > limits.MAX_MESH_FACES:
@@ -168,7 +172,9 @@ def check_mesh(vertices: Floats, faces: Faces, notes: ImportNotes | None = None)
 
 
 def _first_rows(rows: Faces, bound: int) -> NDArray[np.int64]:
-    """Return the first index of each distinct row of three numbers below `bound`. Rows are combined into one number for speed."""
+    """Return the index of the first occurrence of each distinct row of three numbers.
+
+    Numbers are below `bound`. For speed, each row is combined into one number."""
     if bound > 2**21:
         _, first = np.unique(rows, axis=0, return_index=True)
     else:
@@ -186,7 +192,7 @@ def _refuse_siblings(path: str, cap: int) -> bytes:
 
 
 def rotate_up(points: Floats, own: str, scene_up: str) -> Floats:
-    """Return points of a file with up axis `own` in a scene with up axis `scene_up`: rotated by a quarter turn about x."""
+    """Return points of a file with the up axis `own`, rotated about x into a scene with the up axis `scene_up`."""
     if own == scene_up:
         return points
     x, y, z = points.T
@@ -194,7 +200,7 @@ def rotate_up(points: Floats, own: str, scene_up: str) -> Floats:
 
 
 def rotate_points(points: Floats, angles: tuple[float, float, float]) -> Floats:
-    """Rotate points about x, then y, then z, by radians."""
+    """Return points rotated about x, then y, then z. `angles`: in radians."""
     for axis, angle in enumerate(angles):
         if angle:
             c, s = cosine_and_sine(angle)
@@ -210,8 +216,9 @@ def rotate_points(points: Floats, angles: tuple[float, float, float]) -> Floats:
 def placed(
     mesh: RawMesh, *, factor: float, own_up: str, up: str, angles: tuple[float, float, float], at: tuple[float, float, float]
 ) -> MeshData:
-    """Return a file's mesh in the scene: millimetres, the scene's axes. The outside of a mirrored mesh stays outside. Raises
-    MeshError if it is too far out."""
+    """Return a file's mesh in the scene: in millimetres and the scene's axes. Raises MeshError if a vertex is too far out.
+
+    A mirrored mesh keeps its outside."""
     vertices = rotate_points(rotate_up(mesh.vertices * factor, own_up, up), angles) + np.array(at)
     mesh_data = mesh_within_limits(vertices, mesh.faces[:, ::-1] if factor < 0 else mesh.faces)
     if not mesh.vertices.flags.writeable:
@@ -221,7 +228,7 @@ def placed(
 
 
 def mesh_within_limits(vertices: Floats, faces: NDArray[np.integer]) -> MeshData:
-    """Return vertices in mm as a mesh. Raises MeshError if one is too far out."""
+    """Return vertices in mm and faces as a mesh. Raises MeshError if a vertex is too far out."""
     if not np.isfinite(vertices).all() or np.abs(vertices).max() > _MAX_COORDINATE_MM:
         raise MeshError("lies more than a thousand kilometres out", "move it with `at`, or check its `units`")
     return MeshData(np.ascontiguousarray(vertices), np.ascontiguousarray(faces, np.int32))
@@ -229,7 +236,7 @@ def mesh_within_limits(vertices: Floats, faces: NDArray[np.integer]) -> MeshData
 
 @cached_per_mesh
 def mesh_area(mesh: MeshData) -> float:
-    """The area of all faces, mm²."""
+    """Return the area of all faces in mm²."""
     a, b, c = (mesh.vertices[mesh.faces[:, corner]] for corner in range(3))
     across = np.cross(b - a, c - a)
     return float(np.sqrt((across * across).sum(axis=1)).sum() / 2)

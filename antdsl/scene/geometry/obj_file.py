@@ -21,7 +21,9 @@ _FREE_FORM_KEYWORDS = frozenset(b"vp cstype deg bmat step parm trim hole scrv sp
 
 
 def read_obj(data: bytes, notes: ImportNotes, group: str | None = None) -> PolygonMesh:
-    """Return vertices and polygons of a file, or of one named group or object. Raises MeshError with the reason."""
+    """Return vertices and polygons of a file. Raises MeshError with the reason if that fails.
+
+    `group`: the name of the only group or object to read; None for all."""
     notes.form = "Wavefront .obj"
     mesh_text.check_text(data)
     reader = _ObjReader(notes, group)
@@ -103,7 +105,7 @@ class _ObjReader:
         self.lines.append(number)
 
     def _is_chosen(self, block: mesh_text.TextBlock, kind: NDArray[np.bytes_]) -> NDArray[np.bool_]:
-        """Return whether each line is below the named group or object."""
+        """Return whether each line of a block belongs to the requested group or object."""
         is_chosen = np.zeros(len(block), np.bool_)
         begin = 0
         for k in np.flatnonzero((kind == b"g") | (kind == b"o")).tolist():
@@ -122,7 +124,7 @@ class _ObjReader:
         return is_chosen
 
     def mesh(self) -> PolygonMesh:
-        """All that was read."""
+        """Return the mesh of all lines read."""
         if self.group is not None and not self.counts:
             raise mesh_text.MeshError(_missing_group_text(self.group, list(self.names)), None)
         points = np.concatenate(self.points) if self.points else np.empty((0, 3))

@@ -1,4 +1,4 @@
-"""Numbers and vectors that an artist painted on a mesh: attributes of a .ply file or an array of an .npz file, as arrays."""
+"""Reader of numbers and vectors that an artist painted on a mesh: attributes of .ply files, or arrays of .npz files."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _COMPONENT_NAME_PATTERNS = (("{}_x", "{}_y", "{}_z"), ("{}.x", "{}.y", "{}.z"), 
 
 
 class PaintError(Exception):
-    """Why a file lacks the requested data, in words that fit after its name; `help` says what to write."""
+    """Reason why a file lacks the requested data. The message fits after the file's name; `help` says what to write."""
 
     def __init__(self, words: str, help: str | None = None) -> None:
         super().__init__(words)
@@ -26,11 +26,11 @@ class PaintError(Exception):
 
 
 def read_painted_values(data: bytes, name: str, attribute: str | tuple[str, ...], width: int) -> Floats:
-    """Return rows (n, width) of an attribute, width 1 or 3, one for each vertex or face. Raises PaintError with the reason if
-    there are none.
+    """Return the rows (n, width) of an attribute, one per vertex or face. Raises PaintError with the reason if there are none.
 
-    Three names are the components of a vector. One-byte numbers are scaled so that 255 is 1. Values that are not finite are an
-    error."""
+    `attribute`: one name, or three names that are the components of a vector.
+    `width`: 1 or 3.
+    One-byte numbers are scaled so that 255 becomes 1. Values that are not finite are an error."""
     kind = name.rsplit(".", 1)[-1].lower() if "." in name else ""
     if kind not in _READER_BY_SUFFIX:
         raise PaintError("is neither a .ply nor an .npz file", "paint on the vertices of a .ply file, or write an .npz file")
@@ -68,7 +68,7 @@ def _from_ply(data: bytes, attribute: str | tuple[str, ...], width: int) -> Floa
 
 
 def _find_columns(element: PlyElement, attribute: str | tuple[str, ...], width: int) -> tuple[str, ...] | None:
-    """Return the names of an element's properties that are the components of the attribute, or None."""
+    """Return the names of an element's properties that form the attribute, or None if it lacks them."""
     have = {p.name for p in element.properties if not p.count}
     if isinstance(attribute, tuple):
         return attribute if len(attribute) == width and have.issuperset(attribute) else None

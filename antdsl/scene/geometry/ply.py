@@ -21,12 +21,12 @@ _LINE_END_PATTERN = re.compile(rb"\r\n|\r|\n")
 
 
 class HeaderError(Exception):
-    """Why a header is not accepted, in words that fit after the file's name."""
+    """Reason why a header is not accepted. The message fits after the file's name."""
 
 
 @dataclass(frozen=True, slots=True)
 class PlyProperty:
-    """A property. `count`: the type of a list's own count, None for a single value."""
+    """A property of an element. `count`: for a list, the type of its length; None for a single value."""
 
     name: str
     kind: str
@@ -40,13 +40,17 @@ class PlyElement:
     properties: tuple[PlyProperty, ...]
 
     def least_bytes(self) -> int:
-        """Return the least number of bytes of one element; an empty list has only its count."""
+        """Return the least number of bytes of one element. An empty list has only its length."""
         return sum(np.dtype(p.count or p.kind).itemsize for p in self.properties)
 
 
 @dataclass(frozen=True, slots=True)
 class PlyHeader:
-    """A header. `order`: `<` or `>`, empty for text. `body`: where the elements begin, in line `line` of the file."""
+    """A header.
+
+    `order`: the byte order, `<` or `>`; empty for text.
+    `body`: the offset at which the elements begin.
+    `line`: the line of the file at which the elements begin."""
 
     order: str
     elements: tuple[PlyElement, ...]
@@ -55,8 +59,8 @@ class PlyHeader:
 
 
 def read_header(data: bytes) -> PlyHeader:
-    """Return the header of a .ply file after checking its counts against the file's size. Raises HeaderError with the reason
-    otherwise."""
+    """Return the header of a .ply file. Its counts are compared with the file's size. Raises HeaderError with the reason if they
+    differ."""
     lines, body = _header_lines(data)
     order: str | None = None
     elements: list[PlyElement] = []
@@ -82,7 +86,7 @@ def read_header(data: bytes) -> PlyHeader:
 
 
 def _header_lines(data: bytes) -> tuple[list[bytes], int]:
-    """Return the lines between the first, `ply`, and `end_header`, and where the body begins. Words in comments are ignored."""
+    """Return the lines between `ply` and `end_header`, and the offset of the body. Words in comments are ignored."""
     head = data[: 64 * limits.KIB]
     at = 3 if head.startswith(b"\xef\xbb\xbf") else 0
     lines: list[bytes] = []

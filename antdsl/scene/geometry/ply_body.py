@@ -1,4 +1,5 @@
-"""Bodies of .ply files, text or binary: the elements as columns, with each count checked against the rest of the file."""
+"""Reader of the bodies of .ply files, text or binary: the elements as columns. Each count is compared with the rest of the
+file."""
 
 from __future__ import annotations
 
@@ -26,8 +27,9 @@ _TOO_SHORT_MESSAGE = "is shorter than its header says"
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PlyColumn:
-    """The values of a property of all elements of one name, in order. For lists, `counts` has the number of values of each
-    element."""
+    """The values of one property, for all elements of one kind, in order.
+
+    `counts`: for lists, the number of values of each element."""
 
     values: NDArray[Any]
     counts: Integers | None = None
@@ -37,7 +39,7 @@ ColumnByName = Mapping[str, PlyColumn]
 
 
 def read_ply(data: bytes, notes: ImportNotes) -> PolygonMesh:
-    """Return vertices and polygons of a file, with triangle strips as triangles. Raises HeaderError or MeshError with the
+    """Return vertices and polygons of a file. Triangle strips become triangles. Raises HeaderError or MeshError with the
     reason."""
     header = read_header(data)
     notes.form = {"": "text", "<": "binary", ">": "binary (big-endian)"}[header.order] + " .ply"
@@ -76,12 +78,12 @@ def read_ply(data: bytes, notes: ImportNotes) -> PolygonMesh:
 
 
 def _with_restarts(values: Integers, counts: Integers) -> Integers:
-    """The corners of several strips with -1 between them."""
+    """Return the corners of several strips, with -1 between strips."""
     return np.insert(values, np.cumsum(counts)[:-1], -1)
 
 
 def _corner_property(element: PlyElement) -> str:
-    """The name of the property that lists the corners of a face or strip."""
+    """Return the name of the property that lists the corners of a face or strip."""
     lists = [p for p in element.properties if p.count]
     named = [p for p in lists if p.name.lower() in _INDEX_PROPERTY_NAMES] or lists
     if len(named) != 1:
@@ -92,8 +94,9 @@ def _corner_property(element: PlyElement) -> str:
 
 
 def read_columns(data: bytes, header: PlyHeader, element: PlyElement, names: Sequence[str]) -> Floats:
-    """Return some single-valued properties of one element, (count, len(names)). Raises HeaderError if the body does not match the
-    header."""
+    """Return some properties of an element as numbers, float64[count, len(names)]. The properties must not be lists.
+
+    Raises HeaderError if the body does not match the header."""
     try:
         columns = read_elements(data, header, {id(element): names}, ImportNotes())[id(element)]
     except MeshError as why:
@@ -104,7 +107,7 @@ def read_columns(data: bytes, header: PlyHeader, element: PlyElement, names: Seq
 def read_elements(
     data: bytes, header: PlyHeader, requested_names: Mapping[int, Collection[str]], notes: ImportNotes
 ) -> dict[int, ColumnByName]:
-    """Return the requested columns, by the id of a header element and the property's name. Other columns are skipped."""
+    """Return the requested columns, by the id of a header element and the name of a property. Other columns are skipped."""
     for element in header.elements:
         names = [p.name for p in element.properties]
         if twice := next((name for k, name in enumerate(names) if name in names[:k]), None):
@@ -131,7 +134,7 @@ class _TextBody:
         self._open: TextBlock | None = None
 
     def _read_lines(self, count: int) -> Iterator[TextBlock]:
-        """Yield blocks with `count` lines, fewer at the end of the file."""
+        """Yield blocks with `count` lines in total, or fewer if the file ends."""
         while count > 0:
             block = self._open if self._open is not None and len(self._open) else next(self._blocks, None)
             if block is None:
@@ -141,7 +144,7 @@ class _TextBody:
             count -= min(count, len(block))
 
     def note_rest(self, notes: ImportNotes) -> None:
-        """Note what stands after the last element."""
+        """Add a note if the file has lines after the last element."""
         for block in ([self._open] if self._open is not None else []) + list(self._blocks):
             if len(block):
                 notes.skip("lines after the last element", len(block), int(block.number[0]))
@@ -204,7 +207,7 @@ class _BinaryBody:
         self._data, self._order, self._at = data, header.order, header.body
 
     def note_rest(self, notes: ImportNotes) -> None:
-        """Note what stands after the last element."""
+        """Add a note if the file has bytes after the last element."""
         rest = len(self._data) - self._at
         if self._data[self._at :].strip(b"\0 \n\r\t\x1a"):  # no padding
             notes.skip(f"{rest:,} bytes after the last element")
@@ -237,7 +240,8 @@ class _BinaryBody:
         return found
 
     def _first_lengths(self, element: PlyElement) -> dict[str, int] | None:
-        """Return the list lengths of the first element, which all elements usually share. None if that is impossible."""
+        """Return the list lengths of the first element, by property. All elements usually share them. Return None if that is
+        impossible."""
         at, lengths = self._at, {}
         for p in element.properties:
             if p.count is not None:
@@ -260,7 +264,7 @@ class _BinaryBody:
         return int(count)
 
     def _read_uneven(self, element: PlyElement, requested_names: Collection[str]) -> ColumnByName:
-        """Return lists of different lengths: first find where each begins, element by element, then read all values at once."""
+        """Return lists of different lengths. First find where each begins, element by element, then read all values at once."""
         data, at, name = self._data, self._at, display_word(element.name.encode())
         starts: dict[str, list[int]] = {p.name: [] for p in element.properties if p.name in requested_names}
         counts: dict[str, list[int]] = {p.name: [] for p in element.properties if p.name in requested_names and p.count}
@@ -309,6 +313,6 @@ _STRUCT_CODES = {
 
 
 def _value_reader(order: str, kind: str, count: str | None) -> tuple[int, Callable[[bytes, int], tuple[Any, ...]] | None, int]:
-    """Return the bytes of one value; for a list also how its length is read, and the bytes of that."""
+    """Return how to read a value: its number of bytes; for a list, also the reader of its length and the bytes of the length."""
     read = None if count is None else struct.Struct(order + _STRUCT_CODES[count])
     return np.dtype(kind).itemsize, None if read is None else read.unpack_from, 0 if read is None else read.size

@@ -1,4 +1,4 @@
-"""JSON files of points, for curves and for placing agents one by one: a list of `[x, y, z]`."""
+"""Reader of JSON files of points: a list of `[x, y, z]`. They are for curves, and for placing agents one by one."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ MAX_POINT_FILE_BYTES = 64 * limits.MIB
 
 
 class PointsError(Exception):
-    """Why a file has no points, in words that fit after its name."""
+    """Reason why a file has no points. The message fits after the file's name."""
 
 
 def _refuse_constant(word: str) -> Any:
@@ -23,7 +23,8 @@ def _refuse_constant(word: str) -> Any:
 
 
 def read_points(data: bytes, least: int) -> NDArray[np.float64]:
-    """At least `least` points as an array (n, 3) in the file's own units; PointsError says why not."""
+    """Return at least `least` points as an array (n, 3) in the file's own units. Raises PointsError with the reason if that
+    fails."""
     try:
         points = json.loads(data.decode("utf-8-sig"), parse_constant=_refuse_constant)
     except (ValueError, RecursionError):

@@ -1,8 +1,8 @@
-"""Triangulation of polygons: the only one for .obj, .ply, USD and bodies, and for triangle strips.
+"""The triangulation of polygons for .obj, .ply, USD and bodies, and of triangle strips.
 
-NumPy cuts triangles, quads and polygons that a fan from one of their corners covers, all of one size at once. A convex polygon is
-a fan from its first corner. The rest, such as a polygon with two arms, goes to mapbox_earcut one by one, on an integer grid. All
-its products are exact there, so every processor gets the same triangles."""
+NumPy cuts triangles, quads, and polygons that a fan from one of their corners covers. It cuts all polygons of one size at once. A
+convex polygon is a fan from its first corner. Other polygons, such as one with two arms, go to mapbox_earcut one by one, on an
+integer grid. All its products are exact there, so every processor gets the same triangles."""
 
 from __future__ import annotations
 
@@ -18,10 +18,8 @@ Integers = NDArray[np.int64]
 GridCorner = tuple[int, int]
 
 MAX_POLYGON_CORNERS = 20_000  # of one polygon that no fan covers: cutting it takes about a second
-MAX_FILE_WORK = (
-    16 * MAX_POLYGON_CORNERS**2
-)  # all such polygons of a file: the sum of the squares of their numbers of corners, and each for itself
-_WORK_PER_CALL = 20_000  # of the same for the call alone
+MAX_FILE_WORK = 16 * MAX_POLYGON_CORNERS**2  # limit for all such polygons of a file: sum of squared corner counts, plus calls
+_WORK_PER_CALL = 20_000  # what each polygon adds to this sum for its call
 _MAX_FAN_TRIES = 8  # corners that are tried as the middle of a fan
 _GRID_CELLS = 2.0**24  # cells across a polygon: products of two sides stay below 2**53
 _FLAT_AREA_RATIO = 1e-10  # of the square of a polygon's extent: triangles with less area have none
@@ -29,14 +27,18 @@ _AREA_TOLERANCE = 1e-5  # of a polygon's area: what its triangles may differ fro
 
 
 class TooManyCorners(Exception):
-    """Polygons that would take too long to cut; the message fits after a file's name."""
+    """Polygons would take too long to cut. The message fits after a file's name."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Triangulation:
-    """`corners` int64[m, 3]: indices into the list of the corners of all polygons; `polygon` int64[m]: the polygon of each
-    triangle, in order. `cut`: the number of polygons with more than three corners; `concave`: how many of those have a corner
-    that points inward. `crossing`: indices of polygons that cut or cover themselves."""
+    """Triangles of polygons.
+
+    `corners` int64[m, 3]: indices into the list of the corners of all polygons.
+    `polygon` int64[m]: the polygon of each triangle, ascending.
+    `cut`: the number of polygons with more than three corners.
+    `concave`: the number of these polygons with a corner that points inward.
+    `crossing`: indices of polygons that cut or cover themselves."""
 
     corners: Integers
     polygon: Integers
@@ -46,11 +48,12 @@ class Triangulation:
 
 
 def triangulate(points: Floats, counts: Integers, indices: Integers) -> Triangulation:
-    """Cut polygons into triangles that keep their winding.
+    """Return polygons cut into triangles with the same winding. Raises TooManyCorners if a polygon is too large to cut.
 
-    `points` float64[n, 3]. `counts` int64[p]: corners of each polygon; fewer than three give no triangles. `indices`
-    int64[counts.sum()]: the point of each corner, each below n. Of successive corners at one position, only the first counts.
-    Raises TooManyCorners if a polygon is too large to cut."""
+    `points` float64[n, 3].
+    `counts` int64[p]: the number of corners of each polygon; polygons with fewer than three give no triangles.
+    `indices` int64[counts.sum()]: the point of each corner, below n.
+    Of successive corners at one position, only the first counts."""
     if len(counts) and (counts == 3).all():
         return Triangulation(np.arange(3 * len(counts)).reshape(-1, 3), np.arange(len(counts)))
     own = np.arange(len(indices))
@@ -62,8 +65,9 @@ def triangulate(points: Floats, counts: Integers, indices: Integers) -> Triangul
 
 
 def _is_repeated(points: Floats, counts: Integers) -> NDArray[np.bool_]:
-    """Return which corners of polygons with at least four corners coincide with the previous one, or, for the last, with the
-    first."""
+    """Return whether each corner coincides with the previous one. A last corner may also coincide with the first one.
+
+    Only polygons with at least four corners are examined."""
     large = counts > 3
     start = np.cumsum(counts) - counts
     begin, end = start[large], start[large] + counts[large] - 1
@@ -113,8 +117,9 @@ def _check_work(counts: Integers) -> None:
 
 
 def _project(rings: Floats) -> tuple[Floats, NDArray[np.bool_]]:
-    """Return polygons [p, n, 3] projected along the axis nearest to their normal, counter-clockwise [p, n, 2], and whether they
-    have an area."""
+    """Return polygons [p, n, 3] as counter-clockwise outlines [p, n, 2], and whether each polygon has an area.
+
+    They are projected along the axis nearest to their normal."""
     low = rings.min(axis=1, keepdims=True)
     extent = np.maximum((rings.max(axis=1, keepdims=True) - low).max(axis=2, keepdims=True), 1e-300)
     unit = (rings - low) / np.ldexp(1.0, np.frexp(extent)[1])  # a power of two: nothing is rounded
@@ -136,8 +141,9 @@ def _project(rings: Floats) -> tuple[Floats, NDArray[np.bool_]]:
 
 
 def _cut_fans(rings: Floats) -> tuple[Integers, Integers, NDArray[np.bool_]]:
-    """Return for polygons [p, n, 3] the triangles [p, n - 2, 3] of a fan, and whether they cross themselves. Also return the
-    corner at the centre of the fan, -1 if no fan that was tried covers the polygon."""
+    """Return the triangles [p, n - 2, 3] of a fan for each of the polygons [p, n, 3], and whether each polygon crosses itself.
+
+    The third result is the corner at the centre of the fan. It is -1 if none of the tried fans covers the polygon."""
     count = rings.shape[1]
     outline, has_area = _project(rings)
     crossed = ~has_area & _is_crossing(rings)
@@ -164,7 +170,7 @@ def _cut_fans(rings: Floats) -> tuple[Integers, Integers, NDArray[np.bool_]]:
 
 
 def _has_reflex(rings: Floats) -> NDArray[np.bool_]:
-    """Whether polygons [p, n, 3] have a corner that points inward."""
+    """Return whether each of the polygons [p, n, 3] has a corner that points inward."""
     outline, has_area = _project(rings)
     side = np.roll(outline, -1, axis=1) - outline
     previous_side = np.roll(side, 1, axis=1)
@@ -173,7 +179,9 @@ def _has_reflex(rings: Floats) -> NDArray[np.bool_]:
 
 
 def _is_crossing(rings: Floats) -> NDArray[np.bool_]:
-    """Return whether polygons without a total area have triangles with one: they cross themselves, like an 8."""
+    """Return whether each of the polygons [p, n, 3] crosses itself, like an 8. The polygons must have no total area.
+
+    Such a polygon crosses itself if one of its triangles has an area."""
     side = rings[:, 1:] - rings[:, :1]
     extent = np.maximum(np.abs(side).max(axis=(1, 2)), 1e-300)
     across = np.abs(np.cross(side[:, :-1], side[:, 1:])).max(axis=(1, 2), initial=0.0)
@@ -181,7 +189,7 @@ def _is_crossing(rings: Floats) -> NDArray[np.bool_]:
 
 
 def _cut_ears(outline: Floats) -> tuple[Integers, bool]:
-    """Return triangles (m, 3) of the corners of one polygon [n, 2], counter-clockwise, and whether it crosses itself."""
+    """Return triangles (m, 3) of the corners of one polygon [n, 2], counter-clockwise, and whether the polygon crosses itself."""
     from mapbox_earcut import triangulate_float64
 
     grid = np.round(outline * _GRID_CELLS)
@@ -204,8 +212,9 @@ def _double_areas(grid: Floats, triangles: Integers) -> Floats:
 
 
 def _split_at_corners(triangles: list[list[int]], corners: list[GridCorner]) -> list[list[int]]:
-    """Split triangles so that they also use the corners on straight sides, which earcut leaves out. Otherwise there would be a
-    crack to a neighbour that uses them."""
+    """Split triangles so that they also use corners on straight sides, which earcut leaves out.
+
+    Otherwise there would be a crack to a neighbour that uses these corners."""
     count = len(corners)
     border = {(k, (k + 1) % count) for k in range(count)}
     edges = {(t[k], t[(k + 1) % 3]) for t in triangles for k in range(3)}
@@ -233,7 +242,7 @@ def _split_at_corners(triangles: list[list[int]], corners: list[GridCorner]) -> 
 
 
 def _corner_chain(a: int, b: int, needed: dict[int, list[int]], corners: list[GridCorner]) -> list[int]:
-    """Return the corners on the straight line from a to b that needed edges connect; empty if these edges go elsewhere."""
+    """Return the corners on the straight line from a to b that `needed` edges connect. Empty if these edges leave the line."""
     (ax, ay), (bx, by) = corners[a], corners[b]
     at = a
     chain: list[int] = []
@@ -261,8 +270,10 @@ T = TypeVar("T", bound=np.integer)
 
 
 def strip_triangles(corners: NDArray[T], restart: int = -1) -> NDArray[T]:
-    """Return the triangles (n, 3) of a strip of corners, every other one reversed so that all face the same side. Triangles with
-    a repeated corner connect parts of a strip and are left out. `restart` begins a new strip."""
+    """Return the triangles (n, 3) of a strip of corners. Every second one is reversed, so that all face the same side.
+
+    Triangles with a repeated corner only connect parts of a strip and are left out. `restart`: the value that begins a new
+    strip."""
     if len(corners) < 3:
         return np.empty((0, 3), corners.dtype)
     place = np.arange(len(corners))
@@ -278,8 +289,11 @@ def strip_triangles(corners: NDArray[T], restart: int = -1) -> NDArray[T]:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PolygonMesh:
-    """`points` float64[n, 3] in the file's units; `counts` int64[p]: corners of each polygon; `indices` int64[counts.sum()]: the
-    point of each corner, which a reader does not have to check."""
+    """A mesh of polygons, as readers return it.
+
+    `points` float64[n, 3]: in the file's units.
+    `counts` int64[p]: the number of corners of each polygon.
+    `indices` int64[counts.sum()]: the point of each corner; readers need not check it."""
 
     points: NDArray[np.float64]
     counts: NDArray[np.int64]
@@ -287,5 +301,5 @@ class PolygonMesh:
 
     @staticmethod
     def of_triangles(points: NDArray[np.float64], triangles: NDArray[np.int64]) -> PolygonMesh:
-        """A mesh of triangles (m, 3)."""
+        """Return a mesh of triangles (m, 3)."""
         return PolygonMesh(points, np.full(len(triangles), 3), triangles.reshape(-1))

@@ -30,8 +30,7 @@ def read_stl(data: bytes, notes: ImportNotes) -> PolygonMesh:
 
 
 def _is_text(data: bytes) -> bool:
-    """Return whether a file is text. A binary file may also begin with `solid`, but its numbers contain bytes that text does not
-    have."""
+    """Return whether a file is text. A binary file may also begin with `solid`, but contains bytes that text does not have."""
     if len(data) >= _HEADER_BYTES and len(data) == _HEADER_BYTES + _FACE_BYTES * struct.unpack_from("<I", data, 80)[0]:
         return False
     head = data[: 64 * limits.KIB]
@@ -101,7 +100,7 @@ def _read_text(data: bytes, notes: ImportNotes) -> mesh_text.Floats:
 
 
 def _check_others(number: mesh_text.Integers, kind: mesh_text.Integers, words: list[str], notes: ImportNotes) -> None:
-    """Raise MeshError for an unknown line within a facet; note other unknown lines."""
+    """Raise MeshError for an unknown line within a facet. Add notes about other unknown lines."""
     others = np.flatnonzero(kind == _OTHER_LINE)
     opened = np.cumsum((kind == _FACET_LINE).astype(np.int64) - (kind == _FACET_END_LINE))
     for place, text in zip(others.tolist(), words, strict=True):
@@ -111,7 +110,7 @@ def _check_others(number: mesh_text.Integers, kind: mesh_text.Integers, words: l
 
 
 def _check_facets(kinds: mesh_text.Integers, numbers: mesh_text.Integers, last: int) -> None:
-    """Raise MeshError if lines do not repeat facet, three corners, end of facet."""
+    """Raise MeshError unless the lines repeat in this order: facet, three corners, end of facet."""
     expected_kinds = np.resize(np.array([_FACET_LINE, _VERTEX_LINE, _VERTEX_LINE, _VERTEX_LINE, _FACET_END_LINE]), len(kinds))
     wrong = np.flatnonzero(kinds != expected_kinds)
     if not len(wrong):

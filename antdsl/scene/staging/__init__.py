@@ -1,5 +1,8 @@
-"""A matched scene becomes a `Setting`: files are read, and all values are converted to mm, seconds and the scene's axes.
+"""Conversion of a matched scene to a `Setting`. Files are read; values become mm, seconds and the scene's axes.
 
-`stage_scene` defines the order: meshes, things, items, flows, crowd. `things` reads what is more than one static file, `moves`
-gives the positions of things at each frame. `item_placement` gives positions of items, `flows` the data of flows and maps.
-`cached` stores results about small meshes for reuse."""
+`stage_scene`: defines the order: meshes, things, items, flows, crowd.
+`stage_things`: reads things that are more than one static file.
+`moves`: gives the positions of things at each frame.
+`item_placement`: gives the positions of items.
+`stage_flows`: gives the data of flows and maps.
+`cached`: stores results about small meshes for reuse."""

@@ -1,4 +1,4 @@
-"""Stores results about small meshes that are staged repeatedly, as in a preview."""
+"""Cache of results about small meshes that are staged repeatedly, as in a preview."""
 
 from __future__ import annotations
 
@@ -22,8 +22,9 @@ T = TypeVar("T")
 
 
 def cached_per_mesh(work: Callable[Concatenate[M, P], T]) -> Callable[Concatenate[M, P], T]:
-    """Return `work`, cached by mesh and arguments. Only results for read-only meshes, which are cached anyway, are stored.
-    Results must not be changed either."""
+    """Return `work`, cached by mesh and arguments. The results must not be changed.
+
+    Only results for read-only meshes are stored. Such meshes are cached as well."""
 
     @lru_cache(maxsize=_MAX_CACHED_MESHES)
     def get_answers(mesh: M) -> dict[Hashable, T]:

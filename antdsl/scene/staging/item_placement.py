@@ -23,8 +23,9 @@ DEFAULT_ITEM_RADIUS = 10.0  # mm
 
 
 def place_items(staging: SceneStaging, name: str, value: UsdThing | dict[str, ItemThing]) -> tuple[stage_of.ItemData, ...] | None:
-    """Return the items of one name as at the first frame; or report an error and return None. Their motion goes into
-    `staging.item_tracks`."""
+    """Return the items of one name, at the first frame. On failure, report an error and return None.
+
+    Their motion goes into `staging.item_tracks`."""
     if isinstance(value, UsdThing):
         return _place_usd_items(staging, name, value, staging.program.world[name])
     model = staging.scene.model
@@ -46,10 +47,11 @@ def place_items(staging: SceneStaging, name: str, value: UsdThing | dict[str, It
 
 
 def _place_item(staging: SceneStaging, name: str, item: str, thing: ItemThing) -> NDArray[np.float64] | None:
-    """Return an item's position at each frame (frames, 3), one frame if it is static. If it misses its surface, report an error
-    and return None.
+    """Return an item's position at each frame (frames, 3); one frame if it is static.
 
-    With `on` it lies on the surface: at each position of its keys, else at one point of a surface that may move."""
+    With `on`, it lies on the surface: at each position of its keys, or without keys at one point of a surface that may move. If
+    it misses
+    the surface, report an error and return None."""
     track = item_positions(staging, name, item, thing)
     mesh = staging.surfaces.get(thing.on) if thing.on is not None else None
     if mesh is None or thing.on is None:
@@ -71,7 +73,7 @@ def _place_item(staging: SceneStaging, name: str, item: str, thing: ItemThing) -
 
 
 def check_crowds(staging: SceneStaging, crowds: Sequence[stage_of.CrowdData]) -> None:
-    """Warn about a crowd that would start where no surface is; it would stand at the nearest surface point."""
+    """Warn about a crowd that would start where there is no surface. It starts at the nearest surface point instead."""
     for crowd in crowds:
         if crowd.count and is_off_surface(crowd.place, staging, staging.scene.model.up):
             words = f"there is no surface where `{crowd.species}` is to begin, so it begins at the nearest"
@@ -81,7 +83,7 @@ def check_crowds(staging: SceneStaging, crowds: Sequence[stage_of.CrowdData]) ->
 
 
 def is_off_surface(place: stage_of.PlaceData, things: SceneStaging | stage_of.WorldSetting, up: str) -> bool:
-    """Return whether no surface lies below or above a crowd's start disc, or, with a start by area, in its ball."""
+    """Return whether no surface is below or above a crowd's start disc. With a start by area, the disc is a ball."""
     if place.around is None or place.radius is None:
         return False
     grounds = {**things.surfaces, **{name: solid.mesh for name, solid in things.solids.items()}}
@@ -93,7 +95,7 @@ def is_off_surface(place: stage_of.PlaceData, things: SceneStaging | stage_of.Wo
 
 @cached_per_mesh
 def _is_in_reach(mesh: stage_of.MeshData, middle: stage_of.PointMm, radius: float, axes: tuple[int, ...]) -> bool:
-    """Return whether a mesh reaches into a ball, or, if an axis is left out, into a disc seen along that axis."""
+    """Return whether a mesh reaches into a ball. If an axis is left out of `axes`, the ball is a disc seen along this axis."""
     faces = _near_faces(mesh, middle, axes, radius)
     corners = np.zeros((len(faces), 3, 3))
     corners[:, :, : len(axes)] = (mesh.vertices[:, axes] - np.array(middle)[list(axes)])[faces]
@@ -114,8 +116,9 @@ def _is_in_reach(mesh: stage_of.MeshData, middle: stage_of.PointMm, radius: floa
 def _place_usd_items(
     staging: SceneStaging, name: str, value: UsdThing, thing: WorldThing
 ) -> tuple[stage_of.ItemData, ...] | None:
-    """Return points or empties of a USD file as items. Radius and attributes come from the file, else from `each`, else from the
-    defaults."""
+    """Return points or empties of a USD file as items; None on an error.
+
+    Radius and attributes come from the file, else from `each`, else from the defaults."""
     points = stage_usd_items(staging, name, value)
     if points is None:
         return None
@@ -146,8 +149,11 @@ def _facing_attributes(value: UsdThing) -> tuple[str, ...]:
 
 
 def _facing_columns(up: str, value: UsdThing, ahead: NDArray[np.float64]) -> list[NDArray[np.float64]]:
-    """Return the columns of the attributes that take the direction of empties: a unit vector, or its angle from +x about the
-    scene's up, counted to the left. They are nan without a direction; the angle also if it is straight up or down."""
+    """Return the columns of the attributes that receive the direction of empties.
+
+    They are a unit vector (three columns), or its angle from +x about the scene's up, counted to the left. Columns are nan
+    without a
+    direction. The angle is also nan if the direction is straight up or down."""
     if value.turn is None:
         return []
     size = np.sqrt((ahead[:, 0] * ahead[:, 0] + ahead[:, 1] * ahead[:, 1]) + ahead[:, 2] * ahead[:, 2])
@@ -160,12 +166,12 @@ def _facing_columns(up: str, value: UsdThing, ahead: NDArray[np.float64]) -> lis
 
 
 def three(place: NDArray[np.float64]) -> stage_of.PointMm:
-    """A place as three plain numbers."""
+    """Return a point as three Python floats."""
     return float(place[0]), float(place[1]), float(place[2])
 
 
 def _near_faces(mesh: stage_of.MeshData, point: stage_of.PointMm, axes: Sequence[int], reach: float = 0.0) -> NDArray[np.int32]:
-    """Return faces with boxes that, along some axes, come within (nearly) `reach` of a point."""
+    """Return the faces (m, 3) with boxes that come within about `reach` of a point, along the given axes."""
     near = np.ones(len(mesh.faces), np.bool_)
     for axis in axes:
         a, b, c = (np.ascontiguousarray(mesh.vertices[:, axis])[mesh.faces[:, k]] for k in range(3))
@@ -178,7 +184,7 @@ def _near_faces(mesh: stage_of.MeshData, point: stage_of.PointMm, axes: Sequence
 
 @cached_per_mesh
 def surface_height(mesh: stage_of.MeshData, point: stage_of.PointMm, up: str) -> float | None:
-    """Return the highest point of a mesh on the line through a point along the scene's up, or None if there is none."""
+    """Return the highest coordinate of a mesh on the vertical line through a point; None if the line misses the mesh."""
     flat, tall = ([0, 2], 1) if up == "y" else ([0, 1], 2)
     corners = mesh.vertices[_near_faces(mesh, point, flat)]
     plan = corners[:, :, flat] - np.array(point)[flat]

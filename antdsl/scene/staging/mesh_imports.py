@@ -1,5 +1,7 @@
-"""What importing meshes changes: vertices nearer to each other than a tolerance are welded, and what was left out, cut up or
-joined is reported, with what keeps a solid open."""
+"""Changes to meshes on import, and reports about them.
+
+Vertices nearer to each other than a tolerance are welded. Reports say what was left out, cut or joined, and why a solid is not
+closed."""
 
 from __future__ import annotations
 
@@ -36,12 +38,12 @@ _MAX_CLOSING_TRIES = 4  # tolerances that are tried to close gaps, each twice as
 
 
 _FAR_FROM_ORIGIN_MM = 2.0**23  # mm from the origin of the world: beyond it a float32 has steps of a millimetre
-_MANY_REMOVED_FACES = 20  # one of so many faces removed by welding is worth a warning
-_DEFAULT_WELD_VOXELS = 0.01  # of a voxel: what is finer is lost in voxels anyway
+_MANY_REMOVED_FACES = 20  # welding that removes more than one face in this many causes a warning
+_DEFAULT_WELD_VOXELS = 0.01  # of a voxel: finer detail is lost in voxels anyway
 
 
 def report_losses(staging: SceneStaging, display_name: str, raw: RawMesh, span: Span | None) -> None:
-    """Warn about what was in a mesh file and is not in the scene."""
+    """Warn about contents of a mesh file that are not in the scene."""
     report, notes = staging.report, raw.notes
     if raw.dropped:
         faces = "face" if raw.dropped == 1 else "faces"
@@ -73,7 +75,7 @@ def report_distances(staging: SceneStaging, setting: stage_of.WorldSetting) -> N
 def weld_thing(
     staging: SceneStaging, name: str, value: MeshThing | HeightThing | UsdThing, mesh: stage_of.MeshData
 ) -> stage_of.MeshData:
-    """Return the mesh with its vertices welded, if the scene says `weld`."""
+    """Return the mesh with its vertices welded, if the scene has `weld`. On an error, report it and return the mesh unchanged."""
     if isinstance(value, HeightThing) or value.weld is None:
         return mesh
     if name in staging.moves:
@@ -107,7 +109,10 @@ def weld_thing(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _WeldedMesh:
-    """A mesh after welding, the number of moved vertices, and which of the previous faces still have three corners."""
+    """A mesh after welding.
+
+    `moved`: the number of moved vertices.
+    `keep`: whether each of the previous faces still has three corners."""
 
     mesh: stage_of.MeshData
     moved: int
@@ -115,8 +120,9 @@ class _WeldedMesh:
 
 
 def _weld_mesh(mesh: stage_of.MeshData, tolerance: float) -> _WeldedMesh | None:
-    """Return the mesh with its vertices welded, without faces that lose a corner; None if no face with an area remains. Raises
-    WeldError if the tolerance is much too large."""
+    """Return the mesh with its vertices welded, without faces that lose a corner. Return None if no face with an area remains.
+
+    Raises WeldError if the tolerance is much too large."""
     vertices, count = welded(mesh.vertices, tolerance)
     if not count:
         return _WeldedMesh(mesh, 0, np.ones(len(mesh.faces), np.bool_))
@@ -128,7 +134,7 @@ def _weld_mesh(mesh: stage_of.MeshData, tolerance: float) -> _WeldedMesh | None:
 
 
 def _record_welding(staging: SceneStaging, name: str, welding: _WeldedMesh) -> stage_of.MeshData:
-    """Record what welding changed. Values painted on faces stay with the remaining faces."""
+    """Record what welding changed, and return the welded mesh. Values painted on faces stay with the remaining faces."""
     raw = staging.raw[name]
     if welding.moved:
         staging.welds[name] = staging.welds.get(name, 0) + welding.moved
@@ -139,7 +145,9 @@ def _record_welding(staging: SceneStaging, name: str, welding: _WeldedMesh) -> s
 
 
 def close_solid(staging: SceneStaging, name: str, value: MeshThing | UsdThing, solid: stage_of.SolidData) -> stage_of.SolidData:
-    """Return the solid, with its vertices welded if it is not closed otherwise. Reports an error if it still has no inside."""
+    """Return the solid. If it is not closed and the scene has no `weld`, its vertices are welded.
+
+    Reports an error if it still has no inside."""
     display_name, place = mesh_location(staging, name)
     if is_flat(solid.mesh.vertices, solid.mesh.faces):
         words, help = f"the solid `{name}` has no volume: `{display_name}` is flat", "give it a thickness, or declare a `surface`"
@@ -171,8 +179,9 @@ def close_solid(staging: SceneStaging, name: str, value: MeshThing | UsdThing, s
 
 
 def check_live_faces(staging: SceneStaging) -> None:
-    """Report an error for each surface without a face that is ground, by the rule of the ground itself: no agent could stand on
-    it."""
+    """Report an error for each surface on which no agent could stand, since none of its faces is ground.
+
+    The ground itself uses the same rule."""
     if not staging.surfaces:
         return
     used = [mesh.vertices[mesh.faces].reshape(-1, 3) for mesh in staging.surfaces.values()]
@@ -192,7 +201,7 @@ def check_live_faces(staging: SceneStaging) -> None:
 
 
 def mesh_location(staging: SceneStaging, name: str) -> tuple[str, Span | None]:
-    """Return the name of a thing's mesh in messages, and where the scene names it."""
+    """Return the name of a thing's mesh for messages, and where the scene names the mesh."""
     value = staging.scene.model.world[name]
     assert isinstance(value, ThingModel)
     key = "prim" if isinstance(value, UsdThing) else value.head()
@@ -200,7 +209,7 @@ def mesh_location(staging: SceneStaging, name: str) -> tuple[str, Span | None]:
 
 
 def collect_imports(staging: SceneStaging) -> dict[str, MeshImport]:
-    """The report on each mesh, in scene units."""
+    """Return the import report of each mesh, in scene units."""
     imports, unit = {}, staging.scene.model.unit_mm
     solids = {name: solid.mesh for name, solid in staging.solids.items()}
     for name, mesh in {**staging.surfaces, **staging.obstacles, **solids}.items():
@@ -228,14 +237,14 @@ def collect_imports(staging: SceneStaging) -> dict[str, MeshImport]:
 
 
 class WeldError(Exception):
-    """Why vertices are not welded, in words that fit after the tolerance."""
+    """Reason why vertices are not welded. The message fits after the tolerance."""
 
 
 def welded(vertices: Floats, tolerance: float) -> tuple[Floats, int]:
-    """Return vertices (n, 3) after welding, and how many were moved. Vertices nearer to each other than `tolerance`, directly or
-    through others, move to the position of their first. Their indices do not change.
+    """Return vertices (n, 3) after welding, and the number of moved vertices. Their indices do not change.
 
-    Raises WeldError if so many are near that a list of the pairs would take far more memory than the mesh."""
+    Vertices nearer to each other than `tolerance`, directly or through others, move to the position of the first of them.
+    Raises WeldError if a list of the near pairs would need far more memory than the mesh."""
     from scipy.spatial import KDTree
 
     order, new, which = distinct_points(vertices)
@@ -254,19 +263,19 @@ def welded(vertices: Floats, tolerance: float) -> tuple[Floats, int]:
 
 
 def edge_lengths(vertices: Floats, faces: Faces) -> Floats:
-    """Lengths (m, 3) of the edges of faces."""
+    """Return the lengths (m, 3) of the edges of faces."""
     corners = vertices[faces]
     edges = corners - np.roll(corners, -1, axis=1)
     return np.asarray(np.sqrt((edges * edges).sum(axis=2)))
 
 
 def has_three_places(vertices: Floats, faces: Faces) -> NDArray[np.bool_]:
-    """Return which faces have corners at three different positions."""
+    """Return whether each face has corners at three different positions."""
     return np.asarray((edge_lengths(vertices, faces) > 0).all(axis=1))
 
 
 def is_flat(vertices: Floats, faces: Faces) -> bool:
-    """Return whether all faces lie in the plane of the largest one: such a body has no volume."""
+    """Return whether all faces lie in the plane of the largest face. Such a body has no volume."""
     corners = vertices[faces]
     across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     size = np.sqrt((across * across).sum(axis=1))
@@ -279,9 +288,13 @@ def is_flat(vertices: Floats, faces: Faces) -> bool:
 
 @dataclass(frozen=True, slots=True)
 class MeshOpenings:
-    """What keeps a mesh from being closed. `gap`: a tolerance, one digit of mm, at which welding closes it; `width`: the widest
-    gap that it closes; both 0 if there is none. `holes`: pieces of border; the largest has `edges` edges of at most `longest`
-    mm."""
+    """The openings of a mesh that is not closed.
+
+    `gap`: a tolerance in mm, with one digit, at which welding closes the mesh; 0 if there is none.
+    `width`: the widest gap in mm that this welding closes; 0 if there is none.
+    `holes`: the number of connected borders.
+    `edges`: the number of edges of the largest hole.
+    `longest`: its longest edge in mm."""
 
     gap: float
     width: float
@@ -291,7 +304,7 @@ class MeshOpenings:
 
 
 def measure_openings(vertices: Floats, faces: Faces, grain: float) -> MeshOpenings:
-    """Measure the openings. `grain`: positions nearer than this coincide."""
+    """Return the openings of a mesh. `grain`: positions nearer to each other than this coincide."""
     from scipy.spatial import KDTree
 
     edges, points = find_odd_edges(vertices, faces, grain)
@@ -320,7 +333,7 @@ def measure_openings(vertices: Floats, faces: Faces, grain: float) -> MeshOpenin
 
 
 def round_down_digit(x: float) -> float:
-    """Round x down to one digit: 0.17 gives 0.1."""
+    """Return x rounded down to one digit: 0.17 gives 0.1."""
     digits, _, power = f"{x:.15e}".partition("e")
     return float(f"{digits[0]}e{power}")
 

@@ -1,6 +1,6 @@
-"""Motion of the world's things: the vertices of a mesh, the items or the points of a curve at each frame.
+"""Motion of the world's things: the vertices of a mesh, the items, or the points of a curve at each frame.
 
-All of it is in memory from the start, so a position only depends on the frame."""
+All of it is in memory from the start, so a position depends on the frame only."""
 
 from __future__ import annotations
 
@@ -17,9 +17,12 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MeshMoves:
-    """Vertices over frames. At frame k, vertex v has the transform `tracks[group[v], k]` from its position at frame 0; the
-    vertices `deformed` are then shifted by `offsets[k]` mm. `tracks` float64 (groups, frames, 3, 4); `offsets` float64 (frames,
-    m, 3)."""
+    """The vertices of a mesh over frames.
+
+    `tracks` float64 (groups, frames, 3, 4): vertex v has the transform `tracks[group[v], k]` from frame 0 to frame k.
+    `group`: the track of each vertex.
+    `deformed`: m vertices that are then shifted.
+    `offsets` float64 (frames, m, 3): these shifts in mm."""
 
     group: NDArray[np.int32]
     tracks: Floats
@@ -32,21 +35,24 @@ class MeshMoves:
 
     @staticmethod
     def rigid(transforms: Floats, count: int) -> MeshMoves:
-        """Move all of `count` vertices by transforms (frames, 3, 4) from a common space; the first one has an inverse."""
+        """Return moves of `count` vertices that all follow the same transforms (frames, 3, 4) from a common space.
+
+        The first transform must have an inverse."""
         track = compose(transforms, inverses(transforms[0]))
         track[(transforms == transforms[0]).all(axis=(1, 2))] = still()
         return MeshMoves(np.zeros(count, np.int32), track[None], np.empty(0, np.int64), np.empty((0, 0, 3), np.float64))
 
     @staticmethod
     def free(positions: Floats) -> MeshMoves:
-        """Return moves in which every vertex moves independently: `positions` (frames, n, 3)."""
+        """Return moves in which every vertex moves separately. `positions` (frames, n, 3)."""
         frames, count = positions.shape[:2]
         offsets = (positions - positions[0]).astype(np.float64)
         return MeshMoves(np.zeros(count, np.int32), still(1, frames), np.arange(count), offsets)
 
     def vertices_at(self, rest: Floats, frame: int) -> Floats:
-        """Return the vertices (n, 3) at a frame, counted from 0. `rest`: their positions at frame 0. The end values hold
-        outside."""
+        """Return the vertices (n, 3) at a frame, counted from 0. `rest`: their positions at frame 0.
+
+        Before the first and after the last frame, their values hold."""
         k = min(max(frame, 0), self.frames - 1)
         place = apply_transforms(self.tracks[:, k].take(self.group, axis=0), rest)
         if len(self.deformed):
@@ -54,7 +60,7 @@ class MeshMoves:
         return np.ascontiguousarray(place)
 
     def placed(self, transforms: Floats) -> MeshMoves:
-        """Return the same motion in the space that the transforms `transforms` (frames, 3, 4) lead to."""
+        """Return the same motion in another space. `transforms` (frames, 3, 4): from the current space to the other."""
         back = inverses(transforms[0])
         tracks = compose(compose(transforms[None], self.tracks), back)
         tracks[:, (transforms == transforms[0]).all(axis=(1, 2)) & (self.tracks == still()).all(axis=(0, 2, 3))] = still()
@@ -63,7 +69,7 @@ class MeshMoves:
         return MeshMoves(self.group, tracks, self.deformed, offsets)
 
     def select_vertices(self, vertex_numbers: NDArray[np.int64]) -> MeshMoves:
-        """Return the moves of some vertices; `vertex_numbers`: their numbers, ascending."""
+        """Return the moves of some vertices only. `vertex_numbers`: their indices, ascending."""
         place = np.full(len(self.group), -1)
         place[vertex_numbers] = np.arange(len(vertex_numbers))
         left = np.flatnonzero(place[self.deformed] >= 0)
@@ -72,8 +78,10 @@ class MeshMoves:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class GeometryMoves:
-    """All moving things, by name. `first`: the scene's frame that counts as 0. Items and curves are positions (frames, n, 3) in
-    mm."""
+    """All moving things, by name.
+
+    `first`: the frame of the scene that counts as 0.
+    `items`, `curves`: positions (frames, n, 3) in mm."""
 
     first: int = 0
     meshes: Mapping[str, MeshMoves] = field(default_factory=dict)
@@ -84,6 +92,6 @@ class GeometryMoves:
         return bool(self.meshes or self.items or self.curves)
 
     def points(self, tracks: Floats, frame: int) -> Floats:
-        """Return the positions (n, 3) of items or of a curve at a frame of the scene; the end values hold outside."""
+        """Return the positions (n, 3) of items or of a curve at a frame of the scene. The first and last values hold outside."""
         frame_positions: Floats = tracks[min(max(frame - self.first, 0), len(tracks) - 1)]
         return frame_positions

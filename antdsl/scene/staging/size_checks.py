@@ -1,4 +1,4 @@
-"""Checks that the sizes of meshes, fields and voxels fit the crowd and the limits, before anything is allocated."""
+"""Checks of the sizes of meshes, fields and voxels, before anything is allocated. They must fit the crowd and the limits."""
 
 from __future__ import annotations
 
@@ -22,14 +22,14 @@ _MAX_VOXEL_PER_BODY, _GOOD_VOXEL_PER_BODY = 1 / 3, 1 / 4  # of a body: voxels th
 
 
 def check_sizes(staging: SceneStaging) -> None:
-    """Check fields, surfaces and solids, once all meshes are staged without errors."""
+    """Check the sizes of fields, surfaces and solids. All meshes must have been staged without errors."""
     if staging.report.ok:
         _check_cells(staging)
         _check_scale(staging)
 
 
 def _check_cells(staging: SceneStaging) -> None:
-    """Refuse fields of more cells than can be."""
+    """Report an error for each field with more cells than the limit."""
     surfaces = {**staging.surfaces, **{name: solid.mesh for name, solid in staging.solids.items()}}
     for name, declared in staging.program.fields.items():
         if not isinstance(declared.cell, Constant):
@@ -55,8 +55,9 @@ def _check_cells(staging: SceneStaging) -> None:
 
 
 def _check_scale(staging: SceneStaging) -> None:
-    """Warn about a surface that is hardly larger than its agents, or so large that its units are likely wrong. Also warn about
-    voxels too coarse for agents that walk and dig there."""
+    """Warn about a surface that is hardly larger than its agents, or so large that its units are likely wrong.
+
+    Also warn about voxels too coarse for the agents that walk and dig there."""
     for line in staging.scene.model.crowd:
         species = staging.program.species.get(line.species)
         size = next((a.default for a in species.attributes if a.name == "size"), None) if species else None
@@ -81,7 +82,7 @@ def _check_scale(staging: SceneStaging) -> None:
 
 
 def _first_length(expression: Expr, staging: SceneStaging) -> float | None:
-    """The first length in an expression such as `uniform(3 mm, 5 mm)`, in millimetres."""
+    """Return the first length in an expression such as `uniform(3 mm, 5 mm)`, in millimetres; None without one."""
     stack: list[Expr | None] = [expression]
     while stack:
         part = stack.pop()
@@ -104,7 +105,7 @@ def refuse_if_many(
     *path: PathKey,
     labels: tuple[Label, ...] = (),
 ) -> None:
-    """Report an error for a request of more than `cap` parts with an edge of `edge` mm, at a path in the scene."""
+    """Report an error if `count` parts with an edge of `edge` mm exceed `cap`. `path`: the location in the scene."""
     if count > cap:
         size = f"{count * 8 / limits.GIB:,.0f} GiB" if count * 8 > limits.GIB else f"{count * 8 / limits.MIB:,.0f} MiB"
         message = f"{what} would need at least {count:,.0f} {parts} of {edge:g} mm (about {size}), more than {cap:,}"

@@ -1,4 +1,4 @@
-"""Crowd lines of a scene: where their agents start, and their walks."""
+"""Crowd lines of a scene: the starting positions of their agents, and their walks."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def stage_point(
     *path: PathKey,
     key: str = "around",
 ) -> stage_of.PointMm | None:
-    """Return the centre of something: a point, an item's position, or the origin if only a radius is given."""
+    """Return a centre in mm: a point, an item's position, or the origin if only a radius is given."""
     if around is None:
         return None if radius is None else (0.0, 0.0, 0.0)
     if not isinstance(around, str):
@@ -84,14 +84,14 @@ def place(staging: SceneStaging, item_points: PointsByName, place: Placement, *p
 
 
 def _normalise(vectors: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return vectors (n, 3) normalized to length 1, nan where there is no direction."""
+    """Return vectors (n, 3) scaled to length 1; nan for zero vectors."""
     size = np.sqrt((vectors[:, 0] * vectors[:, 0] + vectors[:, 1] * vectors[:, 1]) + vectors[:, 2] * vectors[:, 2])
     unit_vectors: NDArray[np.float64] = vectors / np.where(size > 0, size, np.nan)[:, None]
     return unit_vectors
 
 
 def _read_usd_attributes(file: UsdFile, species: str) -> dict[str, NDArray[np.float64]]:
-    """Return the attributes of a species for which points or empties have values."""
+    """Return the attributes of a species for which the points or empties of the file have values, by name."""
     declared = file.staging.program.species[species].attributes
     own = {a.name: a.type.dim for a in declared if a.type.kind is TypeKind.NUMBER and not a.each}
     own |= {a.name: Dimension() for a in declared if a.type.kind is TypeKind.BOOL}
@@ -113,7 +113,7 @@ def stage_walk(scene: Scene, walk: Walk | None) -> stage_of.WalkData | None:
 
 
 def _read_spacing(scene: Scene, spacing: Quantity | str | None) -> float:
-    """Return the least distance (mm) between agents of a line at the start; inf: evenly distributed."""
+    """Return the least distance (mm) between agents of a crowd line at the start. inf means evenly distributed."""
     if isinstance(spacing, str):
         return math.inf
     return length(scene, spacing) or 0.0

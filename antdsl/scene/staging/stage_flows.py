@@ -1,4 +1,4 @@
-"""Flows and maps of a scene: names are checked against the program, files are read, everything is converted to millimetres."""
+"""Flows and maps of a scene. Names are checked against the program, files are read, and values are converted to millimetres."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ _DEFAULT_INTERVAL_SECONDS = 1.0  # s
 
 
 def stage_flow(staging: SceneStaging, name: str, thing: model.FlowThing | model.PaintedThing) -> stage_of.FlowData | None:
-    """Return a flow in mm and the scene's axes; or report an error and return None."""
+    """Return a flow in mm and the scene's axes. On failure, report an error and return None."""
     if isinstance(thing, model.PaintedThing):
         return _stage_painted(staging, name, thing, 3)
 
@@ -82,7 +82,7 @@ def _stage_target(staging: SceneStaging, name: str, key: str, goal: model.Target
 
 
 def _report_no_target(staging: SceneStaging, name: str, key: str, goal: str) -> None:
-    """Report a goal that is no item, unless another message already explains it."""
+    """Report a target that is not an item, unless another message already explains it."""
     items = staging.items
     if not staging.report.ok:
         return
@@ -95,13 +95,14 @@ def _report_no_target(staging: SceneStaging, name: str, key: str, goal: str) -> 
 
 
 def stage_map(staging: SceneStaging, name: str, thing: model.PaintedThing) -> stage_of.PaintedValues | None:
-    """Return a map on the vertices or faces of a surface; or report an error and return None."""
+    """Return a map on the vertices or faces of a surface. On failure, report an error and return None."""
     return _stage_painted(staging, name, thing, 1)
 
 
 def _stage_painted(staging: SceneStaging, name: str, thing: model.PaintedThing, width: int) -> stage_of.PaintedValues | None:
-    """Return the values of a map (width 1) or the vectors of a flow (3) on the vertices or faces of a surface as it is in the
-    scene."""
+    """Return painted values on the vertices or faces of a surface, as the surface is in the scene.
+
+    `width`: 1 for the numbers of a map, 3 for the vectors of a flow. On failure, report an error and return None."""
     surfaces = staging.program.of_kind("surface")
     surface = thing.on or find_painted_surface(staging.scene, surfaces, thing) or surfaces[0]
     raw, mesh = staging.raw.get(surface), staging.scene.model.world.get(surface)
@@ -135,7 +136,9 @@ def _stage_painted(staging: SceneStaging, name: str, thing: model.PaintedThing, 
 
 
 def _select_used_rows(rows: NDArray[np.float64], raw: RawMesh) -> tuple[NDArray[np.float64], bool] | None:
-    """Return the rows of the file's vertices or faces that are in the scene."""
+    """Return the rows of those vertices or faces of the file that are in the scene, and whether they are faces.
+
+    Return None if the number of rows fits neither."""
     vertices, faces = raw.counts
     if len(rows) == vertices:
         return rows[raw.own_vertices], False
@@ -143,7 +146,7 @@ def _select_used_rows(rows: NDArray[np.float64], raw: RawMesh) -> tuple[NDArray[
 
 
 def check_densities(staging: SceneStaging) -> None:
-    """Report a crowd that is placed by a map which is nowhere above 0, or painted on another surface."""
+    """Report a crowd with a density map that is 0 everywhere or painted on another surface."""
     for number, line in enumerate(staging.scene.model.crowd):
         name = line.place.density
         if name is None or name not in staging.maps:

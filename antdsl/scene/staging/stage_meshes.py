@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 
 def stage_mesh(staging: SceneStaging, name: str, value: MeshThing | HeightThing | UsdThing) -> stage_of.MeshData | None:
-    """Return a mesh as at the first frame; its motion goes into `staging.moves`."""
+    """Return a mesh at the first frame. On failure, report an error and return None. Its motion goes into `staging.moves`."""
     scene, report = staging.scene, staging.report
     up, unit_mm = scene.model.up, scene.model.unit_mm
     if isinstance(value, UsdThing):
@@ -77,7 +77,7 @@ def _read_still_mesh(staging: SceneStaging, name: str, value: MeshThing) -> tupl
 
 
 def _read_height_mesh(staging: SceneStaging, name: str, value: HeightThing) -> tuple[RawMesh, None] | None:
-    """A surface of samples, in mm, y up."""
+    """Return a surface of height samples, in mm with y up."""
     data = staging.read_file(value.height, limits.MAX_MESH_BYTES, "world", name, "height")
     if data is None:
         return None
@@ -96,7 +96,9 @@ def _read_height_mesh(staging: SceneStaging, name: str, value: HeightThing) -> t
 
 
 def stage_solid(staging: SceneStaging, name: str, value: MeshThing | UsdThing) -> stage_of.SolidData | None:
-    """Return a solid; or report an error and return None. A request for too many voxels is rejected before any is created."""
+    """Return a solid. On failure, report an error and return None.
+
+    A request for too many voxels is rejected before any voxel is created."""
     mesh = stage_mesh(staging, name, value)
     if mesh is None or value.voxel is None:  # that it is missing was reported when the scene was matched
         return None

@@ -1,7 +1,6 @@
-"""Turns a matched scene into a `Setting`: meshes and points are read, everything is converted to millimetres and the scene's
-axes.
+"""Conversion of a matched scene to a `Setting`. Meshes and points are read; values become millimetres in the scene's axes.
 
-The memory that binding would need is computed first. Thus a request for a billion cells is rejected before any allocation."""
+The memory that binding would need is computed first. So a request for a billion cells is rejected before any allocation."""
 
 from __future__ import annotations
 
@@ -43,7 +42,7 @@ _UP_VECTORS = {"y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
 
 @dataclass(slots=True)
 class SceneStaging:
-    """A setting under construction: the report, and a hash of the bytes of each file that was read."""
+    """A setting under construction, with the report, and a hash of each file that was read."""
 
     scene: Scene
     program: Program
@@ -64,11 +63,11 @@ class SceneStaging:
     welds: dict[str, int] = field(default_factory=dict)  # vertices that were moved onto others, by mesh
 
     def read(self, group: str, name: str, value: Any) -> Any:
-        """Return the data of a thing for a mapping of the setting; or report an error and return None."""
+        """Return the data of a thing for the mapping `group` of the setting. On failure, report an error and return None."""
         return READERS[group](self, name, value)
 
     def read_file(self, text: str, cap: int, *path: PathKey) -> bytes | None:
-        """Return a file's bytes; or report an error at the path that names it and return None."""
+        """Return a file's bytes. On failure, report an error at the path that names the file, and return None."""
         try:
             data = self.scene.roots.read(text, cap)
         except PathRefused as refused:
@@ -78,8 +77,9 @@ class SceneStaging:
         return data
 
     def sibling_reader(self, text: str) -> Callable[[str, int], bytes]:
-        """Return a reader of files that a file of the scene names relative to its own folder. It raises PathRefused for files
-        elsewhere."""
+        """Return a reader for files that are named in a file of the scene, relative to that file's folder.
+
+        The reader raises PathRefused for files outside the allowed folders."""
         root, colon, path = text.rpartition(":")
         folder = posixpath.dirname(path)
 
@@ -92,7 +92,7 @@ class SceneStaging:
         return read
 
     def points(self, text: str, least: int, *path: PathKey) -> NDArray[np.float64] | None:
-        """Return at least `least` points of a JSON file, in the file's own units; or report an error and return None."""
+        """Return at least `least` points of a JSON file, in the file's own units. On failure, report an error and return None."""
         data = self.read_file(text, MAX_POINT_FILE_BYTES, *path)
         if data is None:
             return None
@@ -103,7 +103,7 @@ class SceneStaging:
             return None
 
     def find_sequence(self, text: str, *path: PathKey) -> dict[int, str] | None:
-        """Return the files of a path with `####` by frame; or report an error and return None."""
+        """Return the files of a path with `####`, by frame. On failure, report an error and return None."""
         try:
             return self.scene.roots.sequence(text)
         except PathRefused as refused:
@@ -125,7 +125,7 @@ _MESHES = ("surfaces", "obstacles", "solids")
 
 
 def _stage_things(staging: SceneStaging, *groups: str) -> None:
-    """Stage the things of some groups in the program's order. Caches list curves and items in the scene's order."""
+    """Stage the things of some groups in the program's order. Curves and items keep the scene's order, as in caches."""
     program, scene = staging.program.world, staging.scene.model.world
     for name in scene if groups[0] in ("curves", "items") else program:
         kind, value = KINDS.get(program[name].kind) if name in program else None, scene.get(name)
@@ -141,7 +141,9 @@ def _stage_things(staging: SceneStaging, *groups: str) -> None:
 def stage(
     scene: Scene, program: Program, overrides: Mapping[str, Quantity] | None = None
 ) -> tuple[stage_of.WorldSetting | None, Report, dict[str, str]]:
-    """Return the setting, the report, and a hash of each file read. `overrides`: params from the user."""
+    """Return the setting, the report, and a hash of each file read. The setting is None if there are errors.
+
+    `overrides`: params from the user."""
     staging = SceneStaging(scene, program)
     model = scene.model
     for group in (*_MESHES, "curves", "items"):
@@ -219,7 +221,7 @@ def import_reports(scene: Scene, program: Program) -> dict[str, MeshImport]:
 
 
 def _stage_detail(scene: Scene, camera: stage_of.CameraData | None) -> stage_of.DetailData | None:
-    """`camera`: one that a file brought."""
+    """Return the level of detail, or None if the scene has none. `camera`: a camera from a file."""
     model = scene.model
     if model.lod is None or model.camera is None or isinstance(model.camera, str):
         return None

@@ -1,5 +1,6 @@
-"""Things of the world that are more than one static file: parts of USD files, files per frame, keys. All are converted to mm, the
-scene's axes and positions at every simulated frame."""
+"""Things of the world that are more than one static file: parts of USD files, files per frame, things with keys.
+
+They are converted to mm, the scene's axes and positions at every simulated frame."""
 
 from __future__ import annotations
 
@@ -47,13 +48,13 @@ T = TypeVar("T")
 
 
 def simulated_frames(staging: SceneStaging) -> range:
-    """Return the simulated frames, including the preroll. At the first, meshes are at rest."""
+    """Return the simulated frames, including the preroll. At the first frame, meshes are at rest."""
     model = staging.scene.model
     return range(model.frames.first - model.preroll, model.frames.last + 1)
 
 
 def files_per_frame(staging: SceneStaging, text: str, *path: PathKey) -> list[str] | None:
-    """Return the file of each frame if a path has `####`. The first and last existing files hold outside."""
+    """Return the file of each frame if a path has `####`, else None. The first and last existing files also hold outside."""
     files = staging.find_sequence(text, *path)
     if files is None:
         return None
@@ -79,8 +80,9 @@ def interpolate_keys(
     frames: Sequence[int],
     unit_mm: float,
 ) -> tuple[Floats, Floats] | None:
-    """Return position (frames, 3) in mm and rotation (frames, 3) in radians at each frame, or None without keys. What no key
-    defines comes from the thing itself."""
+    """Return position (frames, 3) in mm and rotation (frames, 3) in radians at each frame; None without keys.
+
+    Values that no key defines come from the thing itself: `own_at`, `own_turn`."""
     if not keys:
         return None
     at = {f: millimetres(key.at, unit_mm) for f, key in keys.items() if key.at is not None}
@@ -99,7 +101,7 @@ def _interpolate(keys: Mapping[int, tuple[float, ...]], frames: Sequence[int]) -
 
 
 def _key_transforms(staging: SceneStaging, value: PlacedThing | CurveThing, factor: float, own_up: str) -> Floats | None:
-    """Return the transforms (frames, 3, 4) of a file's positions into the scene, if the scene has keys for it."""
+    """Return the transforms (frames, 3, 4) from a file's positions into the scene; None if the thing has no keys."""
     model, frames = staging.scene.model, simulated_frames(staging)
     placed = interpolate_keys(value.keys, value.at, getattr(value, "rotate", None), frames, model.unit_mm)
     if placed is None:
@@ -160,7 +162,7 @@ def read_moving_mesh(staging: SceneStaging, name: str, value: MeshThing) -> tupl
 
 
 def stage_usd_mesh(staging: SceneStaging, name: str, value: UsdThing) -> tuple[RawMesh, MeshMoves | None] | None:
-    """The meshes below a prim, in mm and the scene's axes."""
+    """Return the meshes below a prim and their motion, in mm and the scene's axes."""
     from antdsl.scene.geometry.usd import read_usd_mesh
 
     mesh = _read_usd(staging, value.usd, value.path, value.purpose, ("world", name), read_usd_mesh)
@@ -175,7 +177,7 @@ def stage_usd_mesh(staging: SceneStaging, name: str, value: UsdThing) -> tuple[R
 def place_moves(
     staging: SceneStaging, value: PlacedThing, raw: RawMesh, inner: MeshMoves | None, factor: float, own_up: str
 ) -> tuple[Floats, MeshMoves | None] | None:
-    """Return the vertices at rest and the motion of a mesh that moves in its file, by keys, or both; None if it does not move."""
+    """Return the vertices at rest and the motion of a mesh that moves in its file, by keys, or both. None if it does not move."""
     transforms = _key_transforms(staging, value, factor, own_up)
     if inner is None and transforms is None:
         return None
@@ -198,12 +200,13 @@ def first_rotation(staging: SceneStaging, value: PlacedThing) -> tuple[float, fl
 
 
 def limit_length(vectors: Floats) -> Floats:
-    """Vectors (n, 3), those longer than 1 cut to 1."""
+    """Return vectors (n, 3). Vectors longer than 1 are scaled to length 1."""
     return np.asarray(vectors / np.maximum(np.sqrt((vectors * vectors).sum(axis=1)), 1.0)[:, None])
 
 
 def stage_usd_paint(staging: SceneStaging, name: str, thing: PaintedThing, mesh: UsdThing, width: int) -> Floats | None:
-    """Return a primvar on the vertices of a surface from the same USD file: numbers (width 1) or vectors (3) in the scene."""
+    """Return a primvar on the vertices of a surface from the same USD file. `width`: 1 for numbers, 3 for vectors in the scene's
+    axes."""
     from antdsl.scene.geometry.usd import read_usd_mesh
 
     attribute = name if thing.attribute is None else thing.attribute
@@ -233,7 +236,7 @@ def stage_usd_paint(staging: SceneStaging, name: str, thing: PaintedThing, mesh:
 
 
 def stage_curve(staging: SceneStaging, name: str, value: CurveThing | UsdThing) -> Floats | None:
-    """Return the points (frames, k, 3) of a curve, one frame if it is static."""
+    """Return the points (frames, k, 3) of a curve; one frame if it is static."""
 
     model = staging.scene.model
     if isinstance(value, UsdThing):
@@ -273,7 +276,8 @@ def stage_curve(staging: SceneStaging, name: str, value: CurveThing | UsdThing) 
 
 
 def _apply_by_frame(transforms: Floats, positions: Floats) -> Floats:
-    """Return positions (frames, k, 3) after the transforms of their frames; the last of each holds for later frames."""
+    """Return positions (frames, k, 3) after the transforms of their frames. The shorter of the two is continued with its last
+    frame."""
     count = max(len(positions), len(transforms))
     frames = [(min(k, len(transforms) - 1), min(k, len(positions) - 1)) for k in range(count)]
     return np.stack([apply_transforms(transforms[i], positions[j]) for i, j in frames])
@@ -283,7 +287,7 @@ def _apply_by_frame(transforms: Floats, positions: Floats) -> Floats:
 
 
 def item_positions(staging: SceneStaging, name: str, item: str, thing: ItemThing) -> Floats:
-    """Return the positions (frames, 3) of an item by its keys, in mm; one frame if it has none."""
+    """Return the positions (frames, 3) of an item in mm, by its keys. One frame if it has no keys."""
     unit_mm = staging.scene.model.unit_mm
     placed = interpolate_keys(thing.keys, thing.at, None, simulated_frames(staging), unit_mm)
     if placed is None:
@@ -296,7 +300,7 @@ def item_positions(staging: SceneStaging, name: str, item: str, thing: ItemThing
 
 
 def stage_usd_items(staging: SceneStaging, name: str, value: UsdThing) -> UsdPoints | None:
-    """Return the points below a prim, or the empties of a kind, moved as the scene says."""
+    """Return the points below a prim, or the empties of a kind, with the scene's transforms applied."""
     from dataclasses import replace
 
     from antdsl.scene.geometry.usd import read_usd_points
@@ -321,7 +325,7 @@ def stage_usd_items(staging: SceneStaging, name: str, value: UsdThing) -> UsdPoi
 
 
 def stage_usd_places(staging: SceneStaging, value: UsdPlaces, *path: PathKey) -> UsdPoints | None:
-    """Return the points or empties of a crowd line, in mm and the scene's axes."""
+    """Return the points or empties at which a crowd line starts, in mm and the scene's axes."""
     from antdsl.scene.geometry.usd import read_usd_points
 
     species = staging.scene.model.crowd[int(path[1])].species
@@ -331,7 +335,7 @@ def stage_usd_places(staging: SceneStaging, value: UsdPlaces, *path: PathKey) ->
 
 
 def follow_surface(mesh: stage_of.MeshData, moves: MeshMoves, place: stage_of.PointMm) -> Floats:
-    """Return the position of a point of a moving surface at each frame (frames, 3): it stays on its triangle."""
+    """Return the positions (frames, 3) of a point on a moving surface. The point stays on its triangle."""
     corners = mesh.vertices[mesh.faces]
     a, b, c = corners[:, 0], corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
     normal = np.cross(b, c)
@@ -356,7 +360,7 @@ def follow_surface(mesh: stage_of.MeshData, moves: MeshMoves, place: stage_of.Po
 def _read_usd(
     staging: SceneStaging, text: str, prim: str, purpose: str, path: tuple[PathKey, ...], read: Callable[[UsdStage], T]
 ) -> T | None:
-    """Return a reader's result at a prim; or report an error at its location in the scene and return None."""
+    """Return the result of a reader at a prim. On failure, report an error at the location in the scene and return None."""
     from antdsl.scene.geometry.usd import UsdError, open_stage
 
     model = staging.scene.model
@@ -384,7 +388,7 @@ def _read_usd(
 
 
 def stage_usd_camera(staging: SceneStaging, value: UsdCamera) -> stage_of.CameraData | None:
-    """A camera prim over the written frames."""
+    """Return the camera at a prim, over the written frames."""
     from antdsl.scene.geometry.usd import read_usd_camera
 
     camera = _read_usd(staging, value.usd, value.prim, "render", ("camera",), read_usd_camera)

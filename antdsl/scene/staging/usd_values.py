@@ -1,4 +1,4 @@
-"""Numbers and words of a USD file's points and empties, as values of attributes in base units."""
+"""Numbers and words of a USD file's points and empties, converted to values of attributes in base units."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ _OPTIONAL_ATTRIBUTES = ("max_turn", "min_speed")  # an agent has these only wher
 
 @dataclass(frozen=True, slots=True, eq=False)
 class UsdFile:
-    """Contents of a file, with the file's name and where the scene names it."""
+    """The points of a USD file, with the name of the file and the location where the scene names it."""
 
     staging: SceneStaging
     name: str
@@ -35,8 +35,9 @@ class UsdFile:
 
 
 def read_in_base_units(file: UsdFile, key: str, dim: Dimension) -> NDArray[np.float64]:
-    """Return the file's values of an attribute (n,), nan where it has none. Numbers are in the file's unit of length, degrees and
-    seconds; words are numbers with a unit as in a scene."""
+    """Return the file's values (n,) of an attribute in base units; nan where it has none.
+
+    Numbers in the file are in its unit of length, in degrees and in seconds. Words are numbers with a unit, as in a scene."""
     points, report = file.points, file.staging.report
     factor = float(points.unit**dim.length * np.radians(1.0) ** dim.angle)
     column: NDArray[np.float64] = points.values.get(key, np.full(len(points.names), np.nan)) * factor
@@ -66,8 +67,9 @@ def read_in_base_units(file: UsdFile, key: str, dim: Dimension) -> NDArray[np.fl
 
 
 def warn_near_misses(file: UsdFile, of: str, known: Collection[str]) -> None:
-    """Warn about properties of the file that no attribute takes but that are spelled almost like one. Other properties belong to
-    other programs."""
+    """Warn about properties of the file that are no attributes but are spelled almost like one.
+
+    Other properties belong to other programs."""
     keys = sorted({*file.points.values, *file.points.texts} - {*known, "kind", "name"})
     near = {
         key: "" if key in _OPTIONAL_ATTRIBUTES else nearest_name(key, known)

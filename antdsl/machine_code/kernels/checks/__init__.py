@@ -2,8 +2,8 @@
 
 It checks that indices are within their axis, that lanes read and store within their array, and that no integer is divided by 0. A
 failed check stores its number in the word `fault` and returns zeros; each caller then returns as well. Alignment needs no check:
-calls reject arrays that are not aligned to their elements, and no instruction assumes more. The interpreter raises the same
-errors."""
+calls reject arrays that are not aligned to their elements, and instructions assume no larger alignment. The interpreter raises
+the same errors."""
 
 from __future__ import annotations
 
@@ -49,11 +49,11 @@ define internal i1 @check.indices({_LANES_TYPE} %i, i64 %length, i64 %count, {_M
 
 
 class KernelFault(RuntimeError):
-    """A kernel indexes outside an array or divides by 0; the message has the file and the line."""
+    """Error for a kernel that indexes outside an array or divides by 0. The message has the file and the line."""
 
 
 def check_message(file: str, line: int, op: str) -> str:
-    """The message of a check that fails."""
+    """Return the message of a failed check."""
     return f"{file}, line {line}: {CHECK_MESSAGES[op]}"
 
 
@@ -65,7 +65,7 @@ class CheckRenderer:
         self._numbers = 0
 
     def lines(self, function: IrFunction, each: Instruction) -> list[str]:
-        """A check, and the return where it fails."""
+        """Return the lines of a check, and of the return from the function if the check fails."""
         self._messages.append(check_message(function.file, each.line, each.op))
         self._numbers += 1
         lines, fine = [], f"%c{self._numbers}"
@@ -87,7 +87,7 @@ class CheckRenderer:
         return [*lines, *self._return_lines(function, fine, f"  store i64 {len(self._messages)}, ptr @{_FAULT_VARIABLE}")]
 
     def after_call(self, function: IrFunction) -> list[str]:
-        """Return where the called function has failed."""
+        """Return the lines that return from a function if the function it called has failed."""
         self._numbers += 1
         fine = f"%c{self._numbers}"
         return [
@@ -102,7 +102,7 @@ class CheckRenderer:
         return [branch, f"{label}.fault:", *lines, f"  {passed}", f"{label}.fine:"]
 
     def text(self) -> str:
-        """Definitions that the checks of a module share."""
+        """Return the definitions that all checks of a module share."""
         data = "\n".join(self._messages).encode("utf-8", "surrogateescape") + b"\0"
         escaped = "".join(chr(each) if 32 <= each < 127 and each not in b'"\\' else f"\\{each:02X}" for each in data)
         return f'{_HELPER_FUNCTIONS_TEXT}\n@{_FAULT_MESSAGES_VARIABLE} = constant [{len(data)} x i8] c"{escaped}"'
@@ -113,7 +113,7 @@ def _mask(operands: list[Any]) -> str:
 
 
 def guard_call(run: Callable[..., Any], code: LoadedCode) -> Callable[..., Any]:
-    """Return a call of a checked kernel that raises KernelFault."""
+    """Return a function that calls a checked kernel and raises KernelFault if a check fails."""
     word = ctypes.c_int64.from_address(code.constant_address(_FAULT_VARIABLE))
 
     @wraps(run, assigned=())

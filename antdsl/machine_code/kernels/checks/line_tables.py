@@ -1,6 +1,7 @@
 """Debug line tables of kernels in a checked build, as metadata in LLVM's language: debuggers show file and line of instructions.
 
-Other builds have none: objects would take 1.7 times the space, 1.4 times as long to load and 1.1 times as long to compile."""
+Other builds have no line tables. With them, objects would be 1.7 times as large, take 1.4 times as long to load and 1.1 times as
+long to compile."""
 
 from __future__ import annotations
 
@@ -21,7 +22,8 @@ _HEADER_LINES: Final = (
 
 
 class LineTables:
-    """The files, functions and lines of one module. File names are relative to the package: objects depend on no folder."""
+    """The files, functions and lines of one module. File names are relative to the package, so that objects do not depend on its
+    folder."""
 
     def __init__(self) -> None:
         self._nodes: dict[str, int] = {}
@@ -32,7 +34,7 @@ class LineTables:
         return self._nodes.setdefault(text, len(_HEADER_LINES) - 2 + len(self._nodes))
 
     def begin_function(self, name: str, file_name: str, line: int) -> str:
-        """What is written after the head of a function."""
+        """Return the text that follows the head of a function."""
         file = self._node(f'!DIFile(filename: "{_escape_name(_relative_path(file_name))}", directory: "")')
         self._first = line
         fields = f'name: "{name}", scope: !{file}, file: !{file}, line: {line}, type: !3, unit: !0'
@@ -40,11 +42,11 @@ class LineTables:
         return f" !dbg {self._function}"
 
     def of(self, line: int) -> str:
-        """Return the suffix of an instruction for this line; 0 means the first line of the function."""
+        """Return the suffix that an instruction of this line needs; line 0 means the first line of the function."""
         return f", !dbg !{self._node(f'!DILocation(line: {line or self._first}, scope: {self._function})')}"
 
     def text(self) -> list[str]:
-        """All nodes."""
+        """Return all metadata nodes."""
         return [*_HEADER_LINES, *(f"!{number} = {text}" for text, number in self._nodes.items())]
 
 

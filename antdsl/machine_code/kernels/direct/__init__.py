@@ -1,9 +1,10 @@
-"""Kernels as built-in functions of CPython: machine code reads their arguments. So a call costs less than inspecting one of its
-arrays in Python.
+"""Kernels as built-in functions of CPython: machine code reads their arguments. Such a call costs less than inspecting a single
+array in Python.
 
-All kernels share one function (METH_FASTCALL); the bytes that it is bound to say what to read. If an object has another type than
-its argument, the function calls `otherwise` with all arguments, which decides. It relies on the memory layout of objects in
-CPython and NumPy (`PyArrayObject_fields` is part of NumPy's binary interface), after `possible` has verified that layout."""
+All kernels share one function (METH_FASTCALL). Each binds it to bytes that describe the arguments to read. If an object has
+another type than its argument, the function calls `otherwise` with all arguments, and returns its result. The function relies on
+the memory layout of objects in CPython and NumPy (`PyArrayObject_fields` is part of NumPy's binary interface). `possible`
+verifies that layout first."""
 
 from __future__ import annotations
 
@@ -26,13 +27,13 @@ _FASTCALL_FLAG = 0x80
 
 
 class _MethodDefinition(ctypes.Structure):
-    """`PyMethodDef`."""
+    """CPython's structure `PyMethodDef`."""
 
     _fields_ = (("name", ctypes.c_char_p), ("code", ctypes.c_void_p), ("flags", ctypes.c_int), ("text", ctypes.c_char_p))
 
 
 class _Pair(NamedTuple):
-    """A record."""
+    """A record that `possible` inspects."""
 
     first: Any
     second: Any
@@ -40,8 +41,12 @@ class _Pair(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class ArgumentSpec:
-    """An argument or an element of one, at `path`. An array takes words of the table from `place` on: its address, its lengths
-    and, if `strided`, its steps. A number takes one word. A tuple or record has `count` objects."""
+    """An argument, or an element of a tuple argument, and its words in the table.
+
+    - `path`: the index of the argument, then the indices within nested tuples
+    - `place`: the first word in the table; a number takes one word
+    - `axes`, `strided`: an array takes words for its address, its lengths and, if `strided`, its steps
+    - `count`: the number of elements of a tuple or record, which takes no word; None for numbers and arrays"""
 
     path: tuple[int, ...]
     place: int = 0
@@ -62,9 +67,15 @@ def make_builtin(
     otherwise: Callable[..., Any],
     run: int = 0,
 ) -> Any:
-    """Return the built-in function for code that takes a table of `words` and leaves its results, `gives`, in the first of them.
-    Tuples precede their contents. `run`: the address of a function that runs such code in parts. Then two more words are `specs`
-    behind the table, and a list is returned. None where no function can be made."""
+    """Return the built-in function for kernel code, or None if no such function can be made.
+
+    - `words`: the length of the table that the code reads; the code stores its results in the first words
+    - `gives`: the kinds of these results
+    - `specs`: the arguments; a tuple comes before its contents
+    - `otherwise`: the function that is called with arguments of other types
+    - `run`: the address of a function that runs the code in parts, or 0
+
+    With `run`, `specs` has two more numbers, in the words behind the table, and the built-in function returns a list."""
     if (
         words + 2 > reading.MAX_TABLE_WORDS
         or len(gives) > reading.RESULT_WORDS
@@ -154,7 +165,7 @@ def possible() -> bool:
 
 @cache
 def _addresses() -> ctypes.Array[ctypes.c_int64]:
-    """Return the addresses of everything that the text calls and compares with, in the order of `CALLS` and `PYTHON_OBJECTS`."""
+    """Return the addresses of all functions and objects that the text uses, in the order of `CALLS` and `PYTHON_OBJECTS`."""
     calls = [ctypes.cast(getattr(ctypes.pythonapi, name), ctypes.c_void_p).value or 0 for name in reading.PYTHON_API_CALLS]
     addresses = [*calls, *map(id, reading.PYTHON_OBJECTS.values())]
     return (ctypes.c_int64 * len(addresses))(*addresses)

@@ -1,5 +1,5 @@
 """The functions that call a kernel for CPython, as text in LLVM's language. They read arguments by the offsets of fields in
-objects."""
+Python objects."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""One rule for each operation of the vocabulary: from the typed tree's `OperationExpr` to nodes."""
+"""The lowering rules, one for each operation of the vocabulary: from the typed tree's `OperationExpr` to nodes."""
 
 from __future__ import annotations
 

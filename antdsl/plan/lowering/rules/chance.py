@@ -1,4 +1,4 @@
-"""Rules for random draws. The site of a draw, the seed, the frame and the agent's id determine its number (decision 22)."""
+"""Rules for random draws. The site of a draw, the seed, the frame and the agent's id determine the number (decision 22)."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from antdsl.program import model
 
 
 def draw(w: PlanWriter, e: model.OperationExpr, index: int = 0) -> PlanNode:
-    """Uniform in [0, 1)."""
+    """Return a uniform random number in [0, 1)."""
     if not e.site:
         raise PlanError(f"a draw without a site: {e.span.text!r}")
     return w.b("draw", attrs=(e.site, index))
@@ -25,7 +25,7 @@ def _uniform(w: PlanWriter, e: model.OperationExpr) -> LoweredValue:
 
 
 def _normal(w: PlanWriter, e: model.OperationExpr) -> LoweredValue:
-    """Box and Muller 1958; 1 - u lies in (0, 1], so the logarithm is finite."""
+    """Lower a normal draw by the method of Box and Muller (1958). 1 - u is in (0, 1], so the logarithm is finite."""
     mean, deviation = (scalar(w, a) for a in e.args if a is not None)
     b = w.b
     radius = b("sqrt", b("mul", b.number(-2), b("log", b("sub", b.number(1), draw(w, e)))))
@@ -51,7 +51,7 @@ def _random_agent(w: PlanWriter, e: model.OperationExpr) -> LoweredValue:
 
 
 def _chance(w: PlanWriter, e: model.OperationExpr) -> LoweredValue:
-    """Lower `chance`: a rate per time becomes the probability 1 - exp(-rate dt) per step, for any step length; a share is used
+    """Lower `chance`. A rate becomes the probability 1 - exp(-rate dt) per step, for any step length. A probability is used
     directly."""
     argument = e.args[0]
     assert argument is not None

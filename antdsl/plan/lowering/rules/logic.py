@@ -1,4 +1,4 @@
-"""Rules for bools, degrees of truth, choices and values that may be none."""
+"""Rules for bools, degrees of truth, if-then-else and values that may be none."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ OperationRule = Callable[[PlanWriter, model.OperationExpr], LoweredValue]
 
 
 def _make_connective(sharp: str, shaded: str) -> OperationRule:
-    """Return the rule of `and` or `or`: for bools, or for degrees from 0 to 1 as their minimum or maximum (Zadeh 1965, section
-    2)."""
+    """Return the rule of `and` or `or`. Bools use the operation `sharp`. Degrees from 0 to 1 use `shaded`, the minimum or maximum
+    (Zadeh 1965, section 2)."""
 
     def rule(w: PlanWriter, e: model.OperationExpr) -> LoweredValue:
         if e.type.kind is model.TypeKind.NUMBER:
@@ -34,8 +34,8 @@ def _shade(w: PlanWriter, e: model.Expr) -> PlanNode:
 
 
 def _fuzzy(w: PlanWriter, e: model.OperationExpr) -> LoweredValue:
-    """Return the mean of the rules' outputs, weighted by how true each rule is; 0 if none is. Degrees are clamped to 0 to 1; NaN
-    counts as 0."""
+    """Return the mean of the rules' outputs, each weighted by the degree of its rule; 0 if all degrees are 0. Degrees are clamped
+    to 0..1, and NaN counts as 0."""
     b = w.b
     above = below = b.number(0)
     for degree, said in zip(e.args[::2], e.args[1::2], strict=True):

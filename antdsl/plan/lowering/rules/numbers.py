@@ -1,4 +1,4 @@
-"""Rules for numbers and vectors, and for the signs that they share. A vector is three nodes."""
+"""Rules for numbers and vectors, and for the operators that both have. A vector is three nodes."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ OperationRule = Callable[[PlanWriter, model.OperationExpr], LoweredValue]
 
 
 def args(w: PlanWriter, e: model.OperationExpr) -> list[PlanNode]:
-    """All operands as scalars; none may be absent."""
+    """Return all operands as scalars. None of them may be absent."""
     return [scalar(w, a) for a in e.args if a is not None]
 
 
 def _lower_both(w: PlanWriter, e: model.OperationExpr) -> tuple[LoweredValue, LoweredValue, Callable[[], list[PlanNode]]]:
-    """Return both operands, and a function that gives them as scalars. Each is lowered once; otherwise nested sums would double
-    the work with each term."""
+    """Return both operands, and a function that returns them as scalars. Each is lowered once; otherwise the work would double
+    with each nested sum."""
     first, second = (a for a in e.args if a is not None)
     left, right = lower(w, first), lower(w, second)
     return left, right, lambda: [single_node(w, first, left), single_node(w, second, right)]
@@ -89,7 +89,7 @@ def _clamp(w: PlanWriter, e: model.OperationExpr) -> LoweredValue:
 
 
 def share(w: PlanWriter, x: PlanNode, low: PlanNode, high: PlanNode) -> PlanNode:
-    """Return the position of x between low and high, from 0 to 1. If low equals high, it is a step there."""
+    """Return the position of x between low and high, from 0 to 1. If low equals high, the result jumps from 0 to 1 there."""
     b = w.b
     wide = b("sub", high, low)
     between = b("min", b("max", b("div", b("sub", x, low), wide), b.number(0)), b.number(1))
@@ -184,7 +184,7 @@ def _angle(w: PlanWriter, e: model.OperationExpr) -> LoweredValue:
 
 
 def _unit_direction(w: PlanWriter, e: model.Expr) -> VectorNodes:
-    """A direction of length 1; `up` and `heading` are so already."""
+    """Return a direction of length 1. `up` and `heading` already have this length."""
     if isinstance(e, model.AttributeRef) and e.of is None and e.name in ("up", "heading"):
         return vector(w, e)
     return values.unit(w.b, vector(w, e))

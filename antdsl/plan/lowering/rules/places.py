@@ -1,4 +1,4 @@
-"""Rules for places: how far, which way, touching. A place is an item, agent, element, hit, curve, thing or position."""
+"""Rules for points: distance, direction, touching. A point may be an item, agent, element, hit, curve, thing or position."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from antdsl.program import model
 
 
 def where(w: PlanWriter, value: LoweredValue, e: model.Expr) -> tuple[PlanNode, VectorNodes]:
-    """Whether the place is there, and where it is."""
+    """Return whether the point exists, and its position (mm)."""
     b = w.b
     if isinstance(value, VectorNodes):
         return b.true, value
@@ -31,7 +31,7 @@ def where(w: PlanWriter, value: LoweredValue, e: model.Expr) -> tuple[PlanNode, 
 
 
 def offset_to(w: PlanWriter, value: LoweredValue, e: model.Expr) -> tuple[PlanNode, VectorNodes]:
-    """Whether the place is there, and the way from the agent to it (mm)."""
+    """Return whether the point exists, and the vector from the agent to it (mm)."""
     b = w.b
     value = _nearest_of(w, value)
     if isinstance(value, SetElement):
@@ -53,7 +53,7 @@ def offset_to(w: PlanWriter, value: LoweredValue, e: model.Expr) -> tuple[PlanNo
 
 
 def distance_to(w: PlanWriter, value: LoweredValue, e: model.Expr) -> PlanNode:
-    """Distance in mm; infinite to none."""
+    """Return the distance to a point in mm; infinite if there is none."""
     b = w.b
     value = _nearest_of(w, value)
     if isinstance(value, SetElement):
@@ -70,7 +70,7 @@ def distance_to(w: PlanWriter, value: LoweredValue, e: model.Expr) -> PlanNode:
 
 
 def _nearest_of(w: PlanWriter, value: LoweredValue) -> LoweredValue:
-    """Of several items or agents, the nearest."""
+    """Return the nearest item or agent for a group of items or a species; return any other value unchanged."""
     if isinstance(value, NamedThing) and value.row.nearest == "set.items":
         every = w.b(value.row.nearest, w.b.number(inf), attrs=(value.name,))
         return EntityRef(model.TypeKind.ITEM, value.name, w.b("reduce.item", every, w.b.true, w.b("pair.distance")))
@@ -178,7 +178,7 @@ def _touching(w: PlanWriter, e: model.OperationExpr) -> LoweredValue:
 
 
 def _falloff(w: PlanWriter, e: model.OperationExpr) -> LoweredValue:
-    """Return floor / max(distance, floor) (decision 19): 1 near the place, 0 if there is none."""
+    """Return floor / max(distance, floor) (decision 19): 1 near the point, 0 if there is no point."""
     distance = distance_to(w, *_place(w, e))
     assert e.args[1] is not None
     floor = scalar(w, e.args[1])

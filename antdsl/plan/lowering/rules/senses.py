@@ -1,4 +1,4 @@
-"""Rules for senses, values of the run, and the push that reaches a velocity."""
+"""Rules for senses, values of the run, and the push towards a velocity."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def _thing_name(w: PlanWriter, e: model.OperationExpr, index: int = 0) -> str:
 
 
 def _make_plain(sense: SenseRow, word: BuiltinRow) -> Callable[[PlanWriter, model.OperationExpr], LoweredValue]:
-    """Return the rule of a word with the arguments of its sense: the thing that it names, then its operands."""
+    """Return the rule of a word that has the arguments of its sense: the named thing, then the operands."""
     first, size = sense.place(word.part)
 
     def rule(w: PlanWriter, e: model.OperationExpr) -> LoweredValue:
@@ -43,7 +43,7 @@ def _make_plain(sense: SenseRow, word: BuiltinRow) -> Callable[[PlanWriter, mode
 
 
 def _operands(value: LoweredValue, e: model.Expr) -> tuple[PlanNode, ...]:
-    """A number as one operand, a vector as three."""
+    """Return a number as one operand, a vector as three."""
     if isinstance(value, PlanNode):
         return (value,)
     if isinstance(value, VectorNodes):
@@ -80,7 +80,7 @@ def _slope(w: PlanWriter, e: model.OperationExpr) -> LoweredValue:
 
 
 def _uphill(w: PlanWriter, e: model.OperationExpr) -> LoweredValue:
-    """Return the world's up minus its component along the agent's up. Its length is the sine of the slope."""
+    """Return the world's up minus its component along the agent's up. The length is the sine of the slope."""
     up, sky = w.read_vector("up"), _world_up(w)
     return values.sub(w.b, sky, values.scale(w.b, up, values.dot(w.b, up, sky)))
 
@@ -99,7 +99,7 @@ def _event(w: PlanWriter, e: model.OperationExpr) -> LoweredValue:
 
 
 def _match(w: PlanWriter, e: model.OperationExpr) -> LoweredValue:
-    """Return the push that reaches a velocity within this step, (requested - own) mass / (max_force dt), at most 1 (Reynolds
+    """Return the push that reaches a velocity within this step: (requested - own) mass / (max_force dt), at most 1 (Reynolds
     1999, 6)."""
     assert e.args[0] is not None
     b = w.b

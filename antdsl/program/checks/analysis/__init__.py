@@ -1,4 +1,6 @@
-"""Analyses that several checks share.
+"""Analyses that several checks share. None of them reports findings.
 
-`checked` is the input of a check. `ranges` bounds values, `conditions` compares conditions, and `short_steps` finds the limit of
-a value as steps get shorter. None of them reports findings."""
+- `checked`: the input of a check.
+- `ranges`: the smallest and largest possible value of an expression.
+- `conditions`: comparison of conditions.
+- `short_steps`: the limit of a value as the step length goes to 0."""

@@ -1,6 +1,7 @@
-"""Conditions as lists of cases, to decide whether a condition can ever hold, and whether it holds whenever another one does.
+"""Represents conditions as lists of cases. This decides whether a condition can hold, and whether one condition implies another.
 
-The analysis understands only comparisons with constants, and equal texts. Any other test may be true or false."""
+The analysis understands comparisons with constants, and tests with equal text. It assumes that any other test may be true or
+false."""
 
 from __future__ import annotations
 
@@ -19,8 +20,10 @@ _NEGATED_COMPARISONS = {"lt": "ge", "le": "gt", "gt": "le", "ge": "lt", "eq": "n
 
 @dataclass(slots=True)
 class ConditionCase:
-    """One case, in which all of this holds: each number (by the key of its expression) lies in its interval, and each other test
-    is true or false."""
+    """One case of a condition. The case applies if all of its entries hold.
+
+    - `numbers`: the interval in which each number lies, by the key of the number's expression.
+    - `tests`: whether each other test is true or false, by the key of the test."""
 
     numbers: dict[str, Interval] = field(default_factory=dict)
     tests: dict[str, bool] = field(default_factory=dict)
@@ -51,7 +54,7 @@ UNREADABLE_CONDITION_ERRORS = (TooManyCases, RecursionError)
 
 @dataclass(slots=True)
 class ConditionReader:
-    """Reads conditions of one species. `known` has, by the key of a number, the range that always contains it."""
+    """Reads the conditions of one species. `known`: a range that always contains a number, by the key of its expression."""
 
     params: Mapping[str, Param]
     known: dict[str, Interval] = field(default_factory=dict)
@@ -62,7 +65,8 @@ class ConditionReader:
     behind: dict[tuple[int, bool], ConditionCases] = field(default_factory=dict)
 
     def cases(self, test: Expr | None, holds: bool = True) -> ConditionCases:
-        """Return the cases in which a condition is true, or false if not `holds`. Raises TooManyCases."""
+        """Return the cases in which a condition is true, or, if `holds` is False, the cases in which it is false. Raises
+        TooManyCases."""
         if test is None:
             return [ConditionCase()] if holds else []
         if isinstance(test, BindingRef) and test.binding.role in ("let", "argument") and test.binding.value is not None:
@@ -114,8 +118,8 @@ class ConditionReader:
         return [ConditionCase(numbers={key: interval}) for interval in intervals if not interval.is_empty]
 
     def key(self, part: object) -> str:
-        """Return a key that is equal for expressions of equal meaning. Two draws, or two memories, never have equal keys. Long
-        keys are hashed, because nested lets that use each other twice would double the key at each level."""
+        """Return a key that is equal for expressions of equal meaning. Two random draws, or two memories, never have equal keys.
+        Long keys are hashed: with nested lets, the length of a key could otherwise double at each level."""
         if isinstance(part, BindingRef) and part.binding.role in ("let", "argument") and part.binding.value is not None:
             return self.key(part.binding.value)
         known = self.keys.get(id(part))
@@ -139,14 +143,14 @@ class ConditionReader:
 
 
 def _constant_value(expr: Expr) -> float | None:
-    """Return the constant number of an expression, also behind a name; else None."""
+    """Return the value of an expression that is a constant, or a name for a constant; None for any other expression."""
     while isinstance(expr, BindingRef) and expr.binding.role in ("let", "argument") and expr.binding.value is not None:
         expr = expr.binding.value
     return expr.number if isinstance(expr, Constant) and not (expr.u or expr.step) else None
 
 
 def _isolate(subject: Expr, edge: float, name: str) -> tuple[Expr, float, str]:
-    """Rewrite `2 * x + 1 > 5` as `x > 2`."""
+    """Solve a comparison for its variable: rewrite `2 * x + 1 > 5` as `x > 2`."""
     while isinstance(subject, OperationExpr) and subject.name in ("neg", "add", "sub", "mul", "div"):
         if subject.name == "neg":
             assert subject.args[0] is not None
@@ -193,7 +197,7 @@ def is_never(reader: ConditionReader, test: Expr | None) -> bool:
 
 
 def is_always(reader: ConditionReader, test: Expr | None) -> bool:
-    """Return whether a condition always holds. NaN, for which no comparison holds, is ignored."""
+    """Return whether a condition always holds. The analysis ignores NaN, for which no comparison holds."""
     try:
         return not reader.cases(test, False)
     except UNREADABLE_CONDITION_ERRORS:

@@ -1,4 +1,4 @@
-"""The range of a value, as far as constants, ranges of params and the vocabulary determine it."""
+"""Computes the range of a value from constants, the ranges of params and the ranges in the vocabulary."""
 
 from __future__ import annotations
 
@@ -50,8 +50,8 @@ _OPERATION_INTERVALS: dict[str, Interval] = {op: Interval(*ends) for op, ends in
 
 
 def range_of(expr: Expr | None, params: Mapping[str, Param], known: dict[int, Interval]) -> Interval:
-    """Return the range of a number in base units. A param has its declared range, because a scene may set any value in it.
-    `known` caches the ranges of bindings by id, because a let may be used in many places."""
+    """Return the range of a number in base units. A param has its declared range, because a scene may set any value within it.
+    `known` caches the ranges of bindings by id, because one let may be used in many places."""
     if expr is None or expr.type.kind is not TypeKind.NUMBER:
         return ANY_NUMBER
     if isinstance(expr, Constant):
@@ -76,7 +76,7 @@ def range_of(expr: Expr | None, params: Mapping[str, Param], known: dict[int, In
 
 
 def _sign(number: float) -> Interval:
-    """Return the range of a constant that depends on the scene: only its sign is known."""
+    """Return the range of a constant that depends on the scene. Only the sign of such a constant is known."""
     return Interval(0, 0) if number == 0 else POSITIVE_NUMBERS if number > 0 else Interval(-math.inf, 0)
 
 
@@ -100,7 +100,7 @@ def _operation_range(op: OperationExpr, params: Mapping[str, Param], known: dict
 
 
 def _product(a: Interval, b: Interval) -> Interval:
-    """Return the product of two interval ends; infinity times 0 is 0, because values themselves are finite."""
+    """Return the product of two interval ends. The product of infinity and 0 is 0, because actual values are finite."""
     ends = [0.0 if 0 in (x, y) else x * y for x in (a.low, a.high) for y in (b.low, b.high)]
     return Interval(min(ends), max(ends))
 

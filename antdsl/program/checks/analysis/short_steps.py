@@ -1,10 +1,9 @@
-"""The limit of a value as steps get shorter: whether it depends on its previous value in the same way, and what changes it even
-in very short steps.
+"""Computes the limit of an updated value as the step length `dt` goes to 0, to find updates that depend on the frame rate.
 
-An update of a value is independent of the frame rate under two conditions. In a step of length 0 the value does not change, and
-its change in a short step is proportional to `dt`. Two steps of half the length then change it equally. So each part of an
-expression is analysed as `dt` goes to 0: whether it vanishes and how fast, its limit, and whether the previous value passes
-through."""
+An update is independent of the frame rate under two conditions. In a step of length 0 the value does not change, and in a short
+step the change is proportional to `dt`. Then two steps of half the length change the value as much as one step. The analysis
+therefore examines each part of an expression for small `dt`: how fast it vanishes, its limit, and whether it contains the
+previous value."""
 
 from __future__ import annotations
 
@@ -22,8 +21,8 @@ OwnValue = str | Binding  # the attribute that is set, or the stored memory
 
 
 class StepInfluence(IntEnum):
-    """How a value that is read influences a result: not at all, less in shorter steps, unchanged, in an unknown way, or changed.
-    Unchanged means that two updates in a row equal one, so the frequency does not matter."""
+    """The influence of the previous value on a result: none, vanishing in short steps, unchanged (SAME), unknown or changed. For
+    SAME, two updates in a row equal one, so the number of updates per second does not matter."""
 
     NONE = 0
     VANISHING = 1
@@ -34,10 +33,10 @@ class StepInfluence(IntEnum):
 
 @dataclass(frozen=True, slots=True)
 class ShortStepValue:
-    """The behaviour of a value for small `dt`. It is proportional to `dt ** power`; with `power` above 0 it vanishes. `to` is its
-    limit, if known. Its deviation from the limit, or from the value read, is proportional to `dt ** off`; infinite if `dt` has no
-    influence. `makers`: the first two operations that change the value read. `by`: the operation that causes the deviation, or in
-    which the value vanishes."""
+    """The behaviour of a value for small `dt`. It is proportional to `dt ** power`; if `power` is above 0, it vanishes.
+    - `to`: the limit, if it is known. `makers`: the first two operations that change the previous value.
+    - `off`: the deviation from the limit or previous value is proportional to `dt ** off`; infinite if `dt` has no influence.
+    - `by`: the operation that causes the deviation, or in which the value vanishes."""
 
     influence: StepInfluence = StepInfluence.NONE
     power: float = 0.0
@@ -63,9 +62,9 @@ _RATE_FREE_OPERATIONS = frozenset(("chance", "event"))  # they come as often at 
 
 
 def find_changers(value: Expr, own: OwnValue, driven: bool = False) -> tuple[Expr, ...]:
-    """Return the operations, at most two, that change a value however short a step is, or not in proportion to it. Empty if the
-    update is independent of the frame rate, or uses the unit `step`, which `--strict` reports. `driven`: something else also
-    changes the value."""
+    """Return at most two operations that change a value even for `dt` near 0, or not in proportion to `dt`. The result is empty
+    if the update is independent of the frame rate, or uses the unit `step`, which `--strict` reports. `driven`: another line also
+    changes it."""
     short = _analyse(value, own, driven)
     if short.influence is StepInfluence.CHANGED:
         makers = short.makers
@@ -77,7 +76,7 @@ def find_changers(value: Expr, own: OwnValue, driven: bool = False) -> tuple[Exp
 
 
 def is_rate(value: Expr, own: OwnValue) -> bool:
-    """Return whether a value that is added times `dt` is an amount per second."""
+    """Return whether `value` is an amount per second. `value` is the operand that an update multiplies by `dt` and adds."""
     short = _analyse(value, own, False)
     return short.influence is StepInfluence.UNSURE or _grows_with_time(short.power + 1, value) or _uses_step_unit(value)
 
@@ -98,7 +97,8 @@ def reads(expr: Expr, own: OwnValue) -> bool:
 
 
 def _grows_with_time(power: float, value: Expr) -> bool:
-    """Return whether a value grows with time. With a draw in each step, its deviation grows as the root of time."""
+    """Return whether the sum of a value proportional to `dt ** power` grows with time. If it has draws, the deviation may grow as
+    the root."""
     has_draw = any(isinstance(part, OperationExpr) and part.name in DRAWING_OPERATIONS for part in parts(value))
     return power == math.inf or math.isclose(power, 1) or (has_draw and math.isclose(power, 0.5))
 
@@ -138,7 +138,7 @@ def _analyse(value: Expr, own: OwnValue, driven: bool) -> ShortStepValue:
 
 
 def _dependencies(value: Expr, own: OwnValue) -> Iterator[Expr]:
-    """Yield the parts of an expression that contribute to its value, each once, operands first."""
+    """Yield the parts of an expression that contribute to its value. Each part comes once, operands before operations."""
     stack: list[tuple[Expr, bool]] = [(value, False)]
     visited: set[int] = set()
     while stack:
@@ -187,7 +187,7 @@ def _changed_value(op: Expr, below: OperandValues) -> ShortStepValue:
 
 
 def _with_offset(own: ShortStepValue, off: float, by: Expr | None) -> ShortStepValue:
-    """Return the value read, with an added deviation proportional to `dt ** off`."""
+    """Return the previous value with an added deviation proportional to `dt ** off`."""
     return replace(own, off=off, by=by) if own.influence is StepInfluence.SAME and off < own.off else own
 
 
@@ -316,7 +316,7 @@ def _rotation(op: OperationExpr, below: OperandValues) -> ShortStepValue:
 
 
 def _combination(op: Expr, below: OperandValues) -> ShortStepValue:
-    """Analyse a combination, such as a vector of its numbers or a draw between two ends: it vanishes if all its parts do."""
+    """Analyse an operation such as a vector of numbers or a draw between two ends. The result vanishes if all operands vanish."""
     influence = _strongest_influence(below)
     if influence >= StepInfluence.SAME:
         return _UNSURE_VALUE if influence is StepInfluence.UNSURE else _changed_value(op, below)
@@ -327,7 +327,7 @@ def _combination(op: Expr, below: OperandValues) -> ShortStepValue:
 
 
 def _first_operand(op: OperationExpr, below: OperandValues) -> ShortStepValue:
-    """Analyse a length or a component of a vector: it vanishes if the vector does."""
+    """Analyse a length or a component of a vector. The result vanishes if the vector vanishes."""
     a = below[0]
     if a.influence <= StepInfluence.VANISHING:
         return a
@@ -344,7 +344,7 @@ def _pass_through(op: OperationExpr, below: OperandValues) -> ShortStepValue:
 
 
 def _clamp(op: OperationExpr, below: OperandValues) -> ShortStepValue:
-    """Analyse `min`, `max` and `clamp`: for known numbers, the result is known."""
+    """Analyse `min`, `max` and `clamp`. If all operands are known numbers, the result is known."""
     tos = [each.to for each in below if each.to is not None]
     if _strongest_influence(below) > StepInfluence.VANISHING or len(tos) < len(below):
         return _pass_through(op, below)
@@ -356,8 +356,8 @@ def _clamp(op: OperationExpr, below: OperandValues) -> ShortStepValue:
 
 
 def _conditional(op: OperationExpr, below: OperandValues, own: OwnValue, driven: bool) -> ShortStepValue:
-    """Analyse `if`. Changes by chance or by an event happen equally often at any rate. A value that another line drives out of
-    its range is only moved back: `if turn > 1 then turn - 1 else turn`."""
+    """Analyse `if`. Changes by chance or by an event happen equally often at any rate. `driven`: another line changes the value.
+    Then a branch may move it back into its range: `if turn > 1 then turn - 1 else turn`."""
     (test, *ends), branches = op.args, below[1:]
     assert test is not None
     influence = _strongest_influence(branches)

@@ -1,5 +1,6 @@
-"""Requests of agents to the world, as machine code. Deposits go straight into their cells. All others are written to lists, one
-per statement, in the order of the agents' rows."""
+"""Machine code for agents' requests to the world. Deposits are added directly to cells.
+
+All other requests are written to lists, one per statement, in the order of the agents' rows."""
 
 from __future__ import annotations
 
@@ -21,7 +22,8 @@ from antdsl.runtime.requests import ClaimEntry, EffectRequests, GiveEntry, Reque
 
 
 def _deposit(b: BlockWriter, each: BlockInstruction, what: ir.Request) -> None:
-    """As `fields.pheromone.PheromoneField.deposit`: whole numbers of a unit, which add in any order."""
+    """Emit a deposit, with the result of `fields.pheromone.PheromoneField.deposit`: whole multiples of a unit, which add in
+    any order."""
     e, mask, name = b.e, b.mask[-1], what.of
     amount: Lanes = b.slot(each.inputs[0])
     mask = _check_finite(b, mask, amount, EFFECT_BY_OPERATION[what.op].refused.format(of=name), each)
@@ -49,7 +51,7 @@ def _deposit(b: BlockWriter, each: BlockInstruction, what: ir.Request) -> None:
 
 
 def _append_rows(b: BlockWriter, each: BlockInstruction, mask: Lanes, values: list[Lanes]) -> None:
-    """Append the rows of those of eight agents with a true condition to a statement's list, and a value of each beside."""
+    """Emit code that appends to a statement's list: the rows of eight agents for which a condition holds, and their `values`."""
     e, number = b.e, len(b.code.lists)
     b.code.lists.append(each)
     with e.inside(e.any_lane(mask)):
@@ -77,14 +79,14 @@ def _append_rows(b: BlockWriter, each: BlockInstruction, mask: Lanes, values: li
 
 
 def _check_finite(b: BlockWriter, mask: Lanes, amount: Lanes, what: str, by: BlockInstruction) -> Lanes:
-    """Return the mask of agents with a finite amount; the others are at fault."""
+    """Return the mask of agents with a finite amount; record a fault for the others."""
     good: Lanes = np.isfinite(amount)
     b.refuse(mask & ~good, what, by)
     return mask & good
 
 
 def _request(b: BlockWriter, each: BlockInstruction, what: ir.Request) -> None:
-    """As `numpy_statements` asks."""
+    """Emit a request, with the result of `numpy_statements`."""
     row, slots = EFFECT_BY_OPERATION[what.op], iter(each.inputs)
     args: list[Lanes] = [b.slot(next(slots)) for node in what.args if node is not None]
     mask = b.mask[-1]
@@ -128,7 +130,7 @@ def _give(b: BlockWriter, each: BlockInstruction, what: ir.Give) -> None:
 
 
 def ask(b: BlockWriter, each: BlockInstruction) -> None:
-    """Emit a statement that asks for something."""
+    """Emit a statement that requests something from the world."""
     match each.what:
         case ir.Request(op="deposit") as what:
             _deposit(b, each, what)
@@ -141,7 +143,7 @@ def ask(b: BlockWriter, each: BlockInstruction) -> None:
 
 
 def record_request(each: BlockInstruction, columns: Sequence[NDArray[Any]], effects: EffectRequests) -> None:
-    """Add the contents of a statement's list to the effects of a step: rows, then the values stored with them."""
+    """Add the contents of a statement's list to the effects of a step. `columns`: rows, then the values stored for them."""
     what = each.what
     match what:
         case ir.Claim():

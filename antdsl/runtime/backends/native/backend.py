@@ -1,5 +1,5 @@
-"""Runs a plan's blocks as machine code. NumPy runs them until the code is ready, or if it cannot be made; the bits are the
-same."""
+"""Runs a plan's blocks as machine code. NumPy runs them until the code is ready, or if code cannot be made. The results have
+the same bits."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ _DEFAULT_AGENTS_PER_CELL = 8  # agents in a cell, where no radius is known
 
 
 class NativeBackend(NumpyBackend):
-    """Compiled for a plan and the world it is bound to, in a thread from its first step on."""
+    """Runs a plan in one world. A thread compiles the code from the first step on."""
 
     spare = LANE_COUNT
 
@@ -58,7 +58,8 @@ class NativeBackend(NumpyBackend):
         return super().by if self.ready is None else "machine code"
 
     def measure(self, on: bool) -> None:
-        """Time lines from the next step on, or stop timing. Timing needs separate code; NumPy runs until it is ready."""
+        """Time program lines from the next step on, or stop timing. Timing needs separate code; NumPy runs until that code is
+        ready."""
         if on != self._timed:
             self._timed = on
             current = (self.ready, self._coming, self._running)
@@ -66,7 +67,7 @@ class NativeBackend(NumpyBackend):
         super().measure(on)
 
     def begin(self, world: World) -> None:
-        """Set the values of the step and clear sensed values. Switches to machine code that has become ready."""
+        """Begin a step: set its loop-invariant values, clear cached senses, and switch to machine code that has become ready."""
         self._request_code(world, world.options.wait_for_code)
         self._begun = True
         versions = [population.version for population in world.populations.values()]
@@ -78,12 +79,12 @@ class NativeBackend(NumpyBackend):
         super().begin(world)
 
     def messages(self) -> list[str]:
-        """Return messages for the user on what differs from the request; none of it changes a result."""
+        """Return messages for the user about differences from the requested execution. None of them changes a result."""
         sentences = [] if self._without is None else [self._without]
         return sentences + codes.messages()
 
     def wait_for_code(self, world: World) -> None:
-        """Wait until the steps from now on run as machine code, or cannot."""
+        """Wait until all blocks can run as machine code from the next step on, or until this has failed."""
         self._request_code(world, True)
 
     def counts(self) -> dict[str, int]:
@@ -94,7 +95,8 @@ class NativeBackend(NumpyBackend):
         return {f"instructions {name}": number for name, number in listing.instruction_counts(native_program).items()}
 
     def _request_code(self, world: World, waits: bool) -> None:
-        """Start to build missing code if the remaining steps are worth it, after the first step, because a user waits for that.
+        """Start to build missing code after the first step, for which a user waits, if the remaining steps are worth it.
+
         Code that an earlier run has stored is loaded before the step."""
         if self.ready is not None or self._without is not None:
             return
@@ -127,7 +129,8 @@ class NativeBackend(NumpyBackend):
             self.ready = ready
 
     def run(self, world: World, population: Population, block: str, rows: NDArray[np.intp] | None = None) -> None:
-        """Run a block for some rows (None: all), and add their requests to the population's effects. NumPy runs births."""
+        """Run a block for some rows (None: all), and add their requests to the population's effects. Blocks of births run in
+        NumPy."""
         name = population.name
         code = None if rows is not None else self._running.get((name, block)) or self._ready_block(name, block)
         metered = self.metered.get((name, block)) if self.metered else None
@@ -152,14 +155,14 @@ class NativeBackend(NumpyBackend):
                 each.fill(0)
 
     def _ready_block(self, species: str, block: str) -> BlockRunner | None:
-        """A block's machine code, made ready to run; None where it has none."""
+        """Return the machine code of a block, ready to run; None if there is none."""
         if self.ready is None or (species, block) not in self.ready.written:
             return None
         native_block = self._running[species, block] = BlockRunner(self.ready, species, block, self._rooms)
         return native_block
 
     def _search_cells(self, world: World, population: Population, block: str, near: NeighbourSearch, number: int) -> Arrays:
-        """Return the cells for a search. They suit the greatest radius of the previous step, or at first the result of
+        """Return the cell grid for a search. Its cells suit the greatest radius of the previous step, or initially that of
         `_estimate_radius`."""
         key = (population.name, block, number)
         other = world.populations[near.species]
@@ -171,8 +174,10 @@ class NativeBackend(NumpyBackend):
 
 
 def _estimate_radius(world: World, population: Population, other: Population, radii: list[ir.PlanNode]) -> float:
-    """Return the greatest radius (mm) of a search, sampled from some agents with the reference. A radius that itself searches
-    agents would take too long; a radius that contains about `_CELL` of the others replaces it."""
+    """Return the greatest radius (mm) of a search, computed by the reference backend for a sample of agents.
+
+    A radius that itself depends on a search would take too long. It is replaced by a radius that contains about
+    `_DEFAULT_AGENTS_PER_CELL` of the others."""
     cheap = [radius for radius in radii if not any(each.op in ("set.agents", "set.every") for each in required_nodes([radius]))]
     lengths = [0.0] if len(cheap) == len(radii) else [_default_cell_size(other)]
     for row in np.linspace(0, len(population) - 1, min(_SAMPLED_RADII, len(population))).astype(int) if cheap else ():
@@ -182,7 +187,8 @@ def _estimate_radius(world: World, population: Population, other: Population, ra
 
 
 def _default_cell_size(population: Population) -> float:
-    """The edge (mm) of a cell that holds about `_CELL` agents, whether they lie on a line, a sheet or in a space."""
+    """Return the edge (mm) of a cell that contains about `_DEFAULT_AGENTS_PER_CELL` agents, for a crowd along a line, on a
+    sheet or in a volume."""
     columns = (population.start[f"position.{axis}"] for axis in AXES)
     extents = sorted((float(np.ptp(finite)) for place in columns if len(finite := place[np.isfinite(place)])), reverse=True)
     share = _DEFAULT_AGENTS_PER_CELL / max(len(population), 1)

@@ -1,4 +1,4 @@
-"""A block as machine code: one function a stage, which takes eight rows at a time through all instructions of the stage."""
+"""Machine code of a block: one function per stage, which runs eight rows at a time through all instructions of the stage."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ _FIRST_GUARD_SLOT = -1_000_000  # slots from here downward stand for who needs a
 
 
 class FunctionWriter:
-    """The context for writing one function: a builder, and the places of arrays and numbers."""
+    """The context for writing one function: a builder, and the table indices of arrays and numbers."""
 
     def __init__(self, module: LlvmModule, layout: AddressLayout) -> None:
         self.module, self.layout = module, layout
@@ -36,7 +36,7 @@ class FunctionWriter:
         self._bases: dict[AddressKey, Lanes] = {}
 
     def base(self, *key: Any) -> Lanes:
-        """Address of an array, read once a call."""
+        """Return the address of an array, which is read once per call of the function."""
         if key not in self._bases:
             at = self.e.constant(self.layout.pointer(*key), I64, 1)
             place = self.e.at_entry("element", PTR, self.table, at, x=PTR)
@@ -44,12 +44,12 @@ class FunctionWriter:
         return self._bases[key]
 
     def array(self, slot: int, part: int, kind: str) -> Lanes:
-        """Return the address of a stored value's array, by its place among the rows of a run."""
+        """Return the address of a stored value for the current rows."""
         self.layout.array(slot, part, kind)
         return self.base("array", slot, part)
 
     def number(self, kind: str, *key: Any, one: bool = False) -> Lanes:
-        """Return a value that is equal for all agents: in every lane, or a single one."""
+        """Return a value that is equal for all agents: in every lane, or (`one`) as a single number."""
 
         def make() -> Lanes:
             place = self.e.address(self.base("numbers"), self.layout.number(*key), I64)
@@ -62,7 +62,7 @@ class FunctionWriter:
         return lanes
 
     def apply(self, op: str, *args: Lanes) -> Any:
-        """Apply an elementwise operation to lanes: the function that NumPy uses."""
+        """Apply an elementwise operation to lanes, with the function that NumPy also uses."""
         formula = FUNCTION_BY_NAME[op]
         if op not in _OUT_OF_LINE_FUNCTIONS:
             return formula(*args)
@@ -70,14 +70,14 @@ class FunctionWriter:
         return self.e.call(name, F32, *args)
 
     def add(self, name: str) -> None:
-        """Add the function to the module, to be called from outside."""
+        """Add the function to the module under a name that can be called from outside."""
         self.e.end(name, (self.table, self.begin, self.end), attribute="noinline", outer=outer_text(self.module, name))
 
 
 @dataclass(slots=True, eq=False)
 class NeighbourSearch:
-    """Reductions over neighbours of one species that one search finds. `sets` are theirs; `beside` names others' registers, up to
-    four in a text, that are needed in the order of the cell grid."""
+    """Reductions over neighbours of one species that share one search. `sets`: the sets that they reduce.
+    `beside`: registers of the others, needed in the order of the cell grid; each text names up to four."""
 
     species: str
     sets: list[ir.PlanNode]
@@ -86,7 +86,7 @@ class NeighbourSearch:
 
 @dataclass(slots=True, eq=False)
 class BlockCode:
-    """A compiled block: names of its stages' functions, and everything needed to run them."""
+    """A compiled block: the names of its stages' functions, and everything needed to run them."""
 
     species: ir.SpeciesPlan
     names: list[str]
@@ -102,7 +102,7 @@ class BlockCode:
     guarded: dict[BlockInstruction, int] = field(default_factory=dict)  # calls that not all need, with the slot of who does
 
     def mask_of(self, each: BlockInstruction) -> int:
-        """Return the slot of the mask that a call is made for."""
+        """Return the slot of the mask of rows for which a call is made."""
         guarded = self.guarded.get(each)
         return self.schedule.slot(each.scope.rows) if guarded is None else guarded
 
@@ -183,7 +183,7 @@ class BlockWriter(FunctionWriter):
     # --- instructions --------------------------------------------------------------------------------------------------
 
     def _timed_instruction(self, each: BlockInstruction) -> AbstractContextManager[None]:
-        """Attribute the code written inside the context to an instruction, if lines are timed."""
+        """Return a context in which written code is timed for an instruction, if lines are timed."""
         return nullcontext() if self.code.lines is None else self._time_with_counter(self.code.lines.counter(each))
 
     @contextmanager
@@ -210,14 +210,14 @@ class BlockWriter(FunctionWriter):
                             self.slot(each.out)
 
     def _note_need(self, each: BlockInstruction, mask: Lanes) -> None:
-        """Note whether an agent needs a call."""
+        """Emit code that records whether any agent needs a call."""
         e = self.e
         place = e.address(self.base("needs"), len(self.code.needs), I8)
         self.code.needs.append(each)
         e.put(place, e.load(place, I8) | e.mask_bits(mask))
 
     def _guard(self, each: BlockInstruction) -> None:
-        """Note which agents need a call, if that is known, and store the result of the others."""
+        """Emit code that records which agents need a call, if that is known, and stores the result for the others."""
         assert isinstance(each.what, ir.PlanNode)
         guard = self.guards.get(each.what.op)
         if guard is None:
@@ -244,7 +244,7 @@ class BlockWriter(FunctionWriter):
             self.mask.pop()
 
     def _mask(self, inner: RowScope, make: Callable[[], Lanes]) -> Lanes:
-        """The mask of an inner scope: made now, or as an earlier stage left it."""
+        """Return the mask of an inner scope: computed in this stage, or stored by an earlier stage."""
         mask: Lanes
         if self.schedule.home[inner.rows] != self.stage:
             mask = self.slot(inner.rows)
@@ -288,7 +288,7 @@ class BlockWriter(FunctionWriter):
     # --- values --------------------------------------------------------------------------------------------------------
 
     def slot(self, slot: int) -> Any:
-        """Return the value of a slot: known here already, loop-invariant, left by an earlier stage, or made now."""
+        """Return the value of a slot: already known, loop-invariant, stored by an earlier stage, or computed now."""
         slot = self.schedule.slot(slot)
         if slot in self._uniform:
             node = self._uniform[slot]
@@ -323,7 +323,7 @@ class BlockWriter(FunctionWriter):
         return value
 
     def known(self, slot: int, value: Any) -> None:
-        """A value that was made together with another one."""
+        """Record a slot's value that was computed together with another one."""
         self.e.known[-1][slot] = value
         self._store_slot(slot, value)
 
@@ -333,8 +333,8 @@ class BlockWriter(FunctionWriter):
                 self.e.write(self.array(slot, part, each.kind), self.offset, each)
 
     def joint_reductions(self, first: BlockInstruction) -> list[BlockInstruction]:
-        """Return other reductions over the same species or items that one search can compute with `first`: they do not depend on
-        its result. Those over agents may be in other scopes."""
+        """Return other reductions over the same species or items that one search can compute with `first`.
+        They must not depend on its result. Reductions over agents may be in other scopes."""
         assert isinstance(first.what, ir.PlanNode)
         reductions, of = [], first.what.args[0]
         for each in self._reductions:
@@ -355,7 +355,7 @@ class BlockWriter(FunctionWriter):
         return reductions
 
     def _is_ready(self, slot: int) -> bool:
-        """Whether a value is known or can be made at once: by operations alone, with no reduction or changing register in it."""
+        """Return whether a value is known or needs only operations, without any reduction or register that changes."""
         slot = self.schedule.slot(slot)
         if slot in self._uniform or any(slot in names for names in self.e.known):
             return True
@@ -386,8 +386,8 @@ class BlockWriter(FunctionWriter):
         self.e.write_where(mask, self.base("now", what.register), self.row, value)
 
     def refuse(self, bad: Lanes, what: str, by: BlockInstruction) -> None:
-        """Note the rows with a value that is not finite: first of the eight, then the number of the rejected value above their
-        bits."""
+        """Emit code that records eight rows with a value that is not finite: the first row, and a mask of the faulty rows.
+        The number of the rejected value is stored above the bits of the mask."""
         e, faults = self.e, self.code.faults
         with e.inside(e.any_lane(bad)):
             faults.append((what, by))  # one for each place that notes: there is room for one of each by eight rows

@@ -15,5 +15,5 @@ def load_quadruples(e: LaneBuilder, base: Lanes, index: Lanes) -> list[Lanes]:
 
 
 def quadruple_address(e: LaneBuilder, base: Lanes, index: Lanes) -> Lanes:
-    """Where the four of a single index lie."""
+    """Return the address of the four floats at a single index."""
     return e.address(base, e.convert(index, I64), _FLOAT4_TYPE)

@@ -1,4 +1,4 @@
-"""The data of each part of a block while machine code runs: values passed between stages, lists, notes, counts."""
+"""The data of each part of a block while machine code runs: values passed between stages, lists, recorded faults, counters."""
 
 from __future__ import annotations
 
@@ -23,9 +23,14 @@ _LANE_KEY_KINDS = ("array", "laid", "notes", "counts", "needs", "ticks", "candid
 
 
 class LaneMemory:
-    """`counts`: first, above 0 if an agent has too many neighbours; then the length of each list. `needs`: above 0 for a call
-    that some agent needs. `columns` of each list: rows, and the values stored with them. `ticks`: counters by line, for timed
-    code. `laid`: by field, whether anything was deposited. `widest`: the greatest radius of each search."""
+    """The memory of one part of a block.
+
+    `counts`: first, above 0 if an agent has too many neighbours; then the length of each list.
+    `needs`: for each call, above 0 if an agent needs it.
+    `columns`: for each list, rows and the values stored for them.
+    `ticks`: counters by line, for timed code.
+    `laid`: by field, whether anything was deposited.
+    `widest`: the greatest radius of each search."""
 
     def __init__(self, code: BlockCode, pointers: NDArray[np.int64]) -> None:
         self.code, self.pointers = code, np.zeros_like(pointers)
@@ -45,20 +50,21 @@ class LaneMemory:
         self._places = np.zeros(len(self._keys), np.int64)
 
     def copy_pointers(self, pointers: NDArray[np.int64]) -> None:
-        """Put down the addresses that all lanes have."""
+        """Set the addresses that are common to all lanes."""
         self.pointers[:] = pointers
         self.pointers[self._own] = self._places
 
     def reset_counts(self) -> None:
-        """Count from nothing again."""
+        """Set all counters to 0."""
         self.notes[0] = 0
         self.counts.fill(0)
         if self.code.needs:
             self.needs.fill(0)
 
     def allocate(self, arrays: Arrays, rows: int, others: int) -> None:
-        """Set these arrays for `rows` rows, with eight spare rows after them, and buffers for `others` agents of the largest
-        species."""
+        """Use the given arrays for `rows` rows, with eight spare rows at the end.
+
+        `others`: the number of agents of the largest searched species, for which buffers are allocated."""
         self.arrays = arrays
         self.columns.clear()
         for number in range(len(self.code.lists)):
@@ -95,8 +101,9 @@ class LaneMemory:
 
 
 class LaneMemories:
-    """One lane for each part of a block that runs at the same time. Stage results of all parts are contiguous, part after part:
-    the lanes' arrays are slices of `arrays`."""
+    """The memories of all parts of a block that run at the same time.
+
+    Stage results of all parts are contiguous, part after part: the arrays of each lane are slices of `arrays`."""
 
     def __init__(self, code: BlockCode) -> None:
         self.code = code
@@ -108,8 +115,10 @@ class LaneMemories:
         ] = {}  # and what of it goes by values of the step
 
     def prepare(self, parts: int, rows: int, others: int, pointers: NDArray[np.int64]) -> list[LaneMemory]:
-        """Return lanes for `parts` parts of `rows` rows each (multiples of eight if there are several parts). They have buffers
-        for `others` agents of the largest species, and the shared addresses."""
+        """Return lanes for `parts` parts of `rows` rows each (multiples of eight if there are several parts), with the shared
+        addresses.
+
+        `others`: the number of agents of the largest searched species, for which buffers are allocated."""
         while len(self.every) < parts:
             self.every.append(LaneMemory(self.code, pointers))
         if rows != self._rows or parts > self._parts or others > self._others:
@@ -133,8 +142,10 @@ class LaneMemories:
     def ask(
         self, each: BlockInstruction, rows: int, uniform: Mapping[int, ir.PlanNode], values: Mapping[ir.PlanNode, Any]
     ) -> FeelerQuery:
-        """Return which of `rows` rows of all parts need a call, its arguments, and where the next stage reads its results.
-        `uniform`: nodes with one value for all agents, by slot."""
+        """Return the query for a call: which of `rows` rows of all parts need it, its arguments, and the arrays for its
+        results.
+
+        `uniform`: by slot, the nodes that have one value for all agents."""
         known = self._asks.get(each)
         if known is not None:
             request, same = known

@@ -1,5 +1,6 @@
-"""Where a block's machine code finds its arrays and numbers: by a place in a table. So the code contains no address and no value,
-and all worlds and numbers of a program share it."""
+"""Tables through which machine code finds arrays and numbers: the code contains only indices into these tables.
+
+So the code contains no addresses and no values, and all worlds and param values of a program share it."""
 
 from __future__ import annotations
 
@@ -15,8 +16,11 @@ AddressKey = tuple[Hashable, ...]
 
 @dataclass(slots=True, eq=False)
 class AddressLayout:
-    """`pointers`: places in the table of addresses; the first is that of the numbers. `numbers`: places among the numbers, eight
-    bytes each. `arrays`: kinds of values stored between stages or for calls, by slot and part."""
+    """Indices in the tables of addresses and numbers.
+
+    `pointers`: indices in the table of addresses. The first entry is the address of the numbers.
+    `numbers`: indices in the table of numbers, eight bytes each.
+    `arrays`: kinds of the values stored between stages or for calls, by slot and part."""
 
     pointers: dict[AddressKey, int] = field(default_factory=lambda: {("numbers",): 0})
     numbers: dict[AddressKey, int] = field(default_factory=dict)

@@ -1,4 +1,4 @@
-"""A readable listing of a plan's machine code: stages, their LLVM instructions, and the calls between them."""
+"""Lists a plan's machine code as readable text: stages, their LLVM instructions, and the calls between stages."""
 
 from __future__ import annotations
 
@@ -17,23 +17,23 @@ STATIC_WORLD = WorldFacts(moving=False, detail=False)
 
 
 def plan_program(plan: ir.Plan, target: Target, facts: WorldFacts = STATIC_WORLD) -> NativeProgram:
-    """Return a plan's program as it is compiled for a world."""
+    """Return the program of a plan as it is compiled for a world with these `facts`."""
     return program(plan, NumpyBackend(plan).blocks, facts, target)
 
 
 def instruction_counts(native_program: NativeProgram) -> dict[str, int]:
-    """Return the number of instructions of each function, as emitted."""
+    """Return the number of instructions of each function in the emitted text."""
     return {name: count_instructions(text) for name, text in native_program.functions.items() if text.startswith("define")}
 
 
 def count_instructions(text: str) -> int:
-    """Return the number of instructions of a function: its lines without labels, head and end."""
+    """Return the number of instructions of a function: its lines without labels, first and last line."""
     lines = (line.strip() for line in text.splitlines())
     return sum(1 for line in lines if line and not line.startswith(_HEADER_PREFIXES) and not line.endswith(":"))
 
 
 def show(native_program: NativeProgram) -> str:
-    """Readable text, the same for the same plan."""
+    """Return the listing as text; it is always the same for the same plan."""
     size, lines, named = instruction_counts(native_program), [], set()
     species = ""
     for (name, block), code in native_program.blocks.items():

@@ -1,8 +1,8 @@
-"""Times machine code by line: marks read the processor's counter where the current line changes.
+"""Times machine code by line: marks in the code read the processor's counter where the source line changes.
 
-Only measured code has marks (`programs.Facts.timed`). The time between two marks is added to the counter of the line before the
-later mark. The duration of the functions converts counters to seconds. Calls of a line, such as a search shared by several lines,
-count for the line where they stand in the code."""
+Only code compiled for timing has marks (`programs.WorldFacts.timed`). The time between two marks is added to the counter of
+the line before the second mark. The total duration of the functions converts counters to seconds. A call, such as a search
+shared by several lines, counts for the line at which it occurs in the code."""
 
 from __future__ import annotations
 
@@ -24,9 +24,10 @@ if TYPE_CHECKING:
 
 
 class LineCounters:
-    """Counters of a block: one for each source line within each layer; the first is for instructions without a line. `numbers`:
-    the positions of instructions among those of `MeteredBlock`. The last field has, for each counter, the number of the
-    instruction on its line, -1 for none."""
+    """Counters of a block: one for each source line within each layer. The first counter is for instructions without a line.
+
+    `numbers`: the index of each instruction among the instructions of `MeteredBlock`.
+    The other list has, for each counter, the index of an instruction on its line, -1 for none."""
 
     def __init__(self, compiler: BlockCompiler) -> None:
         self.numbers = {each: k for k, each in enumerate(instructions_of(compiler.root))}
@@ -34,7 +35,7 @@ class LineCounters:
         self._counters: dict[tuple[str, int, int], int] = {}
 
     def counter(self, instruction: BlockInstruction) -> int:
-        """That of an instruction's line."""
+        """Return the counter of an instruction's line; a new one if the line has none yet."""
         span = instruction.span
         place = ("", 0) if span is None else (span.source.path, span.source.line_column(span.start)[0])
         key = (*place, instruction.layer)
@@ -45,7 +46,7 @@ class LineCounters:
 
 
 class _MarkWriter:
-    """Rewrites a function with marks between instructions of different counters."""
+    """Rewrites a function with marks between instructions that have different counters."""
 
     def __init__(self, w: FunctionWriter) -> None:
         self.e, self._ticks, self._last = w.e, w.base("ticks"), w.e.slot(I64)
@@ -71,7 +72,7 @@ class _MarkWriter:
         self._add_ticks(current)
 
     def _add_ticks(self, number: int) -> None:
-        """Add the time since the last mark to a counter."""
+        """Emit code that adds the time since the last mark to a counter."""
         e = self.e
         self._store_pending()
         last, now = e.load(self._last, I64), self._read_counter()
@@ -81,15 +82,17 @@ class _MarkWriter:
         self._add_barrier(now)
 
     def _read_counter(self) -> Lanes:
-        """Return the counter after all earlier instructions have completed. Otherwise a line's divisions and roots would count
-        for a later line."""
+        """Return the processor's counter after all earlier instructions have completed. Otherwise divisions and roots of a
+        line would count for a later line."""
         if self._fenced:
             self.e.do("wait")
         return self.e.op("ticks", I64, lanes=1)
 
     def _store_pending(self) -> None:
-        """Store the values that are not read yet, with stores that LLVM does not move past the counter. Otherwise LLVM would
-        compute them where they are read, in another line."""
+        """Store all values that are not used yet, so that they are computed before the mark.
+
+        LLVM does not move these stores past the counter. Without them, it would compute the values where they are used, in
+        another line."""
         written = self.e.block_now.body[self._since :]
         read = {operand.name for each in written for operand in each.operands}
         for value in [each.result for each in written if each.result is not None and each.result.name not in read]:
@@ -98,8 +101,10 @@ class _MarkWriter:
             self.e.do("volatile", value, self._kept[value.type])
 
     def _add_barrier(self, count: Lanes) -> None:
-        """Prevent LLVM from moving later operations before this point. LLVM reorders instructions within a basic block, and a
-        branch that it cannot prove always taken starts a new block. No count is 0."""
+        """Prevent LLVM from moving later operations before this point.
+
+        LLVM reorders instructions within a basic block. A branch that it cannot prove to be always taken starts a new block.
+        `count` is never 0, which LLVM does not know."""
         e, never, following = self.e, self.e.label("never"), self.e.label("marked")
         e.branch(count != 0, following, never)
         e.begin(never)
@@ -116,8 +121,10 @@ def add_marks(w: FunctionWriter) -> None:
 
 @dataclass(slots=True, eq=False)
 class LineTimes:
-    """The times of a block's parts in one run. `ticks` are the counters that its code adds to, `lane` comes from `Metered.lane`,
-    `seconds` is the time of the functions."""
+    """The times of a block's parts in one run.
+
+    `ticks`: the counters to which its code adds. `lane`: counters from `MeteredBlock.new_lane`. `seconds`: the time of the
+        functions."""
 
     lines: LineCounters
     ticks: NDArray[np.int64]

@@ -1,4 +1,4 @@
-"""A plan's blocks as text for the compiler: what is compiled together, and what running it needs."""
+"""Converts a plan's blocks into text for the compiler, and lists what is compiled together and what running it needs."""
 
 from __future__ import annotations
 
@@ -27,15 +27,19 @@ _STEP_BLOCKS = ("decide", "act", "blend")
 
 
 def _emit_reduction(b: BlockWriter, instruction: BlockInstruction) -> None:
-    """Emit a reduction, and the others that the same search computes."""
+    """Emit a reduction, and all others that the same search computes."""
     assert isinstance(instruction.what, ir.PlanNode)
     (search.emit_neighbour_reduction if instruction.what.args[0].op == "set.agents" else sets.emit_member_loop)(b, instruction)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class NativeProgram:
-    """`text` of all functions, the text of each function by name, and the units that are compiled separately. A unit is a
-    function that is called from outside, with everything that it calls. `blocks`: by species and block."""
+    """The LLVM text of a plan.
+
+    `text`: all functions. `functions`: the text of each function, by name.
+    `units`: the texts that are compiled separately, by name. A unit is a function called from outside, with everything that it
+        calls.
+    `blocks`: the block codes, by species and block."""
 
     text: str
     functions: Mapping[str, str]
@@ -45,8 +49,9 @@ class NativeProgram:
 
 @dataclass(frozen=True, slots=True)
 class WorldFacts:
-    """Properties of a world that the code depends on: whether some ground moves, and whether agents may treat boxes as obstacles.
-    `timed`: lines are measured (`marks`)."""
+    """Properties of a world that the code depends on.
+
+    `moving`: some ground moves. `detail`: agents may sense obstacles as boxes. `timed`: lines are timed (`marks`)."""
 
     moving: bool
     detail: bool
@@ -54,12 +59,12 @@ class WorldFacts:
 
     @classmethod
     def of(cls, setting: WorldSetting, *, timed: bool = False) -> WorldFacts:
-        """Those of a world that is bound to a setting."""
+        """Return the properties of a world that is bound to a setting."""
         return cls(any(name in setting.surfaces for name in setting.moves.meshes), setting.detail is not None, timed)
 
 
 def begin_blocks(plan: ir.Plan, blocks: CompiledBlocks, facts: WorldFacts) -> dict[tuple[str, str], BlockCode]:
-    """All blocks of a plan but births, which are few, with their instructions in stages."""
+    """Return all blocks of a plan, with their instructions assigned to stages. Births are left out, because they are few."""
     senses = _senses(facts)
 
     def lowers(of: ir.SpeciesPlan, node: ir.PlanNode) -> bool:
@@ -81,7 +86,7 @@ def begin_blocks(plan: ir.Plan, blocks: CompiledBlocks, facts: WorldFacts) -> di
 
 
 def program(plan: ir.Plan, blocks: CompiledBlocks, facts: WorldFacts, target: Target) -> NativeProgram:
-    """The blocks of a plan with their text."""
+    """Return the blocks of a plan with their LLVM text."""
     guards = {} if facts.detail else GUARDED_SENSES
 
     def combine(field: str) -> str:
@@ -103,5 +108,5 @@ def program(plan: ir.Plan, blocks: CompiledBlocks, facts: WorldFacts, target: Ta
 
 
 def _senses(facts: WorldFacts) -> dict[str, NodeLowerer]:
-    """Senses that have machine code in a world."""
+    """Return the senses that have machine code in a world with these `facts`."""
     return {op: lower for op, lower in NATIVE_LOWERERS.items() if not (facts.moving and op in SENSES_CALLED_ON_MOVING_GROUND)}

@@ -1,8 +1,8 @@
-"""Makes a plan's blocks ready to run as machine code: text, code in memory, and the calls between its stages.
+"""Makes a plan's blocks ready to run as machine code: text, loaded code, and the calls between stages.
 
-Each function that is called from outside is compiled separately, in a thread parallel to the run. The code is cached by its text:
-in memory, and in a folder for the next run (`object_cache`). Numbers of a program are no part of the text, so changing one
-compiles nothing. An edit compiles only the stages that it changes."""
+Each function that is called from outside is compiled separately, in a thread parallel to the run. Code is cached by its text:
+in memory, and in a folder for later runs (`object_cache`). The numbers of a program are not part of the text, so changing a
+number compiles nothing. An edit compiles only the stages that it changes."""
 
 from __future__ import annotations
 
@@ -30,14 +30,18 @@ _requests_lock = Lock()
 
 
 class CodeUnavailable(Exception):
-    """Machine code cannot be made here. The message gives the reason and a remedy."""
+    """Machine code cannot be made on this machine. The message gives the reason and a remedy."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ReadyCode:
-    """`blocks` as they were compiled, which the rest refers to; `written` is what became of them; `codes` by the name of a
-    function; `calls` makes each call of an instruction that has no machine code; `together`: by block and stage what is called
-    after it, those of one sense with one name at once."""
+    """The loaded code of a plan.
+
+    `blocks`: the compiled blocks, to which the other fields refer.
+    `written`: the block codes, by species and block.
+    `codes`: the loaded code of each function, by name.
+    `calls`: the function call for each instruction without machine code.
+    `together`: the calls after each stage, by species, block and stage; calls of one sense with one name are grouped."""
 
     blocks: CompiledBlocks
     facts: WorldFacts
@@ -47,12 +51,12 @@ class ReadyCode:
     together: Mapping[tuple[str, str, int], list[list[BlockInstruction]]]
 
     def function(self, name: str) -> Any:
-        """Return a function of the program, as in `machine.LoadedCode`."""
+        """Return a function of the program by name, as `machine.LoadedCode.function` does."""
         return self.codes[name].function(name)
 
 
 def find_ready(plan: ir.Plan, facts: WorldFacts) -> ReadyCode | None:
-    """Return an earlier result for a plan, while it is still in use somewhere."""
+    """Return the code of a plan if an earlier result is still in use, else None."""
     with _requests_lock:
         return _code_by_plan.get(plan, {}).get(facts)
 
@@ -60,7 +64,7 @@ def find_ready(plan: ir.Plan, facts: WorldFacts) -> ReadyCode | None:
 def _build_ready(
     plan: ir.Plan, blocks: CompiledBlocks, facts: WorldFacts, known: stored.StoredBlocks | None
 ) -> Generator[None, None, ReadyCode]:
-    """Compile a plan's blocks for this processor, one piece of work per step of the generator. Raises CodeUnavailable."""
+    """Compile a plan's blocks for this processor. The generator does one piece of work per step. Raises CodeUnavailable."""
     if why := machine.unavailable():
         raise CodeUnavailable(why)
     host = machine.host()
@@ -94,7 +98,8 @@ def _unit(text: Callable[[], NativeProgram], name: str) -> str:
 
 
 def find(plan: ir.Plan, blocks: CompiledBlocks, facts: WorldFacts) -> stored.StoredBlocks | None:
-    """What an earlier run stored of a plan's blocks: their code can be loaded at once."""
+    """Return what an earlier run stored about a plan's blocks, so that their code can be loaded at once; None if nothing is
+    stored."""
     subject = stored.subject(plan, blocks, facts, machine.host()) if machine.is_available() else None
     return None if subject is None else stored.read(subject)
 
@@ -102,9 +107,11 @@ def find(plan: ir.Plan, blocks: CompiledBlocks, facts: WorldFacts) -> stored.Sto
 def start_building(
     plan: ir.Plan, blocks: CompiledBlocks, facts: WorldFacts, known: stored.StoredBlocks | None = None
 ) -> Future[ReadyCode]:
-    """Build a plan's blocks as machine code for this processor in a thread, and return a future; its result may be the error
-    CodeUnavailable. The latest request is built first, because a user looks at it. Building stops once the caller drops the
-    future, for example because the program was saved again before its code was ready. `known`: the result of `find`."""
+    """Build machine code for a plan's blocks in a thread, and return a future. Its result may be the error CodeUnavailable.
+
+    The latest request is built first, because a user waits for it. Building stops once the caller drops the future, for
+    example because the program was saved again.
+    `known`: the result of `find`."""
     coming: Future[ReadyCode] = Future()
     with _requests_lock:
         _pending_requests.append((ref(coming), _build_ready(plan, blocks, facts, known)))
@@ -113,7 +120,7 @@ def start_building(
 
 
 def _do_piece() -> None:
-    """Do one piece of the latest request that is still needed."""
+    """Do one piece of work for the latest request that is still needed."""
     with _requests_lock:
         _pending_requests[:] = [each for each in _pending_requests if each[0]() is not None]
         if not _pending_requests:
@@ -132,7 +139,7 @@ def _do_piece() -> None:
 
 
 def _finish_request(future_reference: ReferenceType[Future[ReadyCode]], tell: Callable[[Future[ReadyCode]], None]) -> None:
-    """Complete a request: its result is ready, or it has failed."""
+    """Complete a request by setting its result or its error. `tell` sets it on the future."""
     with _requests_lock:
         _pending_requests[:] = [each for each in _pending_requests if each[0] is not future_reference]
     coming = future_reference()
@@ -141,7 +148,7 @@ def _finish_request(future_reference: ReferenceType[Future[ReadyCode]], tell: Ca
 
 
 def release_code() -> None:
-    """Drop all code in memory that no backend uses, as in a new process. Code stored in folders stays."""
+    """Drop all code in memory that no backend uses, as in a new process. Code in folders stays."""
     with _requests_lock:
         _code_by_plan.clear()
     codes.forget()
@@ -153,7 +160,7 @@ def _worker() -> ThreadPoolExecutor:
 
 
 def _group_calls(calls: list[BlockInstruction]) -> list[list[BlockInstruction]]:
-    """Return calls in their order, grouped: calls of one sense with one name run at once."""
+    """Return the calls in their order, in groups. Calls of one sense with one name run together."""
     groups: list[list[BlockInstruction]] = []
     known: dict[Any, list[BlockInstruction]] = {}
     for each in calls:

@@ -1,5 +1,6 @@
-"""Arrays with eight spare rows after the last one, because machine code reads eight at once. Registers and other named arrays of
-the world are moved into such arrays; arrays of other owners are copied."""
+"""Arrays with eight spare rows at the end, because machine code reads eight rows at once.
+
+Registers and other named arrays of the world are moved into such arrays. Arrays of other owners are copied."""
 
 from __future__ import annotations
 
@@ -18,7 +19,7 @@ _MIN_ARRAYS_TO_DROP = 64  # number of arrays below which unused ones are not sea
 
 
 class PaddedArrays:
-    """Padded arrays by content; all blocks that name the same content share one."""
+    """Padded arrays by content. All blocks that name the same content share one array."""
 
     def __init__(self) -> None:
         self._moved: dict[int, tuple[NDArray[Any], NDArray[Any], int]] = {}  # by identity: an array, that with room, its address
@@ -27,8 +28,9 @@ class PaddedArrays:
         self.step = 0  # goes up with each: what stays while one lasts is copied once
 
     def place(self, array: NDArray[Any]) -> tuple[NDArray[Any], int]:
-        """Return an array with padding and the same content, and its address. It is `array` if that already has padding. The
-        caller continues with the returned array."""
+        """Return a padded array with the same content, and its address. If `array` is already padded, it is returned.
+
+        The caller must use the returned array from then on."""
         known = self._moved.get(id(array))
         if known is None:
             new = array if has_padding(array) else padded_copy(array)
@@ -40,8 +42,10 @@ class PaddedArrays:
         return known[1:]
 
     def move_register(self, population: Population, name: str, *, start: bool) -> tuple[NDArray[Any], int]:
-        """Return a register's array and its address, after moving it into a padded array if needed. If start and now shared the
-        old array, they share the new one; otherwise it would be copied at the end of each step."""
+        """Return a register's array and its address, after moving it into a padded array if needed.
+
+        If the values for the start of the step and for now shared the old array, they share the new one. Otherwise it would be
+        copied at the end of each step."""
         holders = population.start, population.now
         array = holders[not start][name]
         located_array = self.place(array)
@@ -51,7 +55,7 @@ class PaddedArrays:
         return located_array
 
     def begin_step(self, populations: Iterable[Population]) -> None:
-        """Begin a step: release unused arrays once they may outnumber those in use."""
+        """Release unused arrays if they may outnumber those in use. Called at the start of a step."""
         self.step += 1
         if len(self._moved) > self._most:
             held = {id(array) for each in populations for holder in (each.start, each.now) for array in holder.values()}
@@ -59,16 +63,16 @@ class PaddedArrays:
             self._most = max(_MIN_ARRAYS_TO_DROP, 2 * len(self._moved))
 
     def drop_unused(self) -> None:
-        """Drop arrays that are no longer in use, after the rows changed."""
+        """Release arrays that are no longer in use, after the rows have changed."""
         self._moved.clear()
 
     def copy(self, *key: Hashable) -> PaddedCopy:
-        """Return the copy for a key; all blocks that name it share it."""
+        """Return the copy for a key. All blocks that use the key share the copy."""
         return self._copies.setdefault(key, PaddedCopy(self))
 
 
 class PaddedCopy:
-    """A copy with room of an array that another part of the program owns, or of something made of the world."""
+    """A padded copy of an array that another part of the program owns, or of an array derived from the world."""
 
     __slots__ = ("_address", "_of", "_rooms", "_whole")
 
@@ -78,7 +82,8 @@ class PaddedCopy:
         self._whole: NDArray[Any] = np.zeros(0)
 
     def of(self, array: NDArray[Any], dtype: Any, stamp: Any = None) -> int:
-        """Return the address of a copy. The copy is valid while `stamp` stays the same; without one, for one step."""
+        """Return the address of a padded copy of an array. The copy stays valid while `stamp` is unchanged; without a stamp,
+        for one step."""
         stamp = self._rooms.step if stamp is None else stamp
         if stamp != self._of or len(self._whole) != len(array) + LANE_COUNT:
             self._resize(len(array), dtype)
@@ -87,7 +92,7 @@ class PaddedCopy:
         return self._address
 
     def lasting_address(self, of: Any, make: Callable[[], NDArray[Any]]) -> int:
-        """Return the address of an array derived from `of`, made again when `of` is another object."""
+        """Return the address of an array that `make` derives from `of`. It is made again when `of` is another object."""
         if of is not self._of:
             self._of, self._whole = of, make()
             self._address = address(self._whole)

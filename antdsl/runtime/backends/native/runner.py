@@ -1,5 +1,6 @@
-"""Runs one block of machine code. Its rows go in parts, perhaps in several threads, through its stages, the calls between them
-and its requests to the world."""
+"""Runs one block as machine code. Its rows are divided into parts, which run through its stages, possibly in several threads.
+
+Between stages, calls without machine code run. At the end, requests to the world are collected."""
 
 from __future__ import annotations
 
@@ -44,7 +45,7 @@ StageCalls = list[tuple[bool, list[tuple[BlockInstruction, int]]]]
 
 
 class BlockRunner:
-    """A block of one species, ready to be run step after step."""
+    """The machine code of one block of a species, which can be run in each step."""
 
     def __init__(self, ready: ReadyCode, species: str, name: str, rooms: PaddedArrays) -> None:
         self.code, self.compiler = ready.written[species, name], ready.blocks[species, name]
@@ -63,9 +64,10 @@ class BlockRunner:
     def run(
         self, world: World, population: Population, values: dict[ir.PlanNode, Any], timed: MeteredBlock | None
     ) -> list[tuple[int, int]]:
-        """Run all rows through the block and add their requests to the population's effects, in row order. `values`: those that
-        are equal for all agents. `timed`: collects times by line, if lines are timed. Returns the parts in which an agent has too
-        many neighbours in a radius, each as first row and end row."""
+        """Run all rows through the block, and add their requests to the population's effects in row order.
+
+        `values`: the values that are equal for all agents. `timed`: collects times by line, if lines are timed.
+        Returns the parts, as first row and end row, in which an agent has too many neighbours within a radius."""
         count, others = len(population), self.tables.largest_species(world)
         of = (count, others, world.options.chunk, world.options.threads, self.tables.version)
         if of != self._ready_for:
@@ -111,8 +113,10 @@ def _is_in_place(each: BlockInstruction) -> bool:
 
 
 def _part_size(count: int, chunk: int, threads: int) -> int:
-    """Return the rows of a part: at most a chunk, and where it pays several parts per thread for balance. The parts of a thread
-    in one round are at most a chunk together, which stays in cache from stage to stage."""
+    """Return the number of rows of a part.
+
+    It is at most a chunk, and smaller where several parts per thread pay off for balance. In one round, the parts of a thread
+    together have at most a chunk of rows, which stays in the processor's cache from stage to stage."""
     most = chunk if threads < 2 else chunk // PARTS_PER_THREAD
     parts = max(
         -(-count // max(LANE_COUNT, most)),
@@ -123,8 +127,9 @@ def _part_size(count: int, chunk: int, threads: int) -> int:
 
 
 class PartGroup:
-    """Consecutive parts of a block's rows that go through its stages together. All pass one stage without the interpreter, then
-    the calls at its end, then the next stage."""
+    """Consecutive parts of a block's rows that run through its stages together.
+
+    All parts pass one stage without the interpreter, then the calls at its end, then the next stage."""
 
     def __init__(self, block: BlockRunner, chunks: list[RowChunk], bounds: list[tuple[int, int]], threads: int) -> None:
         self._block, self._threads, self._bounds = block, threads, bounds
@@ -133,8 +138,9 @@ class PartGroup:
         self._table = np.array([(each.lane.address, *part) for each, part in zip(self.chunks, bounds, strict=True)], np.int64)
 
     def run(self, world: World, population: Population, values: dict[ir.PlanNode, Any]) -> list[tuple[int, int]]:
-        """Run the parts through all stages and add their requests to the population's effects. Return the parts in which an agent
-        has too many others in a radius."""
+        """Run the parts through all stages, and add their requests to the population's effects.
+
+        Returns the parts in which an agent has too many others within a radius."""
         chunks, timed = self.chunks, self.chunks[0].times is not None
         for each, part in zip(chunks, self._bounds, strict=True):
             each.begin(world, population, values, *part)
@@ -148,7 +154,7 @@ class PartGroup:
         return [part for each, part in zip(chunks, self._bounds, strict=True) if not each.end()]
 
     def _for_each_part(self, work: Callable[[RowChunk], object]) -> None:
-        """Have work done for each part, in threads."""
+        """Run `work` for each part, in threads."""
         coming = iter(self.chunks)
 
         def run_parts(_: int) -> None:
@@ -161,7 +167,7 @@ class PartGroup:
             run_parts(0)
 
     def _calls(self, world: World, population: Population, values: dict[ir.PlanNode, Any], every: StageCalls) -> None:
-        """Run the calls at the end of a stage that some agent needs."""
+        """Run those calls at the end of a stage that at least one agent needs."""
         needs = [max(each) for each in zip(*[chunk.lane.needs.tolist() for chunk in self.chunks], strict=True)]
         others = []
         for in_place, group in every:
@@ -176,8 +182,9 @@ class PartGroup:
     def _answer_calls(
         self, world: World, population: Population, values: dict[ir.PlanNode, Any], instructions: list[BlockInstruction]
     ) -> None:
-        """Run one or several calls of one sense with one name. The inputs are where a stage stored them, the results where the
-        next stage reads them."""
+        """Run one call, or several calls of one sense with one name.
+
+        Inputs are read from the arrays of the previous stage; results are written to the arrays that the next stage reads."""
         began, block, node = perf_counter(), self._block, instructions[0].what
         assert isinstance(node, ir.PlanNode)
         answer, nothing = BATCHED_SENSES[node.op]
@@ -192,7 +199,7 @@ class PartGroup:
 
 
 class RowChunk:
-    """Runs rows of a block through its stages, in a thread. `times`, if set, are counted."""
+    """Runs rows of a block through its stages, in one thread. If `times` is set, it collects times."""
 
     world: World
     population: Population
@@ -215,15 +222,16 @@ class RowChunk:
         self.lane.reset_counts()
 
     def run_stage(self, function: Callable[[int, int, int], None]) -> None:
-        """Take the rows through a stage, and count its time."""
+        """Run the rows through a stage, and record its time."""
         began = perf_counter()
         function(self.lane.address, self.first, self.last)
         if self.times is not None:
             self.times.seconds += perf_counter() - began
 
     def end(self) -> bool:
-        """After all stages: add the rows' requests to the population's effects. Return False if an agent has too many others in a
-        radius."""
+        """Add the rows' requests to the population's effects, after all stages.
+
+        Returns False if an agent has too many others within a radius."""
         lane, effects = self.lane, self.population.effects
         crowded, *counts = lane.counts.tolist()
         if not crowded:
@@ -239,14 +247,14 @@ class RowChunk:
         return not crowded
 
     def add_call_time(self, began: float, instructions: list[BlockInstruction], rows: list[int]) -> None:
-        """Divide the time of completed calls among them, by the rows of each."""
+        """Divide the time since `began` among completed calls, in proportion to the rows of each."""
         if self.times is not None:
             each_row = (perf_counter() - began) / max(sum(rows), 1)
             for each, count in zip(instructions, rows, strict=True):
                 self.times.add_call(each, count * each_row)
 
     def _record_faults(self) -> None:
-        """Values that were refused."""
+        """Record the values that machine code rejected as faults."""
         notes = self.lane.notes
         for k in range(int(notes[0])):
             row, fault_word = int(notes[1 + 2 * k]), int(notes[2 + 2 * k])
@@ -257,7 +265,7 @@ class RowChunk:
     # --- calls ---------------------------------------------------------------------------------------------------------
 
     def _numpy_slots(self) -> list[Any]:
-        """Slots as NumPy's calls have them."""
+        """Return the list of slots that NumPy calls expect."""
         if self._slots is None:
             compiler = self.block.compiler
             v = self._slots = [None] * compiler.slots
@@ -269,7 +277,7 @@ class RowChunk:
         return self._slots
 
     def _rows_of(self, slot: int) -> NDArray[np.intp]:
-        """Rows, counted within the chunk, for which a mask holds."""
+        """Return the rows, counted within the chunk, for which a mask holds."""
         if slot not in self._picked:
             (self._picked[slot],) = self.lane.arrays[slot, 0][: self.last - self.first].nonzero()
         return self._picked[slot]
@@ -281,7 +289,7 @@ class RowChunk:
         return rows
 
     def _operand_values(self, slot: int, rows: NDArray[np.intp]) -> Any:
-        """Return a stage's values for some rows, or a value that is equal for all agents."""
+        """Return a value that a stage stored, for the given rows; or a value that is equal for all agents."""
         source = self.block.code.schedule.slot(slot)
         array = self.lane.arrays.get((source, 0))
         if array is not None:
@@ -289,7 +297,7 @@ class RowChunk:
         return self._numpy_slots()[source]
 
     def _run_call(self, each: BlockInstruction, rows: NDArray[np.intp]) -> Any:
-        """Run a call of NumPy's for some rows."""
+        """Return the result of a NumPy call for the given rows."""
         v = self._numpy_slots()
         for slot in each.inputs:
             v[slot] = self._operand_values(slot, rows)
@@ -297,7 +305,7 @@ class RowChunk:
         return v[each.out]
 
     def make_calls(self, every: Sequence[list[tuple[BlockInstruction, int]]]) -> None:
-        """Make these calls, each for the rows that need it."""
+        """Run calls, each for the rows that need it."""
         needs = self.lane.needs.tolist()
         for group in every:
             needed = [each for each, number in group if number < 0 or needs[number]]
@@ -306,7 +314,7 @@ class RowChunk:
                     self._make_call(needed)
 
     def _make_call(self, instructions: list[BlockInstruction]) -> None:
-        """Make a call, or several of one sense with one name at once: a row appears once for each of its requests."""
+        """Run one call, or several calls of one sense with one name. A row appears once for each of its requests."""
         code, began = self.block.code, perf_counter()
         if len(instructions) == 1 and instructions[0] not in code.guarded:
             rows = self._scope_rows(instructions[0].scope)
@@ -335,7 +343,7 @@ class RowChunk:
         self.add_call_time(began, instructions, [len(rows) for rows in chosen])
 
     def _store_results(self, each: BlockInstruction, rows: NDArray[np.intp], results: Any) -> None:
-        """Put the results of a call where the next stage looks for them."""
+        """Write the results of a call to the arrays that the next stage reads."""
         for part, value in enumerate(results if isinstance(results, tuple) else (results,)):
             array = self.lane.arrays.get((each.out, part))
             if array is not None:

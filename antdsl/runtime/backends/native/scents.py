@@ -1,4 +1,4 @@
-"""Scents that are only compared with a bound: if no cell around holds as much, no cell is read."""
+"""Scents that are only compared with a bound. If no nearby cell reaches the bound, no cell has to be read."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ _COMPARISON_OPERATIONS = frozenset(("lt", "le", "gt", "ge"))
 
 
 def own_cell(w: Any, field: str) -> Lanes:
-    """Return the agent's own cell; for none, the index past the end."""
+    """Return the agent's own cell; the index after the last cell if it has none."""
     cell = w.e.read(w.base("cell", field), w.row, I32)
     cell_number: Lanes = w.e.where(cell < 0, w.number(I32, "cells", field), cell)
     return cell_number
 
 
 def may_reach(w: Any, node: ir.PlanNode, bound: ir.PlanNode) -> Lanes:
-    """Return the lanes for which a cell around may hold as much as a bound."""
+    """Return the lanes for which a nearby cell may reach the bound."""
 
     def make() -> Lanes:
         is_reached: Lanes = w.e.gather(w.base("reached", *node.attrs, bound), own_cell(w, node.attrs[0]), BOOL)
@@ -34,15 +34,17 @@ def may_reach(w: Any, node: ir.PlanNode, bound: ir.PlanNode) -> Lanes:
 
 
 def strength(w: Any, node: ir.PlanNode, bound: ir.PlanNode, stored_strength: Lanes) -> Lanes:
-    """Return the stored value `stored_strength` of scents that may reach the bound. For others, return 0, which is below the
-    bound as their true value is."""
+    """Return `stored_strength` for lanes that may reach the bound.
+
+    For others, return 0, which is below the bound, as is the true value."""
     bounded_strength: Lanes = w.e.where(may_reach(w, node, bound), stored_strength, w.e.constant(0.0, stored_strength.kind))
     return bounded_strength
 
 
 def find_bounds(compiler: BlockCompiler, schedule: StageSchedule) -> dict[int, ir.PlanNode]:
-    """Return the bounds of scents by slot. These scents are stored for the step and only compared with one number, which is equal
-    for all agents."""
+    """Return the bounds of scents, by slot.
+
+    Only scents count that are stored for the step and compared with a single number, which must be equal for all agents."""
     uniform = {slot: node for node, slot in compiler.uniforms.items()}
     readers: dict[int, list[BlockInstruction]] = {}
     scents: list[int] = []

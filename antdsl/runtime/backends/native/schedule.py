@@ -1,8 +1,9 @@
-"""Assigns each instruction of a block to a stage, and finds the values that one stage leaves to the next.
+"""Assigns each instruction of a block to a stage, and finds the values that one stage stores for the next.
 
-Operations without machine code (rays, curves, flows) are called between two stages. All rows go through stage 0, then the calls
-at its end run, then all rows go through stage 1. A statement runs in the first stage that knows its operands, in source order. A
-value is computed where it is first needed. It is left in an array if a later stage or a call needs it too."""
+Operations without machine code (rays, curves, flows) are called between two stages. All rows run through stage 0, then the
+calls at its end run, then all rows run through stage 1. A statement runs in the first stage in which its operands are known,
+in source order. A value is computed where it is first needed. It is stored in an array if a later stage or a call also needs
+it."""
 
 from __future__ import annotations
 
@@ -18,8 +19,11 @@ PAIR_INSTRUCTION_KINDS = (InstructionKind.PAIRS, InstructionKind.SPREAD, Instruc
 
 @dataclass(slots=True, eq=False)
 class StageSchedule:
-    """`home`: the stage in which a slot's value is computed. `left`: slots that are left in arrays. `calls[k]`: the calls after
-    stage k. The mask of a scope has the slot of its rows; the mask of the root is known in every stage."""
+    """The stages of a block. `stages` is their number.
+
+    `home`: the stage in which each slot's value is computed. `left`: slots that are stored in arrays.
+    `calls[k]`: the calls after stage k.
+    The mask of a scope has the slot of the scope's rows. The mask of the root is known in every stage."""
 
     stages: int
     home: dict[int, int]
@@ -32,13 +36,13 @@ class StageSchedule:
     inlined: frozenset[BlockInstruction]  # cached senses that are cheap enough to compute again
 
     def slot(self, slot: int) -> int:
-        """Return the slot that stores a value, following the gathers of inner scopes."""
+        """Return the slot that stores a value, following gathers of inner scopes to the outer slot."""
         while slot in self.alias:
             slot = self.alias[slot]
         return slot
 
     def has(self, scope: RowScope, stage: int) -> bool:
-        """Whether anything in a scope runs in a stage."""
+        """Return whether a stage runs any instruction of a scope."""
         return stage in self.use_stages.get(self.slot(scope.rows), ())
 
 
@@ -62,8 +66,10 @@ class _ScheduleBuilder:
 def make_schedule(
     compiler: BlockCompiler, lowers: Callable[[ir.PlanNode], bool], costly: Callable[[ir.PlanNode], bool]
 ) -> StageSchedule:
-    """Return the stages of a block. `lowers`: whether a node has machine code. `costly`: whether machine code must also store a
-    node that is cached for the step, instead of computing it again."""
+    """Return the stages of a block.
+
+    `lowers`: whether a node has machine code.
+    `costly`: whether machine code must store a node that is cached for the step, because computing it again takes too long."""
     maker = _ScheduleBuilder(compiler, lowers, costly, frozenset(compiler.uniforms.values()))
     for instruction in _all_instructions(compiler.root):
         what = instruction.what
@@ -81,7 +87,7 @@ def _all_instructions(scope: RowScope) -> Iterator[BlockInstruction]:
 
 
 def _find_pair_slots(maker: _ScheduleBuilder, reduce: BlockInstruction) -> None:
-    """Slots over pairs that a called reduction is made of."""
+    """Record the slots over pairs that a called reduction needs."""
     makers = {each.out: each for each in reduce.scope.code if each.does in PAIR_INSTRUCTION_KINDS}
     pending = [slot for slot in reduce.inputs if slot in makers]
     while pending:
@@ -102,8 +108,9 @@ def _earliest_stage(maker: _ScheduleBuilder, slots: tuple[int, ...]) -> int:
 
 
 def _assign_stages(maker: _ScheduleBuilder, scope: RowScope, mask_stage: int) -> None:
-    """Compute the first stage in which each value can be known, and that of each statement. `mask_stage`: the first stage with
-    the scope's mask."""
+    """Compute the first stage in which each value can be known, and the stage of each statement.
+
+    `mask_stage`: the first stage in which the scope's mask is known."""
     maker.first[scope.rows] = mask_stage
     for each in scope.code:
         stage, what = max(mask_stage, _earliest_stage(maker, each.inputs)), each.what
@@ -152,7 +159,7 @@ def _assign_stages(maker: _ScheduleBuilder, scope: RowScope, mask_stage: int) ->
 
 
 def operands_of(reduce: BlockInstruction) -> tuple[int, ...]:
-    """Slots of the agents' own values that a reduction with machine code is made of."""
+    """Return the slots of the agents' own values that a reduction with machine code needs."""
     makers = {each.out: each for each in reduce.scope.code if each.does in PAIR_INSTRUCTION_KINDS}
     operands: dict[int, None] = {}
     pending = list(reduce.inputs)
@@ -246,13 +253,14 @@ def _trace_uses(maker: _ScheduleBuilder) -> StageSchedule:
 
 
 def _propagate_outwards(maker: _ScheduleBuilder, scope: RowScope, use_stages: dict[int, set[int]], stages: set[int]) -> None:
-    """Mark the enclosing scopes of an inner scope as needed in the same stages."""
+    """Mark the scopes that enclose an inner scope as needed in the same stages."""
     use_stages.setdefault(_resolve_alias(maker, scope.rows), set()).update(stages)
 
 
 def _run_order(scope: RowScope) -> Iterator[tuple[BlockInstruction, bool]]:
-    """Yield the instructions in execution order. One with an inner scope appears before that scope with False, and again after it
-    with True."""
+    """Yield the instructions in execution order.
+
+    An instruction with an inner scope appears before that scope with False, and again after it with True."""
     for instruction in scope.code:
         yield instruction, False
         if instruction.inner is not None:

@@ -1,4 +1,4 @@
-"""Senses as machine code: the operations in `runtime.sensing` that only read arrays. The others are called between two stages."""
+"""Senses as machine code: the operations of `runtime.sensing` that only read arrays. Others are called between two stages."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ _CELL_STRIDE = 4  # of cells around one, which come in the order of their number
 
 
 def _register(w: Any, node: ir.PlanNode, args: tuple[Any, ...]) -> Lanes:
-    """A register of the agent's own, at the start of the step or now."""
+    """Return a register of the agent itself, at the start of the step or now."""
     value: Lanes = w.e.read(w.base("start" if node.op == "snap" else "now", node.attrs[0]), w.row, LANE_TYPE_BY_KIND[node.kind])
     return value
 
@@ -47,7 +47,7 @@ def _age_of(w: Any, born: Lanes) -> Lanes:
 
 
 def _random_words(w: Any, site: str, block: int) -> list[Lanes]:
-    """The four random words of a site for each id."""
+    """Return the four random words of a site for each id."""
 
     def make() -> list[Lanes]:
         e, wide = w.e, text_type(I64, LANE_COUNT)
@@ -105,7 +105,7 @@ def _touching(w: Any, node: ir.PlanNode, args: tuple[Any, ...]) -> Lanes:
 
 
 def _rows_of_ids(w: Any, species: str, ids: Lanes) -> Lanes:
-    """Rows of ids; -1 for none and for the dead: by bisection of the sorted ones, all lanes at once."""
+    """Return the rows of ids, -1 for none and for dead agents. The sorted ids are bisected in all lanes at once."""
     e: LaneBuilder = w.e
 
     def make() -> Lanes:
@@ -174,19 +174,20 @@ def _field_value(w: Any, node: ir.PlanNode, args: tuple[Any, ...]) -> Lanes:
 
 
 def _cells_ahead(w: Any, field: str, eights: int) -> Lanes:
-    """Return the cells of the eight agents that come `eights` iterations later; near the end, those of the current ones."""
+    """Return the cells of the eight agents that are processed `eights` iterations later. Near the end, return the current
+    cells."""
     e: LaneBuilder = w.e
     later = w.row + LANE_COUNT * eights
     return e.read(w.base("cell", field), e.where(later < w.end, later, w.row), I32)
 
 
 def _prefetch(e: LaneBuilder, array: Lanes, at: Lanes, size: int) -> None:
-    """Prefetch `size` bytes of an array from an index on; any index is safe."""
+    """Prefetch `size` bytes of an array from an index on. Any index is allowed."""
     e.prefetch(e.address(array, e.convert(at, I64) * size, I8))
 
 
 def prefetch_cells(w: Any, field: str, array: Lanes, size: int, eights: int = 1) -> None:
-    """Prefetch the array elements (`size` bytes) for the cells of agents that come `eights` iterations later."""
+    """Prefetch the array elements (`size` bytes each) for the cells of agents that are processed `eights` iterations later."""
     e: LaneBuilder = w.e
     cells = _cells_ahead(w, field, eights)
     for lane in range(LANE_COUNT):
@@ -194,7 +195,7 @@ def prefetch_cells(w: Any, field: str, array: Lanes, size: int, eights: int = 1)
 
 
 def _prefetch_neighbour_cells(w: Any, field: str, held: Lanes, positions: Lanes, block: Lanes, count: int) -> None:
-    """Prefetch the contents of the cells around the next eight agents, and the cell lists of the eight after them."""
+    """Prefetch amounts and positions of the cells around the next eight agents, and the cell lists of the eight after them."""
     e: LaneBuilder = w.e
     prefetch_cells(w, field, block, 4 * count, 2)
     cells = _cells_ahead(w, field, 1)
@@ -208,8 +209,9 @@ def _prefetch_neighbour_cells(w: Any, field: str, held: Lanes, positions: Lanes,
 
 
 def _first_strongest(e: LaneBuilder, held: Lanes, cells: Lanes, count: int, own: Lanes) -> tuple[Lanes, Lanes]:
-    """Return the greatest of the amounts in `count` cells of a list, and the first cell that has it; 0 and the own cell if none
-    is above 0. NaN counts as 0."""
+    """Return the greatest amount in the `count` cells of a list, and the first cell that has it. NaN counts as 0.
+
+    If no amount is above 0, return 0 and the own cell."""
     none = e.constant(0.0, F64)
     eights = []
     for first in range(0, count, LANE_COUNT):
@@ -259,7 +261,7 @@ def _field_strongest(w: Any, node: ir.PlanNode, args: tuple[Any, ...]) -> Any:
 
 
 def _clip_value(w: Any, node: ir.PlanNode, args: tuple[Any, ...]) -> Lanes:
-    """Read the table of the species' clips; its last place is for unknown clips."""
+    """Return a value from the table of the species' clips. Its last entry is for unknown clips."""
     e: LaneBuilder = w.e
     last = e.constant(len(w.code.species.clips), I32)
     number = e.where((args[0] >= 0) & (args[0] < last), args[0], last)
@@ -288,7 +290,7 @@ NATIVE_LOWERERS: Mapping[str, NodeLowerer] = {
 
 
 def _may_hit(w: Any, node: ir.PlanNode, args: tuple[Any, ...]) -> Lanes:
-    """Who may meet the obstacle with a ray."""
+    """Return which agents may hit the obstacle with a ray."""
     reach = args[3]
     clear = w.e.read(w.base("clear", node.attrs[0]), w.row, F32)
     is_near: Lanes = (reach > 0) & (reach < np.inf) & may_touch(clear, reach)

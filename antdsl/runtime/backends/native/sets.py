@@ -1,5 +1,6 @@
-"""Reductions as machine code: pair values, and items and `every`, visited one by one for eight requesting agents at a time.
-`search` finds neighbours, `sums` has the accumulators."""
+"""Reductions as machine code. Items and `every` are visited one by one for eight requesting agents at a time.
+
+`search` finds neighbours; `sums` has the accumulators."""
 
 from __future__ import annotations
 
@@ -22,8 +23,9 @@ from antdsl.runtime.world import AXES
 
 
 def has_machine_code(node: ir.PlanNode, leaves: frozenset[str]) -> bool:
-    """Return whether a reduction has machine code: everything that depends on the other element is an operation or a leaf with
-    machine code."""
+    """Return whether a reduction has machine code.
+
+    It has if every node that depends on the other element is an operation, or a leaf with machine code."""
     known = {"pair.x", "pair.y", "pair.z", "pair.distance", "other", "other.id", "other.row"} | leaves
     pairs = [each for each in required_nodes(node.args[1:]) if each.rate is ir.UpdateRate.PAIR]
     return node.op in INITIAL_VALUES and all(each.op in FUNCTION_BY_NAME or each.op in known for each in pairs)
@@ -33,7 +35,7 @@ def has_machine_code(node: ir.PlanNode, leaves: frozenset[str]) -> bool:
 
 
 class PairValues:
-    """Values over pairs by node. `own` returns a value of the requesting agent, `leaf` a value of the pair."""
+    """Values of nodes over pairs. `own` returns a value of the requesting agent, `leaf` a value of the pair."""
 
     def __init__(
         self, w: FunctionWriter, own: Callable[[ir.PlanNode], Lanes], leaf: Callable[[ir.PlanNode], Lanes], senses: Any
@@ -62,7 +64,7 @@ class PairValues:
 
 
 def emit_member_loop(b: BlockWriter, first: BlockInstruction) -> None:
-    """For eight asking agents, all members in turn."""
+    """Emit a loop over all members of the set, for eight requesting agents."""
     e, instructions = b.e, [first, *b.joint_reductions(first)]
     nodes = [each.what for each in instructions if isinstance(each.what, ir.PlanNode)]
     sets = reduction_sets(instructions)
@@ -111,7 +113,7 @@ def emit_member_loop(b: BlockWriter, first: BlockInstruction) -> None:
 
 
 def test_pairs(node: ir.PlanNode, pairs: PairValues, near: Lanes) -> tuple[Lanes, Lanes | None]:
-    """Which pairs count in a reduction, and its body."""
+    """Return the mask of pairs that count in a reduction, and the value of its body."""
     condition = node.args[1]
     if condition.op != "const.bool" or not condition.attrs[0]:
         near = near & pairs.value(condition)
@@ -119,12 +121,12 @@ def test_pairs(node: ir.PlanNode, pairs: PairValues, near: Lanes) -> tuple[Lanes
 
 
 def accumulate(each: RunningReduction, node: ir.PlanNode, pairs: PairValues, near: Lanes, label: Callable[[], Lanes]) -> None:
-    """Add the pairs that count to a reduction."""
+    """Emit code that adds the pairs that count to a reduction."""
     each.add_term(*test_pairs(node, pairs, near), label() if node.op in ("reduce.agent", "reduce.item") else None)
 
 
 def reduction_sets(instructions: list[BlockInstruction]) -> dict[ir.PlanNode, tuple[int, ...]]:
-    """The sets of some reductions, with the slots of their operands."""
+    """Return the sets of the given reductions, with the slots of their operands."""
     known = {each.what: each.inputs for each in instructions[0].scope.code if each.does is InstructionKind.PAIRS}
     slots_by_set: dict[ir.PlanNode, tuple[int, ...]] = {}
     for each in instructions:

@@ -1,8 +1,8 @@
-"""What a plan became as machine code, stored for other runs: where its functions find what they read, and keys of their texts.
+"""Stores the results of compiling a plan for other runs: where its functions find their inputs, and keys of their texts.
 
-With it a run loads the code of a plan without writing its text, which takes longer than all the rest. The key is a hash of the
-plan, of all modules of antdsl and of what else the text depends on. Files are those of `object_cache`, signed, since they say
-which address the code reads from which place."""
+With these, a run loads the code of a plan without writing its text, which takes longer than all other parts. The key is a hash
+of the plan, of all modules of antdsl, and of everything else that the text depends on. Files belong to `object_cache` and are
+signed, because they determine which addresses the code reads."""
 
 from __future__ import annotations
 
@@ -29,12 +29,12 @@ StoredBlocks = tuple[Mapping[str, str], Mapping[_BlockKey, BlockCode]]  # keys o
 
 
 class _UnsupportedValue(Exception):
-    """Something that has no form in a file, or that may not be the same in another run."""
+    """A value cannot be stored in a file, or may differ in another run."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class StoredSubject:
-    """A plan and its blocks, as a file refers to them: `nodes` and `instructions` by number."""
+    """A plan and its blocks as a file refers to them. `nodes` and `instructions` map each to its number."""
 
     plan: ir.Plan
     blocks: CompiledBlocks
@@ -45,7 +45,7 @@ class StoredSubject:
 
 
 def subject(plan: ir.Plan, blocks: CompiledBlocks, facts: WorldFacts, target: Target) -> StoredSubject | None:
-    """What finds and reads a file about a plan; None where nothing can be stored of it."""
+    """Return the key and numbering to find and read the file of a plan; None if nothing can be stored for it."""
     written = _PlanWriter()
     instructions = {place: instructions_of(compiler.root) for place, compiler in blocks.items()}
     if not has_modules():
@@ -62,12 +62,12 @@ def subject(plan: ir.Plan, blocks: CompiledBlocks, facts: WorldFacts, target: Ta
 
 
 def text_key(text: str) -> str:
-    """What stands for the text of functions."""
+    """Return the cache key for the text of functions."""
     return "program text " + blake2b(text.encode(), digest_size=32).hexdigest()
 
 
 def read(of: StoredSubject) -> StoredBlocks | None:
-    """What is stored; None where nothing is."""
+    """Return the stored blocks of a plan; None if there are none."""
     data = codes.stored(of.key)
     if data is None:
         return None
@@ -82,7 +82,7 @@ def read(of: StoredSubject) -> StoredBlocks | None:
 
 
 def write(of: StoredSubject, program: NativeProgram) -> None:
-    """Store what a plan became, where all of it has a form."""
+    """Store the results of compiling a plan, if all of them can be stored."""
     with suppress(_UnsupportedValue, KeyError):
         blocks = {" ".join(place): _form(code, of.nodes, of.instructions[place]) for place, code in program.blocks.items()}
         units = {name: text_key(text) for name, text in program.units.items()}
@@ -125,7 +125,7 @@ def _fill(code: BlockCode, form: Mapping[str, Any], nodes: list[ir.PlanNode], in
 
 
 def _key_form(key: Iterable[Any], nodes: Mapping[ir.PlanNode, int]) -> list[Any]:
-    """A key of a layout; a node as a list with its number."""
+    """Return a layout key as a list. A node becomes a list with its number."""
     form: list[Any] = []
     for each in key:
         if isinstance(each, ir.PlanNode):
@@ -142,8 +142,9 @@ def _key_of(form: list[Any], nodes: list[ir.PlanNode]) -> tuple[Any, ...]:
 
 
 class _PlanWriter:
-    """A text that is the same for the same values, without the places of the program that they come from; `numbers` of nodes in
-    the order in which they are met."""
+    """Writes values as text that is equal for equal values. Positions in the source are left out.
+
+    `numbers`: the number of each node, in the order of first use."""
 
     def __init__(self) -> None:
         self.parts: list[str] = []
@@ -175,7 +176,7 @@ class _PlanWriter:
             raise _UnsupportedValue
 
     def _node(self, node: ir.PlanNode) -> None:
-        """A node once all that it is made of is written; one that is written already by its number."""
+        """Write a node after its operands. A node that was written before is written as its number."""
         pending = [node]
         while pending:
             last = pending[-1]
@@ -192,6 +193,6 @@ class _PlanWriter:
 
 
 def _line(each: BlockInstruction) -> tuple[str, int, int]:
-    """The line and the layer that an instruction is timed for."""
+    """Return the line and the layer for which an instruction is timed."""
     span = each.span
     return ("", 0, each.layer) if span is None else (span.source.path, span.source.line_column(span.start)[0], each.layer)

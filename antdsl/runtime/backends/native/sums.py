@@ -20,7 +20,7 @@ NO_LABEL = (1 << 63) - 1
 
 @dataclass(slots=True, eq=False)
 class RunningReduction:
-    """Running values of one reduction, on the stack: of eight agents, or of one agent in eight parts."""
+    """Running values of one reduction, on the stack: for eight agents, or for one agent in eight parts."""
 
     e: LaneBuilder
     node: ir.PlanNode
@@ -34,7 +34,7 @@ class RunningReduction:
                 self._write_part(k, self.e.constant(row[1], row[0]))
 
     def add_term(self, mask: Lanes, body: Lanes | None, label: Lanes | None) -> None:
-        """Take in a term of each lane for which a condition holds."""
+        """Emit code that adds a term of each lane in the mask."""
         e = self.e
         match self.node.op:
             case "reduce.sum":
@@ -87,7 +87,7 @@ class RunningReduction:
         return rounded
 
     def result(self) -> Lanes:
-        """The reduction of each lane."""
+        """Return the result of the reduction for each lane."""
         e = self.e
         match self.node.op:
             case "reduce.sum":

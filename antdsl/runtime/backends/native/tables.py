@@ -1,9 +1,9 @@
-"""Fills a block's tables of addresses and numbers: where each array of the world that its machine code names is in memory.
+"""Fills a block's tables of addresses and numbers: the memory address of each array of the world that its machine code uses.
 
-Machine code reads eight rows at once, so every array has padding of eight rows after the last one (`rooms`). Tables are reused
-from step to step, and only entries that may have changed are written again. These are addresses of named arrays after one is
-replaced, copies in each step, and numbers that differ. Births, reordered rows and reloads need no notice: each of them creates
-new arrays."""
+Machine code reads eight rows at once, so every array is padded by eight rows (`rooms`). Tables are reused from step to step,
+and only entries that may have changed are written again. These are addresses of named arrays that were replaced, copies made
+in each step, and changed numbers. Births, reordered rows and reloads create new arrays, so they are noticed in the same
+manner."""
 
 from __future__ import annotations
 
@@ -36,8 +36,10 @@ TableWords = NDArray[np.int64]
 
 
 class HeldArrays:
-    """Arrays of one object of the world, which `of` finds. `get` returns them, or another object that changes when they do. If
-    its result differs from `seen`, `put` writes the addresses of all; it may replace arrays by padded ones."""
+    """Arrays of one object of the world.
+
+    `of`: finds the object. `get`: returns its arrays, or an object that changes when they change.
+    `put`: writes the addresses of all arrays if the result of `get` differs from `seen`. It may replace arrays by padded ones."""
 
     __slots__ = ("get", "of", "put", "seen")
 
@@ -52,7 +54,8 @@ class HeldArrays:
 
 
 class AddressTables:
-    """The inputs of one block of one species: addresses and numbers that all threads read, and `lanes` for its parts."""
+    """The inputs of one block of one species: addresses and numbers that all threads read, and `lanes` for the parts of the
+    block."""
 
     def __init__(self, code: BlockCode, rooms: PaddedArrays) -> None:
         self.code, self._rooms = code, rooms
@@ -104,8 +107,10 @@ class AddressTables:
         stored_senses: Any,
         grids: Any,
     ) -> None:
-        """Fill everything except what belongs to a single lane. `values`: those of the step, including those of the run, which
-        stay valid while `lasting` is the same object. `grids`: a cell grid for each search."""
+        """Fill all entries except those of a single lane.
+
+        `values`: the values of the step, including those of the run, which stay valid while `lasting` is the same object.
+            `grids`: a cell grid for each search."""
         self._update_numbers(world, values, lasting)
         words, changed = self.pointers, False
         for held in self._held:
@@ -132,16 +137,17 @@ class AddressTables:
         self.version += changed
 
     def largest_species(self, world: World) -> int:
-        """Return the number of agents of the largest species, if the block searches others; else 0."""
+        """Return the number of agents of the largest species if the block searches for other agents, else 0."""
         return max([len(other) for other in world.populations.values()]) if self.code.near else 0
 
     def prepare_lanes(self, parts: int, rows: int, others: int) -> list[LaneMemory]:
-        """Return lanes for `parts` parts of `rows` rows each and `others` agents of a species, ready to run with the filled
-        tables."""
+        """Return lanes for `parts` parts of `rows` rows each, ready to run with the filled tables.
+
+        `others`: the number of agents of the largest searched species."""
         return self.lanes.prepare(parts, rows, others, self.pointers)
 
     def _update_numbers(self, world: World, values: Mapping[ir.PlanNode, Any], lasting: Any) -> None:
-        """Write the numbers of the step. Lasting and unchanged ones are not written again."""
+        """Write the numbers of the step. Unchanged numbers, and those of the run, are not written again."""
         if lasting is not self._filled:
             self._filled = lasting
             for node, place in self._lasting:
@@ -172,7 +178,7 @@ class AddressTables:
     # --- arrays that the world has by name: keys of one holder, and what looks at it ------------------------------------------
 
     def _holder_key(self, key: AddressKey) -> AddressKey | None:
-        """Return the key of the object that holds an array by name, or None."""
+        """Return the key of the object that contains a named array, or None."""
         match key[0]:
             case "start" | "now" | "cell":
                 return (key[0],)
@@ -185,7 +191,7 @@ class AddressTables:
         return None
 
     def _held_arrays(self, holder: AddressKey, keys: list[tuple[AddressKey, int]]) -> HeldArrays:
-        """What looks at all arrays of one holder."""
+        """Return the watcher of all arrays that one object contains."""
         of, names = str(holder[-1]), [(str(key[-1]), place) for key, place in keys]
         match holder[0]:
             case "start" | "now" as when:
@@ -204,7 +210,7 @@ class AddressTables:
         return self._held_mapping(lambda world, population: population.cells, names)
 
     def _held_registers(self, names: NamedIndices, *, start: bool) -> HeldArrays:
-        """Registers at the start of the step, or now."""
+        """Return the watcher of registers, at the start of the step or now."""
 
         def put(world: World, population: Population, holder: Any, words: TableWords) -> None:
             for name, place in names:
@@ -214,7 +220,7 @@ class AddressTables:
         return HeldArrays(find, _make_getter(names), put)
 
     def _held_mapping(self, of: HolderFinder, names: NamedIndices) -> HeldArrays:
-        """What a mapping holds."""
+        """Return the watcher of the arrays in a mapping."""
 
         def put(world: World, population: Population, holder: Any, words: TableWords) -> None:
             for name, place in names:
@@ -229,8 +235,9 @@ class AddressTables:
         return lambda world, population: copy.of(population.footing.mesh, np.int64)
 
     def _find_event(self, key: AddressKey) -> AddressFinder:
-        """Return a function that finds the flags of agents that an event has reached, a new array in each step. A species that
-        does not handle the event has none set."""
+        """Return a function that finds the flags of agents that an event has reached, as a new array in each step.
+
+        For a species that does not handle the event, no flag is set."""
         name = str(key[1])
         if name not in self.code.species.handles:
             copy = self._copy(key)
@@ -261,7 +268,7 @@ class AddressTables:
         return lambda world, population: copy.lasting_address(world.setting, lambda: clip_table(world, population, what))
 
     def _find_reached(self, key: AddressKey) -> AddressFinder:
-        """Return a function that finds the cells near which a field is at least a number."""
+        """Return a function that finds the cells near which a field reaches a threshold."""
         _, name, count, bound = key
         numbers, place = self._views[np.dtype(np.float32)], 2 * self.code.layout.number("node", bound)
         reached: CellsAboveThreshold | None = None
@@ -276,18 +283,18 @@ class AddressTables:
         return find
 
     def _copy(self, key: AddressKey) -> PaddedCopy:
-        """What stands for a key of this species."""
+        """Return the padded copy for a key of this species."""
         return self._rooms.copy(self.code.species.name, *key)
 
 
 def _make_getter(names: NamedIndices) -> Callable[[Any], Iterable[NDArray[Any]]]:
-    """What gives the arrays of these names."""
+    """Return a function that gets the arrays with these names."""
     get_arrays = itemgetter(*(name for name, _ in names))
     return get_arrays if len(names) > 1 else lambda holder: (get_arrays(holder),)
 
 
 def _held_field(of: str, names: list[tuple[AddressKey, int]]) -> HeldArrays:
-    """Return the entries of a field, of which the arrays change with its version. They are indexed by cell, so they need no
+    """Return the watcher of a field's arrays, which change with the field's version. They are indexed by cell and need no
     padding."""
 
     def get(field: PheromoneField) -> tuple[Any, ...]:
@@ -304,7 +311,7 @@ def _held_field(of: str, names: list[tuple[AddressKey, int]]) -> HeldArrays:
 
 
 def _power_of_2_below(count: int) -> int:
-    """The greatest power of 2 below a count, 0 for 0 and 1."""
+    """Return the greatest power of 2 below a count; 0 for counts 0 and 1."""
     return 1 << ((count - 1).bit_length() - 1) if count > 1 else 0
 
 

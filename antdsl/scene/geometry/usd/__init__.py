@@ -1,9 +1,10 @@
 """USD sets of other departments: meshes, curves, points and cameras by prim path, in mm and the scene's axes.
 
-The reader process (`antdsl.reader`) reads USD files: `closure` collects the files, `stage` requests, `answers` checks the
-results. The folder `child` runs there, with usd-core of the extra `[usd]`. No other code reads a USD file.
+Only the reader process (`antdsl.reader`) reads USD files.
+`closure`: collects the files; `stage`: sends requests; `answers`: checks the results.
+`child`: runs in the reader process, with usd-core of the extra `[usd]`.
 
-Public names are loaded on first use: the reader process needs only `child`, a scene without USD none of them."""
+Public names are loaded on first use. The reader process needs only `child`, and a scene without USD needs none of them."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Results of the reader for USD files as arrays of this process. Each count, shape, type and index is checked before use."""
+"""Results of the reader for USD files, as arrays of this process. Every count, shape, type and index is checked before use."""
 
 from __future__ import annotations
 
@@ -25,8 +25,12 @@ _MAX_NAME_CHARACTERS = 256  # characters of a name in the file
 
 @dataclass(frozen=True, slots=True, eq=False)
 class UsdMesh:
-    """`raw`: as of a mesh file, but in mm and the scene's axes. `moves`: None if the mesh is static. `values`, by the name of a
-    primvar: float64 (n,) numbers, or (n, 3) vectors rotated with their mesh. `passed_over`: types of shapes that are not read."""
+    """A mesh of a USD file.
+
+    `raw`: the mesh as from a mesh file, but in mm and the scene's axes.
+    `moves`: its motion; None if it is static.
+    `values`: by the name of a primvar, numbers float64 (n,), or vectors (n, 3) rotated with their mesh.
+    `passed_over`: types of shapes that are not read."""
 
     raw: RawMesh
     moves: MeshMoves | None
@@ -36,7 +40,9 @@ class UsdMesh:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class UsdCamera:
-    """Positions in mm, one row per frame, or a single row for a static camera. `focal`: in mm for a sensor 36 mm wide."""
+    """A camera. Positions are in mm, one row per frame, or a single row for a static camera.
+
+    `focal`: in mm for a sensor 36 mm wide."""
 
     at: Floats
     look_at: Floats
@@ -45,8 +51,9 @@ class UsdCamera:
 
 
 def read_usd_mesh(stage: UsdStage, primvars: Iterable[str] = ()) -> UsdMesh:
-    """Return all meshes at and below the stage's prim, joined. Raises UsdError if there are none, MeshError if they are not
-    usable."""
+    """Return all meshes at and below the stage's prim, joined. `primvars`: the names of primvars to read.
+
+    Raises UsdError if there are no meshes, MeshError if they are not usable."""
     names = tuple(primvars)
     answer = stage.ask("usd-mesh", {"primvars": names})
     try:
@@ -93,8 +100,10 @@ def with_usd_errors(read: Callable[[UsdStage], T]) -> Callable[[UsdStage], T]:
 
 
 def read_usd_points(stage: UsdStage, kind: str | None = None) -> UsdPoints:
-    """Return the points of all Points prims at or below the prim; if there are none, one for each child that has a position. With
-    a `kind`, return all prims below it instead, at any depth, with `userProperties:kind` equal to that word."""
+    """Return the points of all Points prims at or below the stage's prim. Without such prims, return one for each child with a
+    position.
+
+    `kind`: return instead all prims below it, at any depth, with this `userProperties:kind`."""
     answer = stage.ask("usd-points", {"of_kind": kind})
     try:
         positions = answer.array("places", "f8", None, None, 3)
@@ -130,7 +139,7 @@ def read_usd_curve(stage: UsdStage) -> Floats:
 
 @with_usd_errors
 def read_usd_camera(stage: UsdStage) -> UsdCamera:
-    """The camera that the prim is, or the only one below it."""
+    """Return the camera at the stage's prim, or the only camera below it."""
     answer = stage.ask("usd-camera")
     at = answer.array("at", "f8", None, 3)
     if len(at) not in (1, len(stage.frames)):

@@ -1,11 +1,13 @@
-"""All files that a USD file is made of, collected layer by layer into a private folder, the only one that the reader may open.
+"""All files that make up a USD file, copied layer by layer into a private folder. The reader process may open only this folder.
 
-Each file is read here, by `Roots`, so the same rules hold as for any file that a scene names: below the scene's folder or a
-granted root, no link, no address, no larger than a mesh may be. The reader opens the copy and lists what it names. The copies
-have the same relative paths as the files, by which USD finds them. No message says whether a file outside exists.
+`Roots` reads each file, so the same rules hold as for any file that a scene names. Files must be below the scene's folder or a
+granted root. Links and addresses are not followed, and a file may be no larger than a mesh. The reader opens each copy and lists
+the
+files that it names. Copies have the same relative paths as the files, by which USD finds them. No message reveals whether a file
+outside the roots exists.
 
-A .usdz package is unpacked here, never by USD, and written again as USD expects it: stored members with plain names, each
-once, and layers only. Two readers of one zip file could otherwise see different members in it."""
+A .usdz package is unpacked here, never by USD. It is written again as USD expects it: layers only, stored, with plain and unique
+names. Otherwise two readers of one zip file could see different members."""
 
 from __future__ import annotations
 
@@ -45,10 +47,12 @@ LayerLocation = tuple[str, str]  # the full path of a file, and the layer inside
 
 
 class Closure:
-    """The files of the USD file `text`. `path`: its copy in the private `folder`; `hashes`: of all files, by their names in a
-    scene; `size`: their total bytes.
+    """The files that make up the USD file `text`. Raises UsdError if one cannot be read.
 
-    Raises UsdError if one cannot be read. The copies are removed with this object."""
+    `path`: its copy in the private `folder`.
+    `hashes`: the hashes of all files, by their names in a scene.
+    `size`: the total bytes of all files.
+    The copies are removed with this object."""
 
     def __init__(self, roots: Roots, text: str) -> None:
         self.text, self.size = text, 0
@@ -68,11 +72,11 @@ class Closure:
 
     @property
     def digest(self) -> str:
-        """A hash of all files with their names."""
+        """Return a hash of all files with their names."""
         return blake2b(repr(sorted(self.hashes.items())).encode(), digest_size=16).hexdigest()
 
     def _collect(self, text: str) -> str:
-        """Copy the file and all files it consists of; return the path of its copy."""
+        """Copy the file and all files that it consists of. Return the path of its copy."""
         waiting = [self._copy_file(text, None)]
         known_places = set(waiting)
         while waiting:
@@ -86,7 +90,7 @@ class Closure:
         return self._copy_path(self._top)
 
     def _copy_path(self, path: str) -> str:
-        """Where the copy of a file is, or would be."""
+        """Return the path of a file's copy, whether it exists or not."""
         try:
             below = os.path.relpath(path, os.path.commonpath([*self._folders.values()]))
         except ValueError:  # folders of several drives
@@ -95,7 +99,8 @@ class Closure:
         return os.path.join(self.folder, below)
 
     def _full_path(self, text: str, by: LayerLocation | None) -> str:
-        """Return the full path of a file by its name in a scene, checked as text only."""
+        """Return the full path of a file from its name in a scene. Only the text is checked. `by`: the layer that names the
+        file."""
         if not text.lower().endswith(USD_SUFFIXES):
             raise UsdError(
                 "bad-usd", f"`{_shorten(text)}`{_naming_phrase(by)} is not one of {', '.join(USD_SUFFIXES)}", None, "usd"
@@ -106,7 +111,7 @@ class Closure:
             raise _refusal_error(refused, by) from None
 
     def _copy_file(self, text: str, by: LayerLocation | None) -> LayerLocation:
-        """Copy a file by its name in a scene."""
+        """Copy a file and return the copy's location. `text`: its name in a scene; `by`: the layer that names the file."""
         path = self._full_path(text, by)
         if path not in self._files:
             try:
@@ -161,7 +166,7 @@ class Closure:
             raise UsdError("bad-usd", f"`{name}` cannot be read: {why}", "export it again", "usd") from None
 
     def _find_package_layer(self, place: LayerLocation, asset: str) -> LayerLocation:
-        """Return a layer of a package that another layer of it names."""
+        """Return the layer of a package that another layer of the package names."""
         path, inside = place
         target = posixpath.normpath(posixpath.join(posixpath.dirname(inside), asset))
         parts = self._packages[path]
@@ -173,7 +178,9 @@ class Closure:
         return path, target
 
     def _find_file(self, place: LayerLocation, asset: str) -> LayerLocation:
-        """Copy a file that a layer names. Raises UsdError for an address, or for a text that is evaluated on opening."""
+        """Copy a file that a layer names, and return its location.
+
+        Raises UsdError for an address, or for a text that USD would evaluate on opening."""
         named = f"`{_shorten(asset)}`{_naming_phrase(place)}"
         if "`" in asset or ":SDF_FORMAT_ARGS:" in asset:
             raise UsdError("bad-path", f"{named} is an expression, not a file", "write the path in full", "usd")
@@ -190,7 +197,7 @@ class Closure:
         return file_place[0], inner.removesuffix("]")
 
     def _find_name(self, path: str, asset: str, named: str) -> str:
-        """Return the name of the file that USD would find: next to the layer, else next to the first one."""
+        """Return the name of the file that USD would find for an asset path: next to the layer, else next to the top layer."""
         folders = [os.path.dirname(path)] + ([] if asset.startswith(".") else [os.path.dirname(self._top)])
         names = [self._scene_name(os.path.normpath(os.path.join(folder, asset))) for folder in folders]
         inside = [name for name in names if name is not None]
@@ -199,7 +206,8 @@ class Closure:
         return next((name for name in inside if self._is_there(name)), inside[0])
 
     def _is_there(self, name: str) -> bool:
-        """Return whether anything exists there below a root. Reading it reports why it is not used."""
+        """Return whether something with this name exists below a root. Something unreadable also counts; reading it reports the
+        reason."""
         try:
             return self._roots.file_size(name) >= 0
         except PathRefused as refused:
@@ -211,7 +219,7 @@ class Closure:
         raise UsdError("bad-path", message, help, "usd")
 
     def _scene_name(self, path: str) -> str | None:
-        """Return a file's name in a scene, None outside all roots. The disk is not accessed."""
+        """Return a file's name in a scene; None outside all roots. The disk is not accessed."""
         for name, folder in self._folders.items():
             if path.startswith(folder.rstrip(os.sep) + os.sep):
                 below = Path(path).relative_to(folder).as_posix()
@@ -227,7 +235,7 @@ def _refusal_error(why: PathRefused, by: LayerLocation | None) -> UsdError:
 
 
 def _naming_phrase(place: LayerLocation | None) -> str:
-    """Return which layer names a file, as words between the file's name and the problem."""
+    """Return words that say which layer names a file. They fit between the file's name and the problem."""
     return f", named by {_layer_name(place)}," if place else ""
 
 
@@ -241,12 +249,14 @@ def _shorten(text: str) -> str:
 
 
 class PackageError(Exception):
-    """Why a package is not read, in words that fit after its name."""
+    """Reason why a package is not read. The message fits after the package's name."""
 
 
 def read_layers(data: bytes) -> dict[str, bytes]:
-    """Return the layers of a package by name; the first represents the package. Raises PackageError if the file is not a package,
-    or has a forbidden member. Other members, such as textures, are left out."""
+    """Return the layers of a package, by name. The first layer represents the package. Other members, such as textures, are left
+    out.
+
+    Raises PackageError if the file is not a package, or if it has a forbidden member."""
     _check_end(data)
     try:
         with zipfile.ZipFile(io.BytesIO(data)) as archive:
@@ -299,7 +309,7 @@ def _check_member(entry: zipfile.ZipInfo, known_names: set[str]) -> None:
 
 
 def make_package(layers: dict[str, bytes]) -> bytes:
-    """A package of these layers."""
+    """Return the bytes of a package with these layers."""
     file = io.BytesIO()
     with zipfile.ZipFile(file, "w", zipfile.ZIP_STORED) as archive:
         for name, data in layers.items():

@@ -1,5 +1,6 @@
-"""Why a part of a USD file cannot be used, and the only place that imports usd-core: in the reader process for reading, in any
-process for writing."""
+"""Errors of USD files, and the only place that imports usd-core.
+
+usd-core is imported in the reader process for reading, and in any process for writing."""
 
 from __future__ import annotations
 
@@ -17,21 +18,22 @@ _MEMORY_ADDRESS_PATTERN = re.compile(r"(?:\banon:0x[0-9a-fA-F]+:?)|(?: ?<0x[0-9a
 
 
 class UsdError(ReadRefusal):
-    """A refusal that is about a key of the scene: `prim`, `usd` or `kind`."""
+    """An error about a key of the scene: `prim`, `usd` or `kind`."""
 
     def __init__(self, code: str, message: str, help: str | None = None, key: str = "prim") -> None:
         super().__init__(code, message, help, key)
 
 
 def error_text(problem: Exception, folder: str) -> str:
-    """Return the message of a USD exception without the location in USD's sources. `folder`: as for `plain_text`."""
+    """Return the message of a USD exception, without the location in USD's source code. `folder`: as for `plain_text`."""
     messages = re.findall(r"in file \S+ : '(.*?)'\s*(?:\n|$)", str(problem), re.DOTALL)
     return plain_text(messages[-1] if messages else type(problem).__name__, folder)
 
 
 def plain_text(text: str, folder: str) -> str:
-    """Return USD's words as one line of a message, the same in each run: with the names of files instead of their copies in
-    `folder`, and without memory addresses."""
+    """Return a text of USD as one line of a message that is the same in each run.
+
+    Paths of copies in `folder` become names of files. Memory addresses are removed."""
     line = " ".join(text.replace(folder.rstrip(os.sep) + os.sep, "").split())
     line = _SESSION_LAYER_PATTERN.sub("", line)
     line = _MEMORY_ADDRESS_PATTERN.sub("", line)

@@ -1,4 +1,4 @@
-"""Points and empties of a USD stage: as the reader process collects them, and as this process has them after the checks."""
+"""Points and empties of a USD stage. The reader process collects them, and this process checks them."""
 
 from __future__ import annotations
 
@@ -13,11 +13,14 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class UsdPoints:
-    """`positions` (frames, n, 3) in mm, one frame if all are static. `radius` (n,) in mm, nan if the file has none.
+    """Points or empties.
 
-    `values`: primvars and user properties with one number per point, by name, in the file's units, nan if a point has none.
-    `texts`: user properties that are words, "" if there is none. `ahead` (n, 3): the direction of each one's own +x at the first
-    frame, nan for points, which have no direction. `unit`: the file's unit of length in mm."""
+    `positions` (frames, n, 3): in mm; one frame if all are static.
+    `radius` (n,): in mm; nan if the file has none.
+    `values`: by name, primvars and user properties with one number per point, in the file's units; nan where a point has none.
+    `texts`: by name, user properties that are words; "" where a point has none.
+    `ahead` (n, 3): the direction of the empty's +x at the first frame; nan for points, which have no direction.
+    `unit`: the file's unit of length in mm."""
 
     names: tuple[str, ...]
     positions: Floats

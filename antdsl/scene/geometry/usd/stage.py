@@ -1,4 +1,4 @@
-"""A USD file as requested from the reader: for one prim, at frames, in the scene's axes."""
+"""Requests to the reader process about a USD file: for one prim, at frames, in the scene's axes."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _FRAMES_PER_EXTRA_SECOND = 8  # that a request may take in addition
 
 @dataclass(frozen=True, slots=True, eq=False)
 class UsdStage:
-    """What is at and below a prim of a file. `frames`: at the first, everything is at rest."""
+    """The contents of a USD file at and below one prim. `frames`: the requested frames; at the first, everything is at rest."""
 
     closure: Closure
     prim: str
@@ -34,12 +34,13 @@ class UsdStage:
 
     @property
     def hashes(self) -> dict[str, str]:
-        """Hashes of all files by name."""
+        """Return the hashes of all files, by name."""
         return self.closure.hashes
 
     def ask(self, kind: str, document: Mapping[str, Any] | None = None) -> ReaderMessage:
-        """Return the reader's answer about this stage, which is not trusted. Raises UsdError, MeshError for an invalid mesh, or a
-        Refusal that is `key_fields` something known to the caller."""
+        """Return the reader's answer about this stage. The answer is not checked.
+
+        Raises UsdError, or MeshError for an invalid mesh. A ReadRefusal about anything else passes to the caller."""
         said = {
             "path": self.closure.path,
             "folder": self.closure.folder,
@@ -74,11 +75,11 @@ class UsdStage:
             raise UsdError(why.code, str(why), why.help, why.key) from None
 
     def make_error(self, words: str, help: str | None = None) -> UsdError:
-        """An error about the prim, in words that fit after its name."""
+        """Return an error about the prim. `words`: a text that fits after the prim's name."""
         return UsdError("bad-usd", f"`{self.prim}` of `{self.closure.text}` {words}", help)
 
     def make_answer_error(self, why: ProtocolError) -> UsdError:
-        """An error for an answer that is not what was requested."""
+        """Return an error for an answer that does not match the request."""
         return self.make_error(f"cannot be read: the reader sent an invalid answer ({why})", "export it again")
 
 
@@ -93,12 +94,13 @@ def open_stage(
     purpose: str = "render",
     closures: dict[str, Closure | UsdError] | None = None,
 ) -> UsdStage:
-    """Open a file for what is at and below a prim path. `closures` stores collected files by name, or why they cannot be
-    collected.
+    """Open a file for the contents at and below a prim path.
 
-    Frame f is USD's time code f · timeCodesPerSecond / fps: equal if the rates are equal. Raises UsdError if the file or a file
-    it consists of may not be opened, or if there is no such prim. Also raises it if the system has no sandbox and the user does
-    not trust USD files."""
+    `closures`: stores collected files by name, or the error why they cannot be collected.
+
+    Frame f is USD's time code f · timeCodesPerSecond / fps. They are equal if the rates are equal. Raises UsdError if a file may
+    not be
+    opened, or if there is no such prim. Also raises it if the system has no sandbox and the user does not trust USD files."""
     _check_sandbox(text)
     stored = {} if closures is None else closures
     if text not in stored:
@@ -115,8 +117,9 @@ def open_stage(
 
 
 def _check_sandbox(text: str) -> None:
-    """Raise UsdError without usd-core. Also raise it if nothing confines the process that would read USD, unless the user has
-    said that USD files are trusted."""
+    """Raise UsdError if usd-core is not installed.
+
+    Also raise it if the system cannot confine the process that reads USD, unless the user trusts USD files."""
     if find_spec("pxr") is None:
         raise missing_extra_error()
     try:

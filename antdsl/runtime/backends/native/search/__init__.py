@@ -1,8 +1,9 @@
 """Reductions over neighbours as machine code: one search of the cell grid for all reductions over one species.
 
-For eight agents at a time, the cells in reach are computed in SIMD lanes. Candidates in them are measured, eight at a time. Those
-near enough and in view are listed, one list per agent. Then the lists are traversed in SIMD lanes: one pair of each of the eight
-agents is tested, weighted and added to its sums. `crowds` handles agents with very many candidates.
+Eight agents are processed at a time. The cells within their radii are computed in SIMD lanes. The distances of agents in these
+cells (candidates) are measured, eight at a time. Candidates that are near enough and in view are listed, one list per agent.
+Then all lists are traversed in SIMD lanes: one pair of each of the eight agents is tested, weighted and added to its sums.
+`crowds` handles agents with very many candidates.
 
 Reductions of several regions share one search if its inputs are known. The first region runs the search for its agents, later
 regions only for agents without results yet. Results that no region reads are computed but have no effect."""
@@ -44,8 +45,10 @@ _MIN_SQUARED_DISTANCE, _COSINE_SLACK = np.float32(1e-30), np.float32(1e-5)
 
 @dataclass(slots=True, eq=False)
 class ReductionGroup:
-    """Reductions computed in one search. `own` is the address of the operand area, `out` that of the results, `answered_mask`
-    that of the mask of agents that already have them."""
+    """Reductions that one search computes.
+
+    `own`, `out`: addresses of the areas for operands and results.
+    `answered_mask`: address of the mask of agents that already have results."""
 
     number: int
     instructions: list[BlockInstruction]
@@ -56,7 +59,7 @@ class ReductionGroup:
 
 
 def emit_neighbour_reduction(b: BlockWriter, instruction: BlockInstruction) -> None:
-    """Emit a reduction over neighbours, with all others that the same search can compute."""
+    """Emit a reduction over neighbours, and all others that the same search can compute."""
     e, group = b.e, _make_group(b, instruction)
     shared = any(each.scope is not instruction.scope for each in group.instructions)
     mask = b.mask[-1]
@@ -79,7 +82,7 @@ def emit_neighbour_reduction(b: BlockWriter, instruction: BlockInstruction) -> N
 
 
 def _area_value(e: LaneBuilder, area: Number, k: int, kind: str) -> Lanes:
-    """An operand or a result of a search."""
+    """Return an operand or a result of a search from its area."""
     return e.convert(e.load(e.field(area, OPERAND_STRIDE_BYTES * k), I8 if kind == BOOL else kind, LANE_COUNT), kind)
 
 
@@ -106,7 +109,7 @@ def _make_group(b: BlockWriter, first: BlockInstruction) -> ReductionGroup:
 
 
 def _call_search(b: BlockWriter, group: ReductionGroup, asking: Lanes) -> None:
-    """Store the operands and call the search for some of eight agents. Its functions are written at the first call."""
+    """Store the operands, and call the search for the agents `asking` of eight. Its functions are written at the first call."""
     e, near = b.e, group.near
     fresh = not near.kinds
     by_scope: dict[int, list[BlockInstruction]] = {}
@@ -152,7 +155,7 @@ def _call_search(b: BlockWriter, group: ReductionGroup, asking: Lanes) -> None:
 
 
 def _write_functions(b: BlockWriter, near: SearchCode) -> None:
-    """The function of a search for eight agents, and that for one with very many neighbours."""
+    """Write two functions of a search: for eight agents, and for one agent with very many neighbours."""
     w = FunctionWriter(b.module, b.layout)
     e = w.e
     row, bits, own, out = (
@@ -208,14 +211,16 @@ def _write_functions(b: BlockWriter, near: SearchCode) -> None:
 
 
 def _read_lists(e: LaneBuilder, buffer: Lanes, k: Lanes) -> Lanes:
-    """Return the element at one index of each of the eight agents' lists."""
+    """Return the element at index `k` of each of the eight agents' lists."""
     first = e.address(buffer, k, I32)
     return e.combine_lanes(e.load(e.field(first, 4 * _LIST_STRIDE * lane), I32) for lane in range(LANE_COUNT))
 
 
 class _SetTest:
-    """Tests whether candidates may be in some set. It compares squares with some slack, so that no root is taken for others too
-    far away or out of view. It stores the limits of eight requesting agents, to be read one agent at a time."""
+    """Tests whether candidates may be in any set of a search.
+
+    It compares squared distances with some slack. So no square root is needed for candidates that are too far away or out of
+    view. It stores the limits of eight requesting agents, to be read one agent at a time."""
 
     def __init__(
         self,
@@ -247,7 +252,7 @@ class _SetTest:
         return place
 
     def of(self, lane: Lanes) -> Callable[[list[Lanes]], Lanes]:
-        """Return the test for one agent. Its input are the positions of eight candidates."""
+        """Return the test for one agent. The input of the test is the positions of eight candidates."""
         e = self.e
 
         def one(place: Number) -> Lanes:
@@ -277,8 +282,10 @@ class _SetTest:
 def _list_candidates(
     w: FunctionWriter, near: SearchCode, search: CellRows, asks: Lanes, set_test: _SetTest, itself: Lanes | None
 ) -> tuple[Lanes, Lanes, Lanes]:
-    """List the possible members of a set for each of eight agents. Returns the list positions, the list lengths, and the agents
-    with too many candidates, which have their lists skipped."""
+    """List the possible members of a set for each of eight agents.
+
+    Returns the list addresses, the list lengths, and the mask of agents with too many candidates, which have their lists
+    skipped."""
     e = w.e
     buffer = w.base("candidates")
     candidate_count, match_count, number, own_place = (e.slot(I32, LANE_COUNT) for _ in range(4))
@@ -292,7 +299,7 @@ def _list_candidates(
     fours = [w.base("grid", near.number, each) for each in ("places", *near.beside)]
 
     def write_lane(lane: Lanes, rows: Lanes) -> None:
-        """Those of one agent, in some rows of cells."""
+        """Write the candidates of one agent in the given rows of cells."""
         test = set_test.of(lane)
         mine = None if itself is None else e.widened(e.read_one(own_place, lane, I32))
         own = e.address(buffer, lane * _LIST_STRIDE, I32)

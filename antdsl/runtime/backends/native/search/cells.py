@@ -1,4 +1,4 @@
-"""The rows of cells in reach of eight places, as machine code, and the list of those found in them."""
+"""Machine code that finds the rows of cells within the radii of eight positions, and lists the agents in them."""
 
 from __future__ import annotations
 
@@ -34,7 +34,8 @@ class SearchCells:
         self.count = read(integers, 6, I64)
 
     def span(self, axis: int, q: Lanes, half: Lanes) -> tuple[Lanes, Lanes]:
-        """First and last cell along an axis that [q - half, q + half] meets, i32; the last is below the first where none."""
+        """Return the first and last cell along an axis that intersect [q - half, q + half], i32. If none does, the last is
+        below the first."""
         e = self.w.e
         most = self.most[axis]
         first = e.clamp((q - half - self.low[axis]) * self.inverse[axis], e.constant(0.0, F64), most)
@@ -42,8 +43,9 @@ class SearchCells:
         return e.to_int32(np.floor(first)), e.to_int32(np.floor(last))
 
     def row_range(self, z: Lanes, y: Lanes, first: Lanes, last: Lanes, within: Lanes) -> tuple[Lanes, Lanes]:
-        """Return where a row of cells starts in the grid's order, from one cell to another, and its number of agents, i32. Both
-        are 0 if a condition does not hold."""
+        """Return where a row of cells, from one cell to another, starts in the grid's order, and its number of agents, i32.
+
+        Both are 0 if `within` is false."""
         w, e = self.w, self.w.e
         starts, keys = w.base("grid", self.number, "starts"), w.base("grid", self.number, "keys")
         begin, end = e.slot(I32, LANE_COUNT), e.slot(I32, LANE_COUNT)
@@ -64,7 +66,7 @@ class SearchCells:
         return start, e.where(within, e.load(end, I32, LANE_COUNT) - start, none)
 
     def _bisection(self) -> str:
-        """A function that finds how many of the sorted keys are below each of eight, i64."""
+        """Return the name of a function that counts how many sorted keys are below each of eight keys, i64."""
         name = "grid.before"
         if name in self.w.module.functions:
             return name
@@ -89,7 +91,7 @@ class SearchCells:
 
 
 class CellRows:
-    """Rows of cells in reach of eight places, within the widest of some radii of each."""
+    """The rows of cells around eight positions, within the widest of each agent's radii."""
 
     def __init__(self, w: FunctionWriter, number: int, place: list[Lanes], radii: list[Lanes], asks: Lanes) -> None:
         e = self.e = w.e
@@ -117,14 +119,14 @@ class CellRows:
         self.c0, self.c1 = (e.where(sheet, e.constant(0, I32), c) for c in (c0, c1))
 
     def note_radius(self) -> None:
-        """Store the greatest requested radius: the next step's cells suit it."""
+        """Store the greatest requested radius. The cell size of the next step is chosen by it."""
         w = self.cells.w
         e, place = self.e, w.base("grid", self.cells.number, "widest")
         widest = e.where(self.usable & np.isfinite(self.widest), self.widest, e.constant(0.0, F32))
         e.write(place, 0, e.apply_function(np.fmax, e.read(place, 0, F32), widest))
 
     def row_count(self) -> Lanes:
-        """Return how many rows `following` gives in total, i64, and restart it at the first."""
+        """Return how many rows `next_row` gives in total, i64, and restart it at the first row."""
         e, nothing = self.e, self.e.constant(0, I32)
         self._deep, self._tall = e.slot(I32), e.slot(I32)
         for slot in (self._deep, self._tall):
@@ -135,7 +137,8 @@ class CellRows:
         return e.convert(depth * self._most, I64)
 
     def next_row(self) -> tuple[Lanes, Lanes]:
-        """The next row of cells: where its agents begin in the grid's order, and how many may be in reach, i32."""
+        """Return the next row of cells: the index of its first agent in the grid's order, and how many agents may be in reach,
+        i32."""
         e = self.e
         depth, tall = e.load(self._deep, I32), e.load(self._tall, I32)
         cz, cy = self.c0 + depth, self.b0 + tall
@@ -148,8 +151,9 @@ class CellRows:
 
 
 def append_numbers(e: LaneBuilder, buffer: Lanes, total: Number, numbers: Lanes, inside: Lanes) -> None:
-    """Append those of eight numbers (i32) for which a condition holds. All are written, and unwanted ones are overwritten later,
-    which avoids a branch that is hard to predict."""
+    """Append those of eight numbers (i32) for which a condition holds.
+
+    All eight are written, and the unneeded ones are overwritten later. This avoids a branch that is hard to predict."""
     bits = e.mask_word(inside)
     count = e.load(total, I64)
     if e.module.target.avx2:

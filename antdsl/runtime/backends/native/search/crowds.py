@@ -1,8 +1,9 @@
-"""Search for agents with very many neighbours: one agent at a time, any number of candidates, and the cap by distance and id.
+"""Search for agents with very many neighbours: one agent at a time, any number of candidates, and a cap by distance and id.
 
-Candidates are listed, then their distances as integers in the same order. If the widest radius holds more than the cap, bisection
-finds the distance of the last counted neighbour. This cap applies to every radius, because the nearest in a wide radius are also
-the nearest in a narrow one. Then the list is cut to the counted neighbours and traversed for all requested reductions."""
+Candidates are listed, then their distances as integers in the same order. If the widest radius contains more candidates than
+the cap, bisection finds the distance of the last counted neighbour. The cap applies to every radius, because the nearest in a
+wide radius are also the nearest in a narrow one. Then the list is reduced to the counted neighbours and traversed for all
+requested reductions."""
 
 from __future__ import annotations
 
@@ -27,7 +28,7 @@ _REJECTED_DISTANCE_NUMBER = (1 << 31) - 1  # the number of a distance that does 
 
 
 def write_dense_search(b: BlockWriter, near: SearchCode) -> None:
-    """Write the function that processes some of eight requesting agents, one by one."""
+    """Write the function that processes the agents in a mask of eight, one by one."""
     w = FunctionWriter(b.module, b.layout)
     e = w.e
     rows, mask, own_area, out = (
@@ -80,8 +81,11 @@ def write_dense_search(b: BlockWriter, near: SearchCode) -> None:
 
 @dataclass(slots=True, eq=False)
 class _DenseNeighbours:
-    """The others around one requesting agent. `buffer` has their positions in the grid's order; `keys` has their distances as
-    integers, `_NONE` outside the widest radius. Both are padded to a multiple of eight. `total`: the address of their number."""
+    """The others around one requesting agent.
+
+    `buffer`: their positions in the grid's order. `keys`: their distances as integers, `_REJECTED_DISTANCE_NUMBER` outside the
+        widest radius.
+    Both are padded to a multiple of eight. `total`: the address of their number."""
 
     w: FunctionWriter
     near: SearchCode
@@ -92,7 +96,7 @@ class _DenseNeighbours:
     total: Number = field(init=False)
 
     def measure(self, radii: list[Lanes]) -> None:
-        """List the others that may be in the widest of some radii, with their distances."""
+        """List the others that may be within the widest radius, with their distances."""
         w, e = self.w, self.w.e
         self.buffer, self.total = w.base("candidates"), e.slot(I64)
         e.put(self.total, e.constant(0, I64, 1))
@@ -124,14 +128,14 @@ class _DenseNeighbours:
         self.w.e.write(self.buffer, count, self.w.e.constant(0, I32))
 
     def at(self, index: Lanes) -> NeighbourLanes:
-        """Return eight of the listed others, from an index on."""
+        """Return eight of the listed others, from `index` on."""
         e = self.w.e
         is_present = index + e.iota() < e.load(self.total, I64)
         at = e.where(is_present, e.read(self.buffer, index, I32), e.constant(0, I32))
         return measure_pairs(self.w, self.near, at, self.place, is_present)
 
     def _count_passing(self, test: Callable[[Lanes, Lanes], Lanes]) -> Lanes:
-        """Return how many of the others pass a test. Its input is an index and the eight keys from there on."""
+        """Return how many of the others pass a test. Its inputs are an index and the eight keys from that index on."""
         e = self.w.e
         counted = e.slot(I32, LANE_COUNT)
         e.put(counted, e.constant(0, I32))
@@ -141,7 +145,7 @@ class _DenseNeighbours:
         return e.op("reduce.add", I32, e.load(counted, I32, LANE_COUNT), lanes=1)
 
     def _find_least(self, place: Number, kind: str, most: int, enough: Callable[[Lanes], Lanes]) -> None:
-        """Find the least integer from 0 to `most` for which `enough` holds. All bits of `most` are 1."""
+        """Find the least integer from 0 to `most` for which `enough` holds, and write it to `place`. All bits of `most` are 1."""
         e = self.w.e
         low, high = e.slot(kind), e.slot(kind)
         e.put(low, e.constant(0, kind, 1))
@@ -155,7 +159,7 @@ class _DenseNeighbours:
         e.put(place, e.load(high, kind))
 
     def is_over_limit(self, radius: Lanes) -> Lanes:
-        """Return whether more than `limits.MAX_CANDIDATES_IN_RADIUS` others are in a radius."""
+        """Return whether more than `limits.MAX_CANDIDATES_IN_RADIUS` others are within a radius."""
         e = self.w.e
         many = e.slot(I8)
         e.put(many, e.constant(0, I8, 1))
@@ -167,7 +171,7 @@ class _DenseNeighbours:
         return e.load(many, I8)
 
     def keep_nearest(self) -> None:
-        """Reduce the list to the others that count: above the cap, the nearest by (distance, id)."""
+        """Reduce the list to the counted others: if there are more than the cap, the nearest by (distance, id)."""
         e, cap = self.w.e, limits.MAX_QUERY_NEIGHBOURS
         far, last = e.slot(I32), e.slot(I64)
         e.put(far, e.constant(_REJECTED_DISTANCE_NUMBER - 1, I32, 1))

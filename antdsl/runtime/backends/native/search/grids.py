@@ -1,4 +1,4 @@
-"""Cell grids of searches: crowds in cell order (`senses.cell_order`). Their arrays and cells are reused in later steps."""
+"""Cell grids for searches: crowds in cell order (`senses.cell_order`). Arrays and cells are reused in later steps."""
 
 from __future__ import annotations
 
@@ -30,8 +30,10 @@ BoxCorners = tuple[list[float], list[float]]
 
 
 class _CrowdBox:
-    """A box slightly larger than the crowd's. Its cells are used while the crowd stays inside and fills it, and only for a
-    limited time, because the crowd may spread in height."""
+    """A box slightly larger than the crowd.
+
+    Its cells are used while the crowd stays inside the box and fills it. They expire after some steps, because the crowd may
+    spread in height."""
 
     def __init__(self, corners: BoxCorners, until: int) -> None:
         extent = [high - low for low, high in zip(*corners, strict=True)]
@@ -40,7 +42,7 @@ class _CrowdBox:
         self._least, self._until = [_MIN_FILLED_SHARE * each for each in extent], until
 
     def is_suitable(self, corners: BoxCorners, step: int) -> bool:
-        """Return whether its cells suit a step, given the corners of the crowd."""
+        """Return whether the cells of this box suit a step in which the crowd has these corners."""
         (ax, ay, az), (bx, by, bz) = corners
         (lx, ly, lz), (hx, hy, hz), (x, y, z) = self.low, self.high, self._least
         inside = lx <= ax and ly <= ay and lz <= az and bx <= hx and by <= hy and bz <= hz
@@ -48,7 +50,7 @@ class _CrowdBox:
 
 
 class _CrowdGrid(CellOrder):
-    """A crowd in cells of one size, with registers in that order."""
+    """A crowd in cells of one size, with registers in the order of the cells."""
 
     def __init__(self, count: int, threads: int) -> None:
         super().__init__(count, threads)
@@ -57,7 +59,7 @@ class _CrowdGrid(CellOrder):
         self._laid: dict[str, int] = {}  # the step that registers are of
 
     def sort_registers(self, registers: RegisterGroups, step: int) -> None:
-        """Put registers in order, unless that was done in this step."""
+        """Write registers in the order of the cells, unless this was already done in this step."""
         for names, columns in registers:
             if self._laid.get(names) == step:
                 continue
@@ -71,7 +73,7 @@ class _CrowdGrid(CellOrder):
 
 
 class SearchGrids:
-    """Sorts crowds into cells."""
+    """Sorts crowds into cells, and reuses the results within a step."""
 
     def __init__(self) -> None:
         self._found: dict[tuple[str, float], _CrowdGrid] = {}  # of this step
@@ -81,7 +83,7 @@ class SearchGrids:
         self._sheets: dict[str, tuple[int, int, bool]] = {}  # agents, until which step it is known, whether
 
     def begin_step(self) -> None:
-        """Agents have moved: another step begins."""
+        """Invalidate the sorted crowds, because agents have moved."""
         self._found.clear()
         self._corners.clear()
         self._step += 1
@@ -89,7 +91,8 @@ class SearchGrids:
             del self._stored[key]
 
     def of(self, world: World, other: Population, cell: float, beside: RegisterGroups = ()) -> Arrays:
-        """Return the arrays for a search, with cells that suit a radius; `beside`: registers in the order of the cells."""
+        """Return the arrays for a search, with cells that suit the radius `cell` (mm). `beside`: registers needed in the order
+        of the cells."""
         size = float(ceil(4 * log2(cell))) if len(other) > _MAX_AGENTS_IN_ONE_CELL and cell < inf else inf
         for wider in range(_MAX_COARSER_QUARTERS + 1):
             grid = self._found.get((other.name, size + wider))
@@ -118,7 +121,7 @@ class SearchGrids:
         return crowd
 
     def _shape(self, other: Population, positions: Positions, box: _CrowdBox, size: float) -> Shape:
-        """Cells of a crowd in a box, one for all of very few agents."""
+        """Return the cells for a crowd in a box; a single cell if there are very few agents."""
         if size == inf:
             return Shape((0, 1, 2), box.low, [0.0] * 3, [_UNBOUNDED_WIDTH] * 3, [1] * 3)
         shape = Shape.of(box.low, box.high, 2.0 ** (size / 4))
@@ -127,7 +130,7 @@ class SearchGrids:
         return _coarsen(shape, _MAX_CELLS_PER_AGENT * len(other))
 
     def _is_sheet(self, other: Population, positions: Positions, shape: Shape) -> bool:
-        """Return whether a crowd lies in one sheet. Only speed depends on the result, so it is not computed in every step."""
+        """Return whether a crowd lies in one layer. The result only affects speed, so it is not computed in every step."""
         count, until, known = self._sheets.get(other.name, (-1, 0, False))
         if count != len(other) or self._step >= until:
             known, until = shape.is_sheet(positions), self._step + _RETEST_STEPS
@@ -136,8 +139,9 @@ class SearchGrids:
 
 
 def _coarsen(shape: Shape, most: int) -> Shape:
-    """Return a shape with wider cells if a sparse crowd needs more than `most` cells, most of them empty. Cells grow up to four
-    times along the fast axis, then up to twice along each axis."""
+    """Return a shape with wider cells if a sparse crowd needs more than `most` cells, most of them empty.
+
+    Cells become up to four times longer along the fast axis, then up to twice as long along each axis."""
     if shape.cell_count <= most:
         return shape
     width, size = list(shape.width), list(shape.size)

@@ -1,4 +1,4 @@
-"""The input for the functions of a search, and the pairs that they find."""
+"""The inputs of a search's functions, and the pairs that the search finds."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ OPERAND_STRIDE_BYTES = 64  # bytes from one operand or result of a search to the
 
 @dataclass(slots=True, eq=False)
 class SearchCode:
-    """The input for the functions of a search: places of operands and results in their areas."""
+    """The inputs of the functions of a search: indices of operands and results in their areas."""
 
     name: str
     number: int
@@ -37,8 +37,11 @@ class SearchCode:
 
 @dataclass(slots=True, eq=False)
 class NeighbourLanes:
-    """Eight pairs: a mask of those that exist, the others' rows, the vector other minus own, and its length. `at` are their
-    indices in the grid, `place` their positions."""
+    """Eight pairs of a requesting agent and another agent.
+
+    `is_present`: mask of the pairs that exist. `rows`: rows of the others.
+    `dx`, `dy`, `dz`, `distance`: the vector other minus own, and its length.
+    `at`: indices of the others in the grid. `place`: their positions."""
 
     w: FunctionWriter
     near: SearchCode
@@ -79,8 +82,9 @@ class NeighbourLanes:
         return registers
 
     def _extract_rows(self) -> Lanes:
-        """Return the others' rows, each loaded separately. They are needed one by one as addresses, and extracting them from
-        eight lanes is slow."""
+        """Return the others' rows, each loaded separately.
+
+        They are needed one by one as addresses, and extracting them from eight lanes is slow."""
         e, positions = self.w.e, self.w.base("grid", self.near.number, "places")
 
         def make() -> Lanes:
@@ -92,7 +96,7 @@ class NeighbourLanes:
 
 
 def measure_pairs(w: FunctionWriter, near: SearchCode, at: Lanes, place: list[Lanes], is_present: Lanes) -> NeighbourLanes:
-    """Return pairs of the requesting agents' positions with others at indices of the grid."""
+    """Return the pairs of requesting agents at positions `place` and others at grid indices `at`."""
     e = w.e
     *others, rows = load_quadruples(e, w.base("grid", near.number, "places"), at)
     dx, dy, dz = (other - own for other, own in zip(others, place, strict=True))

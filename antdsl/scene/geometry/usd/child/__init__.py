@@ -1,3 +1,3 @@
-"""What reads USD files, in the process of the reader only: usd-core is imported here, and answers are numbers and texts.
+"""Readers of USD files, which run only in the reader process. They import usd-core, and answer with numbers and texts.
 
-`stage` reads one file and opens those that belong together, `requests` answers for what is at a prim."""
+`stage` opens one file and the files that belong to it. `requests` answers requests about the contents at a prim."""

@@ -80,7 +80,7 @@ def _read_polyline(curve: Any, time: Any, prim: Any) -> Floats:
 
 
 def _cut_cubic(points: Floats, basis: str, wrap: str, prim: Any) -> Floats:
-    """Return points along a cubic curve, each segment divided evenly in its parameter."""
+    """Return points along a cubic curve. Each segment is divided evenly in its parameter."""
     weights, divisor, step = _CUBIC_BASES[basis]
     if wrap == "periodic":
         points = np.concatenate([points, points[: 4 - step]])
@@ -101,5 +101,5 @@ def _cut_cubic(points: Floats, basis: str, wrap: str, prim: Any) -> Floats:
 
 
 def _sum_arrays(terms: Iterable[NDArray[np.float64]]) -> NDArray[np.float64]:
-    """Sum arrays in order, starting with 0."""
+    """Return the sum of arrays, added in order, starting with 0."""
     return reduce(np.add, terms, np.zeros(()))

@@ -1,4 +1,4 @@
-"""Conversion of USD's own exceptions to refusals, for all functions that answer requests about USD files."""
+"""Conversion of USD's own exceptions to ReadRefusals, for all functions that answer requests about USD files."""
 
 from __future__ import annotations
 
@@ -19,7 +19,9 @@ ReaderAnswer = tuple[dict[str, Any], Mapping[str, Any]]
 
 
 def with_refusals(read: Callable[[ReaderMessage], ReaderAnswer]) -> Callable[[ReaderMessage], ReaderAnswer]:
-    """Return the function with every problem of the file raised as a Refusal; its `about` is the message's subject."""
+    """Return the function changed to raise every problem of the file as a ReadRefusal.
+
+    The `about` of the ReadRefusal is `mesh` for unusable meshes, and `exception` for errors of USD."""
 
     @wraps(read)
     def answer(request: ReaderMessage) -> ReaderAnswer:

@@ -1,4 +1,4 @@
-"""The meshes at and below a prim as one: triangles in mm and the scene's axes, their motion, and painted values on vertices."""
+"""The meshes at and below a prim, joined: triangles in mm and the scene's axes, their motion, and painted values on vertices."""
 
 from __future__ import annotations
 
@@ -23,10 +23,13 @@ Faces = NDArray[np.int64]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class JoinedMesh:
-    """Vertices float64 (n, 3) in mm and the scene's axes, and faces int64 (m, 3), as in the file.
+    """The joined meshes of a prim.
 
-    `moves`: the arrays of a `MeshMoves` by name, None if the mesh is static. `values`, by the name of a primvar: numbers (n,), or
-    vectors (n, 3) rotated with their mesh. `passed_over`: types of shapes that are not read."""
+    `vertices` float64 (n, 3): in mm and the scene's axes.
+    `faces` int64 (m, 3): in the order of the file.
+    `moves`: the arrays of a `MeshMoves`, by name; None if the mesh is static.
+    `values`: by the name of a primvar, numbers (n,), or vectors (n, 3) rotated with their mesh.
+    `passed_over`: types of shapes that are not read."""
 
     vertices: Floats
     faces: Faces
@@ -48,8 +51,9 @@ class _MeshShape:
 
 
 def join_meshes(stage: OpenStage, primvars: Iterable[str] = ()) -> JoinedMesh:
-    """Return all meshes at and below the stage's prim, joined. Raises UsdError if there are none, MeshError if they are not
-    usable."""
+    """Return all meshes at and below the stage's prim, joined. `primvars`: the names of primvars to read.
+
+    Raises UsdError if there are no meshes, MeshError if they are not usable."""
     path = stage.prim.GetPath()
     shapes, faces, points = [], 0, 0
     for placed in placed_meshes(stage):
@@ -113,8 +117,9 @@ def _make_triangles(
     backwards: bool,
     path: Any,
 ) -> Faces:
-    """Return triangles (m, 3) of the polygons that are `is_filled`. With `backwards`, each is read in reverse order from its
-    first corner."""
+    """Return triangles (m, 3) of the polygons that are `is_filled`.
+
+    With `backwards`, the corners of each polygon are read in reverse order, beginning with its first corner."""
     at = np.arange(len(corners))
     if backwards:
         start, count = np.repeat(np.cumsum(counts) - counts, counts), np.repeat(counts, counts)
@@ -129,7 +134,7 @@ def _make_triangles(
 
 
 def _join_shapes(shapes: list[_MeshShape]) -> tuple[Floats, Faces]:
-    """Return every shape at every place, at the first frame. The outside of a mirrored one stays outside."""
+    """Return vertices and faces of every shape at every place, at the first frame. A mirrored shape keeps its outside."""
     vertices, faces, vertex_count = [], [], 0
     for shape in shapes:
         transforms, count = shape.placed.transforms[:, 0], len(shape.points)
@@ -142,8 +147,9 @@ def _join_shapes(shapes: list[_MeshShape]) -> tuple[Floats, Faces]:
 
 
 def _make_moves(stage: OpenStage, shapes: list[_MeshShape]) -> dict[str, NDArray[Any]] | None:
-    """Return one track for each place that moves. Where points deform, or a place begins without a size, each vertex moves
-    separately."""
+    """Return the arrays of a `MeshMoves`, or None if nothing moves. Each place that moves has one track.
+
+    If points deform, or a place begins without a size, each vertex moves separately."""
     frames = len(stage.times)
     if not any(shape.is_deformed or shape.placed.transforms.shape[1] > 1 for shape in shapes):
         return None
@@ -177,7 +183,7 @@ def _make_moves(stage: OpenStage, shapes: list[_MeshShape]) -> dict[str, NDArray
 
 
 def _find_free_places(shape: _MeshShape) -> NDArray[np.bool_]:
-    """Return for each place of a shape whether its vertices move separately."""
+    """Return whether the vertices of a shape move separately, for each of its places."""
     transforms = shape.placed.transforms
     if shape.is_deformed:
         return np.ones(len(transforms), np.bool_)
@@ -185,7 +191,7 @@ def _find_free_places(shape: _MeshShape) -> NDArray[np.bool_]:
 
 
 def _free_offsets(stage: OpenStage, shape: _MeshShape, free: NDArray[np.bool_], k: int) -> Floats:
-    """Return the offsets of the vertices of free places at a frame from their rest positions."""
+    """Return the offsets of vertices from their rest positions at frame `k`, for the places in `free`."""
     points = _read_points(pxr("UsdGeom").Mesh(shape.placed.prim), stage.times[k]) if shape.is_deformed else shape.points
     if len(points) != len(shape.points):
         path = shape.placed.prim.GetPath()
@@ -198,8 +204,7 @@ def _free_offsets(stage: OpenStage, shape: _MeshShape, free: NDArray[np.bool_], 
 
 
 def _read_values(stage: OpenStage, shape: _MeshShape, name: str) -> Floats:
-    """Return a primvar on the points of a shape, at each of its places. Vectors turn with the mesh but do not change their
-    length."""
+    """Return a primvar on the points of a shape, at each of its places. Vectors rotate with the mesh and keep their length."""
     prim = shape.placed.prim
     primvar = pxr("UsdGeom").PrimvarsAPI(prim).FindPrimvarWithInheritance(name)
     if not primvar or not primvar.HasValue():
@@ -227,7 +232,7 @@ def _rotate_vectors(transforms: Floats, vectors: Floats) -> Floats:
 
 
 def _hidden_reason(stage: OpenStage) -> str | None:
-    """Return the message for the case that all meshes have another purpose or are invisible."""
+    """Return a help text for a prim without readable meshes: they have another purpose, are invisible, or do not exist."""
     usd, geom = pxr("Usd"), pxr("UsdGeom")
     every = [p for p in usd.PrimRange(stage.prim, usd.TraverseInstanceProxies()) if p.IsA(geom.Mesh)]
     if not every:

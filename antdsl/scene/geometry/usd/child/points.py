@@ -1,4 +1,4 @@
-"""Points prims and empties as items: their position at every frame, direction, radius, numbers and words."""
+"""Points prims and empties as items: positions at every frame, directions, radii, numbers and words."""
 
 from __future__ import annotations
 
@@ -19,8 +19,10 @@ _MAX_LISTED_KINDS = 12
 
 
 def point_arrays(stage: OpenStage, kind: str | None = None) -> UsdPoints:
-    """Return the points of all Points prims at or below the prim; if there are none, one for each child that has a position. With
-    a `kind`, return all prims below it instead, at any depth, with `userProperties:kind` equal to that word."""
+    """Return the points of all Points prims at or below the stage's prim. Without such prims, return one for each child with a
+    position.
+
+    `kind`: return instead all prims below it, at any depth, with this `userProperties:kind`."""
     geom = pxr("UsdGeom")
     clouds = [prim for prim in stage.visible_prims(stage.prim) if prim.IsA(geom.Points)] if kind is None else []
     empties = [] if clouds else _placed_children(stage) if kind is None else _prims_of_kind(stage, kind)
@@ -83,7 +85,7 @@ def _read_cloud(stage: OpenStage, prim: Any) -> UsdPoints:
 
 
 def _read_names(prim: Any, count: int) -> list[str]:
-    """Return the primvar `name` if it has one word per point, else the prim's name with a number."""
+    """Return the primvar `name` if it has one word per point, else the prim's name with numbers."""
     primvar = pxr("UsdGeom").PrimvarsAPI(prim).GetPrimvar("name")
     words = list(primvar.ComputeFlattened() or []) if primvar and primvar.HasValue() else []
     if len(words) == count and len(set(words)) == count:
@@ -110,7 +112,8 @@ def _placed_children(stage: OpenStage) -> list[Any]:
 
 
 def _prims_of_kind(stage: OpenStage, kind: str) -> list[Any]:
-    """Return the prims below that declare a kind. If none has it, raise UsdError that lists the existing kinds."""
+    """Return the prims below the stage's prim that declare this kind. If there are none, raise UsdError that lists the existing
+    kinds."""
     prims: list[Any] = []
     others: set[str] = set()
     for prim in stage.visible_prims(stage.prim):
@@ -133,7 +136,7 @@ def _prims_of_kind(stage: OpenStage, kind: str) -> list[Any]:
 
 
 def _read_empty(stage: OpenStage, prim: Any) -> UsdPoints:
-    """Return a prim that is only a place: an Xform, a locator, an empty of Blender."""
+    """Return a prim that has only a position, as one point: an Xform, a locator, or an empty of Blender."""
     transforms = stage.scene_transforms(prim, stage.is_moving(prim))
     values = _read_numbers(stage, prim, 1)
     texts: dict[str, tuple[str, ...]] = {}

@@ -1,4 +1,4 @@
-"""What the reader answers about what is at a prim of a USD stage, cameras among them: arrays and texts."""
+"""Answers of the reader process to requests about a prim of a USD stage, as arrays and texts. Cameras are read here as well."""
 
 from __future__ import annotations
 
@@ -26,14 +26,18 @@ _DEFAULT_FOCUS_MM = 1000.0  # mm: how far off it looks where it has no focus
 
 @with_refusals
 def open_stage(request: ReaderMessage) -> ReaderAnswer:
-    """Nothing but whether the stage can be opened."""
+    """Open the stage to check that this is possible, and answer without data."""
     stages.open_stage(request)
     return {}, {}
 
 
 @with_refusals
 def read_mesh(request: ReaderMessage) -> ReaderAnswer:
-    """Answer with `vertices`, `faces`, `moves:…` if the mesh moves, `value:N` for the Nth of `primvars`, and `passed_over`."""
+    """Answer with the joined meshes.
+
+    `vertices`, `faces`, `passed_over`: as in `JoinedMesh`.
+    `moves:NAME`: the arrays of the motion, if the mesh moves.
+    `value:N`: the values of the N-th of the requested `primvars`."""
     names = [str(name) for name in request.document["primvars"]]
     mesh = join_meshes(stages.open_stage(request), names)
     moves = {f"moves:{name}": array for name, array in (mesh.moves or {}).items()}
@@ -43,7 +47,11 @@ def read_mesh(request: ReaderMessage) -> ReaderAnswer:
 
 @with_refusals
 def read_points(request: ReaderMessage) -> ReaderAnswer:
-    """Answer with `names`, `places`, `radius`, `ahead`; `value:N` and `text:N` for the Nth of `values` and `texts`; `unit`."""
+    """Answer with points or empties.
+
+    `names`, `places`, `radius`, `ahead`, `unit`: as in `UsdPoints`; `places` are its positions.
+    `values`, `texts`: the names of numbers and words.
+    `value:N`, `text:N`: the N-th of these."""
     points = point_arrays(stages.open_stage(request), request.document["of_kind"])
     arrays = {"places": points.positions, "radius": points.radius, "ahead": points.ahead}
     arrays |= {f"value:{number}": array for number, array in enumerate(points.values.values())}
@@ -55,18 +63,19 @@ def read_points(request: ReaderMessage) -> ReaderAnswer:
 
 @with_refusals
 def read_curve(request: ReaderMessage) -> ReaderAnswer:
-    """`places`."""
+    """Answer with the points of a curve, `places` (frames, k, 3)."""
     return {}, {"places": curve_positions(stages.open_stage(request))}
 
 
 @with_refusals
 def read_camera(request: ReaderMessage) -> ReaderAnswer:
-    """`at`, `look_at`, `up` and `focal`."""
+    """Answer with a camera: `at`, `look_at`, `up` and `focal`."""
     return {}, camera_arrays(stages.open_stage(request))
 
 
 def camera_arrays(stage: OpenStage) -> dict[str, Floats]:
-    """The camera that the prim is, or the only one below it: `at`, `look_at`, `up` (frames, 3) and `focal` (frames,)."""
+    """Return the camera at the stage's prim, or the only camera below it: `at`, `look_at`, `up` (frames, 3) and `focal`
+    (frames,)."""
     geom = pxr("UsdGeom")
     cameras = [prim for prim in stage.visible_prims(stage.prim) if prim.IsA(geom.Camera)]
     if len(cameras) != 1:

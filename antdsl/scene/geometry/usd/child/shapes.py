@@ -1,4 +1,4 @@
-"""Mesh prims of a stage with every place where they appear: directly, as native instances, or by point instancers."""
+"""Mesh prims of a stage with every place in which they appear: directly, as native instances, or by point instancers."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _MAX_NESTED_INSTANCERS = 8  # point instancers inside each other
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PlacedMesh:
-    """A mesh prim, and its transforms into the scene: matrices (places, frames, 3, 4), one frame if none of them moves."""
+    """A mesh prim and its places. `transforms` (places, frames, 3, 4): into the scene; a single frame if no place moves."""
 
     prim: Any
     transforms: Floats
@@ -28,20 +28,21 @@ class PlacedMesh:
 
 @dataclass(slots=True)
 class PlaceCount:
-    """The number of places that point instancers create below `path`, with nested ones multiplied. They are counted before the
-    places are built."""
+    """The number of places that point instancers create below `path`. Nested instancers multiply.
+
+    Places are counted before they are built."""
 
     path: str
     instances: int = 0
     meshes: int = 0
 
     def add_instances(self, count: int) -> None:
-        """Add the instances of one instancer at all its own places. Raises UsdError above the limit."""
+        """Add the instances of one instancer, for all places of this instancer. Raises UsdError above the limit."""
         self.instances += count
         self._check(self.instances, "instances")
 
     def mesh(self, count: int) -> None:
-        """Add the places of one mesh."""
+        """Add the places of one mesh. Raises UsdError above the limit."""
         self.meshes += count
         self._check(self.meshes, "instances of meshes")
 
@@ -62,7 +63,7 @@ def placed_meshes(stage: OpenStage) -> Iterator[PlacedMesh]:
 
 
 def unread_shape_types(stage: OpenStage) -> list[str]:
-    """Return the types of the shapes at or below the prim that are not meshes and are not read."""
+    """Return the types of the shapes at or below the prim that are not read, since they are not meshes."""
     geom = pxr("UsdGeom")
     read = (geom.Mesh, geom.PointInstancer, geom.Curves, geom.Points)
     type_names = {
@@ -72,7 +73,7 @@ def unread_shape_types(stage: OpenStage) -> list[str]:
 
 
 def _placed_instances(stage: OpenStage, prim: Any, transforms: Floats, count: PlaceCount, depth: int) -> Iterator[PlacedMesh]:
-    """Yield the meshes that a point instancer places. `transforms` transform from the instancer's space to the scene."""
+    """Yield the meshes that a point instancer places. `transforms`: from the instancer's space to the scene."""
     if depth > _MAX_NESTED_INSTANCERS:
         raise UsdError(
             "too-large", f"`{prim.GetPath()}` has point instancers nested more than {_MAX_NESTED_INSTANCERS} levels deep"
@@ -101,7 +102,7 @@ def _placed_instances(stage: OpenStage, prim: Any, transforms: Floats, count: Pl
 
 
 def _compose_all(outer: Floats, inner: Floats) -> Floats:
-    """Apply every outer transform after every inner one: (a, f, 3, 4) and (b, g, 3, 4) to (a·b, max(f, g), 3, 4)."""
+    """Return every inner transform followed by every outer one. (a, f, 3, 4) and (b, g, 3, 4) give (a·b, max(f, g), 3, 4)."""
     check_bytes(len(outer) * len(inner) * max(outer.shape[1], inner.shape[1]) * 96, "instances")
     composed = compose(outer[:, None], inner[None])
     return composed.reshape(-1, *composed.shape[2:])
@@ -113,7 +114,9 @@ def _find_unmasked(stage: OpenStage, instancer: Any, count: int) -> NDArray[np.b
 
 
 def _instance_transforms(stage: OpenStage, instancer: Any, count: int) -> Floats:
-    """Return each instance's transform into the instancer's space, including the prototype's own: (instances, frames, 3, 4)."""
+    """Return the transforms (instances, frames, 3, 4) of all instances into the instancer's space.
+
+    They include the prototypes' own transforms."""
     usd, path = pxr("Usd"), instancer.GetPath()
     attributes = (instancer.GetPositionsAttr(), instancer.GetOrientationsAttr(), instancer.GetScalesAttr())
     roots = [instancer.GetPrim().GetStage().GetPrimAtPath(p) for p in instancer.GetPrototypesRel().GetForwardedTargets()]
@@ -143,8 +146,9 @@ BAKE_HELP = "export it with one set of faces for all frames, or name a part that
 
 
 def _prototype_meshes(stage: OpenStage, root: Any) -> Iterator[tuple[Any, Floats]]:
-    """Yield meshes and instancers of a prototype with their transform (frames, 3, 4) into its root's space, without the root's
-    own."""
+    """Yield the meshes and instancers of a prototype, with transforms (frames, 3, 4) into the space of its root.
+
+    The root's own transform is not included."""
     usd, geom = pxr("Usd"), pxr("UsdGeom")
     # below an `over` or a `class`, which keeps it from being drawn separately, it is still a prototype
     walk = iter(usd.PrimRange(root, usd.TraverseInstanceProxies(usd.PrimIsActive & usd.PrimIsLoaded)))
@@ -175,7 +179,7 @@ def _relative_transforms(stage: OpenStage, prim: Any, root: Any) -> Floats:
 
 
 def check_bytes(size: int, what: str) -> None:
-    """Raise UsdError if moving things would take more memory than the limit; else allow the process that much."""
+    """Raise UsdError if motion of `size` bytes exceeds the limit. Otherwise raise the process's memory limit for it."""
     if size > limits.MAX_MOTION_BYTES:
         words = (
             f"the frames of {what} would take {size / limits.GIB:.1f} GiB, more than {limits.MAX_MOTION_BYTES / limits.GIB:.0f}"

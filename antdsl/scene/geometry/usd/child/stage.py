@@ -1,5 +1,6 @@
-"""A USD stage opened for one prim: its layers, each held against the limits, its units and axes, its time, and which of the
-prims below are seen."""
+"""A USD stage opened for one prim: its layers, units, axes and time, and the visible prims below the prim.
+
+Each layer is compared with the limits."""
 
 from __future__ import annotations
 
@@ -27,8 +28,11 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class OpenStage:
-    """`prim`: the requested one. `to_scene` (3, 4): from the stage's positions to mm and the scene's axes. `times`: the time
-    codes of the requested frames; at the first, everything is at rest."""
+    """A stage, opened for one prim.
+
+    `prim`: the requested prim.
+    `to_scene` (3, 4): from positions of the stage to mm and the scene's axes.
+    `times`: the time codes of the requested frames. At the first, everything is at rest."""
 
     prim: Any
     to_scene: Floats
@@ -48,8 +52,7 @@ class OpenStage:
         return image.ComputePurpose() in ("default", self.purpose) and image.ComputeVisibility(self.first) != "invisible"
 
     def visible_prims(self, prim: Any) -> Iterator[Any]:
-        """Yield the prim and its visible descendants, including those in instances, without the prototypes of point
-        instancers."""
+        """Yield the prim and its visible descendants. Instances are included, prototypes of point instancers are not."""
         usd, geom = pxr("Usd"), pxr("UsdGeom")
         walk = iter(usd.PrimRange(prim, usd.TraverseInstanceProxies()))
         for descendant in walk:
@@ -62,8 +65,9 @@ class OpenStage:
             yield descendant
 
     def scene_transforms(self, prim: Any, every: bool) -> Floats:
-        """Return the transform from a prim's own space to the scene (frames, 3, 4), at all frames, or only at the first if
-        `every` is False."""
+        """Return the transforms (frames, 3, 4) from a prim's own space to the scene.
+
+        `every`: return all frames; otherwise only the first."""
         cache = pxr("UsdGeom").XformCache()
         found = []
         for time in self.times if every else self.times[:1]:
@@ -72,7 +76,7 @@ class OpenStage:
         return compose(self.to_scene, np.array(found))
 
     def is_moving(self, prim: Any) -> bool:
-        """Whether a prim's place may change over time."""
+        """Return whether the transform of a prim may change over time."""
         geom = pxr("UsdGeom")
         while prim and not prim.IsPseudoRoot():
             moved = geom.Xformable(prim)
@@ -86,7 +90,7 @@ class OpenStage:
 
 
 def column_matrix(matrix: Any) -> Floats:
-    """Return USD's matrix, which is for row vectors, as (3, 4) for column vectors."""
+    """Return USD's matrix for row vectors as (3, 4) for column vectors."""
     rows = np.array(matrix, np.float64)
     return np.ascontiguousarray(rows[:, :3].T)
 
@@ -95,10 +99,13 @@ _last_stage: tuple[tuple[object, ...], OpenStage] | None = None  # requests abou
 
 
 def open_stage(request: ReaderMessage) -> OpenStage:
-    """Open the stage of the top file `path`, below the folder `folder`, for what is at and below `prim`. `text`: the file's name
-    in messages.
+    """Open a stage for the contents at and below a prim. The request has these fields:
 
-    Frame f is USD's time code f · timeCodesPerSecond / fps: equal if the rates are equal. Raises UsdError if the stage uses a
+    `path`: the top file; `folder`: the folder of all files of the stage.
+    `prim`: the path of the prim; `text`: the file's name in messages.
+
+    Frame f is USD's time code f · timeCodesPerSecond / fps. They are equal if the rates are equal. Raises UsdError if the stage
+    uses a
     file outside the folder, exceeds the limits, or has no such prim."""
     global _last_stage
     said, frames = request.document, request.array("frames", "<i8", None)
@@ -166,7 +173,7 @@ def _scene_transform(factor: float, own: str, up: str) -> Floats:
 
 
 def _missing_prim_error(layer: Any, text: str, path: Any, inactive: bool) -> UsdError:
-    """Return an error that lists what exists instead: the children of the longest existing part of the path."""
+    """Return an error for a missing prim. It lists the children of the longest existing part of the path."""
     from antdsl.diagnostics.suggestion import nearest_name
 
     if inactive:
@@ -191,9 +198,10 @@ def _missing_prim_error(layer: Any, text: str, path: Any, inactive: bool) -> Usd
 
 @with_refusals
 def read_layer(request: ReaderMessage) -> ReaderAnswer:
-    """Return the asset paths `assets` that the layer `path` is composed with, as they are in the file. These include sublayers,
-    references, payloads and paths in variants. `folder`: the folder of all files of the stage; `text`: the layer's name in
-    messages."""
+    """Answer with `assets`, the asset paths in a layer, as they are in the file.
+
+    They include sublayers, references, payloads and paths in variants. The request has these fields:
+    `path`: the layer; `folder`: the folder of all files of the stage; `text`: the layer's name in messages."""
     said = request.document
     path, folder, text = (str(said[key]) for key in ("path", "folder", "text"))
     layer = open_layer(path, folder, text)
@@ -213,7 +221,8 @@ def read_layer(request: ReaderMessage) -> ReaderAnswer:
 
 
 def open_layer(path: str, folder: str, text: str) -> Any:
-    """Return a layer below a folder, and close those of other folders. Raises UsdError if USD cannot read it."""
+    """Open a layer below a folder, close the layers of other folders, and return it. Raises UsdError if USD cannot read the
+    layer."""
     global _current_folder
     if folder != _current_folder:
         _open_layers.clear()
@@ -231,6 +240,6 @@ def _checked_layer(path: str, folder: str, text: str) -> Any:
             return layer
     except pxr("Tf").ErrorException as problem:
         why = error_text(problem, folder).replace(os.path.relpath(path, folder), text)
-    except UnicodeDecodeError:  # USD's own words repeat what is no text
+    except UnicodeDecodeError:  # USD's message repeats the invalid bytes
         why = "it has bytes that are no UTF-8 text"
     raise UsdError("bad-usd", f"`{text}` cannot be read as USD: {why}", "export it again", "usd")
