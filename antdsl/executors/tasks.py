@@ -163,7 +163,8 @@ def run_tasks(
                 running[engine.submit(task)] = task
             if not running:
                 return
-            finished_futures, _ = wait(running, timeout=LOOK, return_when=FIRST_COMPLETED)
+            wait(running, timeout=LOOK, return_when=FIRST_COMPLETED)
+            finished_futures = _finished(running)
             for sentence in engine.take_notes():
                 noted(sentence)
             for future, task in running.items():
@@ -172,7 +173,9 @@ def run_tasks(
                     report_frame(task, frame)
             is_broken = any(map(_is_broken, finished_futures))
             if is_broken:
-                finished_futures, _ = wait(running)  # with it all the others are broken, or answered just before
+                while len(finished_futures) < len(running):  # with it all the others are broken, or answered just before
+                    wait(running, timeout=LOOK)
+                    finished_futures = _finished(running)
             broken_tasks = []
             for future in finished_futures:
                 task = running.pop(future)
@@ -194,6 +197,11 @@ def run_tasks(
                     suspects.extend(broken_tasks)
     finally:
         engine.stop()
+
+
+def _finished(running: Mapping[Future[str], Task]) -> list[Future[str]]:
+    """Return the futures that have ended. `wait` never returns one that was cancelled in the moment in which its task ended."""
+    return [future for future in running if future.done()]
 
 
 def _is_broken(future: Future[str]) -> bool:

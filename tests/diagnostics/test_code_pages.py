@@ -97,7 +97,7 @@ def test_check_leads_to_the_page_once_and_for_people_only(tmp_path: Path) -> Non
         full, concise = (
             CliRunner().invoke(app, ["check", "walker.ant", "--format", kind]).stdout for kind in ("full", "concise")
         )
-    assert full.count("`antdsl check --explain unknown-sign` says more") == 1 and "--explain" not in concise
+    assert full.count("for details, run `antdsl check --explain unknown-sign`") == 1 and "--explain" not in concise
 
 
 def test_a_code_without_its_page_is_explained_in_a_line(
@@ -184,7 +184,7 @@ def test_the_last_line_names_the_codes_that_were_shown(tmp_path: Path) -> None:
     ignored = "  energy = 0  # antdsl: ignore[unused-attribute] later\n"
     program.write_text(f"ant 1\nspecies a {{\n{ignored}  max_speed 30\n  size 4 s\n  state go {{ steer heading }}\n}}\n")
     said = CliRunner().invoke(app, ["check", str(program)]).stdout
-    assert "`antdsl check --explain missing-unit` says more; so for `wrong-unit`\n" in said
+    assert "for details, run `antdsl check --explain missing-unit`, or name `wrong-unit`\n" in said
     program.write_text(program.read_text().replace("30\n", "30 mm/s\n").replace("4 s", "4 mm"))
     assert "--explain" not in CliRunner().invoke(app, ["check", str(program)]).stdout
 

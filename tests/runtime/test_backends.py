@@ -50,7 +50,7 @@ def test_the_same_hash_at_every_frame(reference, options):
 
 def test_a_backend_can_be_chosen_by_its_name():
     names = set(BACKENDS)
-    assert {each.value for each in BackendName} == names, "`Backend` in antdsl/cli/commands/run.py"
+    assert {each.value for each in BackendName} == names, "`BackendName` in antdsl/cli/commands/run.py"
     assert set(get_args(get_type_hints(Options)["backend"])) == names, "`Options.backend` in antdsl/runtime/world.py"
 
 

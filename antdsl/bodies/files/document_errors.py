@@ -21,7 +21,7 @@ from antdsl.source import Span
 
 F = TypeVar("F", bound=Form)
 Path = tuple[PathKey, ...]
-_MOST_ERRORS = 200  # of one document; the others are reported once these are corrected
+_MOST_ERRORS = 200  # findings of one round; the others are reported once these are corrected
 _NULL = object()  # stands for a null, which no value of a document may be
 _TYPES: dict[str, tuple[str, str | None]] = {
     "string_type": ("a text", 'write `"…"`'),
@@ -38,19 +38,26 @@ _CONTAINERS = ("list_type", "tuple_type", "dict_type", "model_type")
 
 
 def read_form(form: type[F], root: Node, report: Report) -> F | None:
-    """Return the model of a document, or None if the report has an error about it."""
+    """Return the model of a document, or None if the report has an error about it. At most `_MOST_ERRORS` findings of a kind are
+    reported, errors before warnings."""
     tree = _plain(root)
     while True:
         try:
             return form.model_validate(tree)
         except ValidationError as problem:
-            errors = drop_consequences(problem.errors(include_url=False, include_input=False)[:_MOST_ERRORS])
-        diagnostics = [_diagnose(form, root, error) for error in errors]
+            errors = problem.errors(include_url=False, include_input=False)
+        errors.sort(key=lambda error: _is_ignorable(form, error))  # then one round ends with an error or deletes all
+        diagnostics = [_diagnose(form, root, error) for error in drop_consequences(errors[:_MOST_ERRORS])]
         report.extend(diagnostics)
         if any(diagnostic.severity == "error" for diagnostic in diagnostics):
             return None
         for error in errors:
             _delete(tree, error["loc"])
+
+
+def _is_ignorable(form: type[Form], error: Any) -> bool:
+    """Return whether an error is an unknown key where the documented forms allow others."""
+    return error["type"] == "extra_forbidden" and issubclass(_form_at(form, error["loc"])[0], DocumentedForm)
 
 
 def _plain(node: Node) -> Any:

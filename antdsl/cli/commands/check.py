@@ -82,7 +82,7 @@ def check(
         codes = list(dict.fromkeys(each.code for each in without_ignored(report).sorted()))
         others = ", ".join(f"`{code}`" for code in codes[1:4]) + (" …" if len(codes) > 4 else "")
         if codes:
-            print_result(f"`antdsl check --explain {codes[0]}` says more{f'; so for {others}' if others else ''}\n")
+            print_result(f"for details, run `antdsl check --explain {codes[0]}`{f', or name {others}' if others else ''}\n")
     if params or cost:
         from antdsl.cli.printing.check_tables import cost_table, explain_missing_table, params_table, work_table
 

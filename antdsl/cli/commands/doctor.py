@@ -22,7 +22,7 @@ OPTIONAL_PACKAGES = {
 
 
 def doctor() -> None:
-    """Look whether everything that antdsl needs is here."""
+    """Check that everything antdsl needs is installed."""
     problems: list[str] = []
     _check_python(problems)
     _check_system_libraries(problems)

@@ -25,7 +25,7 @@ def fmt(
     check: bool = typer.Option(False, "--check", help="Change nothing; name the files that would change, with exit code 1."),
     diff: bool = typer.Option(False, "--diff", help="Change nothing; show what would change, with exit code 1."),
 ) -> None:
-    """Lay .ant files out in the one way: blanks, columns, line breaks. What they say stays the same, comments too."""
+    """Format .ant files: blanks, columns and line breaks. Meaning and comments stay the same."""
     if not paths:
         raise typer.BadParameter("name a file or a folder, or - for standard input", param_hint="PATH")
     if STDIN_PATH in paths and len(paths) > 1:

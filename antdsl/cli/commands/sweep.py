@@ -105,7 +105,7 @@ def sweep(
     any_memory: bool = ANY_MEMORY_OPTION,
     quiet: bool = typer.Option(False, "--quiet", "-q", help="Print the table and problems only."),
 ) -> None:
-    """Run scenes with other values and seeds, and tell medians and quartiles."""
+    """Run scenes over parameter values and seeds, and report medians and quartiles."""
     from antdsl.cli.arguments import require_scene
     from antdsl.cli.printing.reports import exit_on_errors
     from antdsl.cli.sweep_words import build_study, load_request, nothing, open_scene_shots, parse_widths

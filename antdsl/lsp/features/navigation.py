@@ -191,7 +191,7 @@ def _all_occurrences(
 
 
 def renamable_name(workspace: Workspace, document: OpenDocument, offset: int) -> NameOccurrence:
-    """Return the renamable name at an offset. Raises Refused when there is none."""
+    """Return the renamable name at an offset. Raises RenameRefused when there is none."""
     occurrence = occurrence_at(document, offset)
     if occurrence is None:
         raise RenameRefused("there is no name here")
@@ -260,7 +260,7 @@ def _jointly_bound_keys(workspace: Workspace, document: OpenDocument, keys: set[
 
 
 def _refuse_collision(workspace: Workspace, document: OpenDocument, key: NameKey, new: str) -> None:
-    """Raise Refused for a name that is already in use in the scope of the renamed one, or that would hide it."""
+    """Raise RenameRefused for a name that is already in use in the scope of the renamed one, or that would hide it."""
     rivals: set[NameKey] = {(*key[:-1], new)}
     if key[0] in ("own", "let", "machine"):
         rivals |= {("own", key[1], new), ("machine", key[1], new)}

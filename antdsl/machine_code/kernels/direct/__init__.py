@@ -165,7 +165,7 @@ def possible() -> bool:
 
 @cache
 def _addresses() -> ctypes.Array[ctypes.c_int64]:
-    """Return the addresses of all functions and objects that the text uses, in the order of `CALLS` and `PYTHON_OBJECTS`."""
+    """Return the addresses of all functions and objects in the text, in the order of `PYTHON_API_CALLS` and `PYTHON_OBJECTS`."""
     calls = [ctypes.cast(getattr(ctypes.pythonapi, name), ctypes.c_void_p).value or 0 for name in reading.PYTHON_API_CALLS]
     addresses = [*calls, *map(id, reading.PYTHON_OBJECTS.values())]
     return (ctypes.c_int64 * len(addresses))(*addresses)
