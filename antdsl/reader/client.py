@@ -191,24 +191,26 @@ class FileReader:
 
     def _ask(self, kind: str, document: Mapping[str, Any], arrays: Arrays, size: int, seconds: int) -> ReaderMessage:
         assert kind in READER_FUNCTIONS
-        seconds += limits.READER_BASE_CPU_SECONDS + size // limits.READER_BYTES_PER_CPU_SECOND
+        allowed = seconds + limits.READER_BASE_CPU_SECONDS + size // limits.READER_BYTES_PER_CPU_SECOND
         left = cpu_budget.remaining_seconds()
         memory = min(limits.READER_BASE_MEMORY_BYTES + limits.READER_MEMORY_PER_FILE_BYTE * size, limits.MAX_READER_MEMORY_BYTES)
-        said = {**document, "kind": kind, "seconds": seconds if left > seconds else math.ceil(left), "memory": memory}
+        said = {**document, "kind": kind, "seconds": allowed if left > allowed else math.ceil(left), "memory": memory}
+        previous, late, previous_seconds = self._running, threading.Event(), self._seconds
         try:
             running = self._start()
         except OSError as problem:
             words = "cannot be read: the process that reads it cannot be started"
             raise ReaderFailure(words, "run `antdsl doctor`", is_lasting=False) from problem
-        late, previous_seconds = threading.Event(), self._seconds
         try:
-            with _deadline(running, limits.READER_BASE_WALL_SECONDS + 4 * seconds, late):
+            with _deadline(running, limits.READER_BASE_WALL_SECONDS + 4 * allowed, late):
                 running.read_greeting()
                 write_message(running.requests, said, arrays)
                 answer = read_message(running.answers, limits.MAX_READER_ARRAY_BYTES)
         except (EndOfMessages, BrokenPipeError):
             status = self._end()
-            if status == _OVERDUE_STATUS and left <= seconds:
+            if status == _KILLED_STATUS and running is previous and not late.is_set():
+                return self._ask(kind, document, arrays, size, seconds)  # perhaps it was killed before the request reached it
+            if status == _OVERDUE_STATUS and left <= allowed:
                 cpu_budget.charge(math.inf)  # the budget ended it, not the limit of a request
             failure = _death_failure(running, status, late.is_set(), memory)
             failure.is_heavy |= self._seconds - previous_seconds > limits.READER_BASE_CPU_SECONDS / 2
@@ -309,9 +311,8 @@ def _deadline(running: _ReaderProcess, seconds: float, late: threading.Event | N
 
 
 def _death_failure(running: _ReaderProcess, status: int, is_late: bool, memory: int) -> ReaderFailure:
-    """Return why a child ended without an answer to a request that may use `memory` bytes.
-
-    Raises MemoryError if this process cannot grant that much."""
+    """Return why a child ended without an answer to a request that may use `memory` bytes. Raises MemoryError if this process
+    cannot grant that much."""
     if is_late or status == _OVERDUE_STATUS:
         words = "cannot be read: it takes too long to be read"
         return ReaderFailure(words, _LIGHTER_FILE_HELP, is_lasting=not is_late, is_heavy=True)
