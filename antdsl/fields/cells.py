@@ -384,8 +384,7 @@ class SurfaceCells:
 @dataclass(frozen=True, slots=True, eq=False)
 class KnownCells:
     """Results of a cell lookup, for reuse: the cells `of` which, and for each point the `key` of its voxel and side, and the
-    `cell`.
-    `key` is -1 outside the box, `cell` is -1 if there is none."""
+    `cell`. `key` is -1 outside the box, `cell` is -1 if there is none."""
 
     of: SurfaceCells
     key: NDArray[np.int64]

@@ -62,8 +62,7 @@ class SurfaceFlow:
     """A flow at the slots of a lattice over the ground's faces.
 
     `c`, `s`: components along the two axes of each face.
-    `source`: evaluates the flow at any position, for agents on other ground. Without a source, the flow is zero on other
-        ground.
+    `source`: evaluates the flow at any position, for agents on other ground. Without a source, the flow is zero on other ground.
     `renew`: updates the flow after things have moved."""
 
     lattice: FaceLattice

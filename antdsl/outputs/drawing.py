@@ -89,9 +89,8 @@ class FrameDrawer:
     def draw(self, frame: int) -> NDArray[np.uint8]:
         """Return the picture of one frame (height, width, 3).
 
-        Raises CacheError if the frame is damaged, PictureUnavailable if it cannot be drawn. Raises AgentMissing if a camera finds
-        no
-        agent, ValueError for an unknown word in `show`."""
+        Raises CacheError if the frame is damaged, PictureUnavailable if it cannot be drawn. Raises AgentMissing if a camera
+        finds no agent, ValueError for an unknown word in `show`."""
         request, picture = self.wanted, self.gallery.picture(frame, agents=self._agents)
         follows = request.camera in ("eye", "close") and not request.rest
         moves = request.camera == "scene" and self.gallery.camera_moves

@@ -99,12 +99,11 @@ def smooth_frame(frames: Mapping[int, FrameOrientations], frame: int, width: int
     """Return the orientations [n, 4] of a frame as weighted means over `width` frames, half before the frame and half after it.
 
     Weights fall off as a raised cosine (J. von Hann's window). For each agent, the same number of frames is used on both sides:
-    those
-    in which it exists without a gap. So the orientation of an agent in its first or last frame is unchanged, and no agent lags.
+    those in which it exists without a gap. So the orientation of an agent in its first or last frame is unchanged, and no agent
+    lags.
 
     Each quaternion is added with the sign nearer to its neighbour on the side of `frame`, and the sum is normalised. For small
-    angles
-    this is the mean of F. L. Markley et al., Averaging Quaternions, J. Guidance, Control, and Dynamics 30 (2007)."""
+    angles this is the mean of F. L. Markley et al., Averaging Quaternions, J. Guidance, Control, and Dynamics 30 (2007)."""
     current, half = frames[frame], width // 2
     sides = [_side_orientations(frames, frame, direction, half) for direction in (-1, 1)]
     reach = np.minimum(sides[0][1], sides[1][1])

@@ -15,8 +15,7 @@ class EulerAngles:
     """Angles of agents about x, then y, then z, frame by frame.
 
     Of all equivalent angles, each agent gets those nearest to its previous angles, in the sum of squares. New agents get the
-    angles
-    nearest to 0."""
+    angles nearest to 0."""
 
     def __init__(self) -> None:
         self._ids: NDArray[np.int64] = np.empty(0, np.int64)

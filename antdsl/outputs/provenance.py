@@ -33,8 +33,7 @@ def command(scene: str, frames: FrameRange, seed: int, inputs: Mapping[str, str]
     """Return the command that makes the same frames.
 
     It contains no folder, and no option that does not change results, such as `--out` and `--threads`. So the same run gives the
-    same
-    bytes anywhere, and a cache reveals nothing about the machine."""
+    same bytes anywhere, and a cache reveals nothing about the machine."""
     return shlex.join(_command_words(scene, frames, seed, inputs))[:_MAX_COMMAND_CHARACTERS]
 
 

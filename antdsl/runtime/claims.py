@@ -172,8 +172,7 @@ class _ServedClaims:
     """Claims in the order in which they are served.
 
     `change` float64: the exact amount by which a served claim raises the agent's own register, or the amount if there is no
-        register.
-    `everything`: marks claims for all that is left.
+    register. `everything`: marks claims for all that is left.
     `had`: the current value of the register. `has_register`: whether there is one."""
 
     def __init__(

@@ -63,8 +63,7 @@ class Scene:
         """Return a digest of everything in the scene that affects results.
 
         It leaves out the output, and a camera that no level of detail uses. It also leaves out the last frame, so that a cache
-        can be
-        continued past it."""
+        can be continued past it."""
         without = {"output", "frames", "extends"} | ({"camera"} if self.model.lod is None else set())
         relevant_keys = sorted(set(type(self.model).model_fields) - without)
         values = [(name, getattr(self.model, name)) for name in relevant_keys if name != "crowd"]

@@ -1,6 +1,5 @@
 """Checks of a scene against a program. Each name must refer to a thing of the right kind, each value must have the right
-dimension and
-range.
+dimension and range.
 
 No mesh is read here; only the existence of files is checked. `CHECKS` lists the checks."""
 

@@ -71,8 +71,7 @@ class SpreadFlow:
     `direction`: along the target (a line), towards it, or away from it.
     `radius`: the distance in mm beyond which the flow is 0; None for no limit.
     `gather`: above 0, a flow along a line also leads onto it. At the radius, this is the ratio of the part onto the line to the
-        part
-    along it.
+    part along it.
     `cell`: the distance (mm) of the points where it is computed; None for a share of the radius.
     `on`: the surfaces; empty for all."""
 
@@ -144,8 +143,7 @@ class PlaceData:
 
     `on`: the surfaces; empty for all.
     `by_area`: agents stand on the front of faces of any direction. `radius` is then that of a ball, and `points` move to the
-        nearest
-    surface point.
+    nearest surface point.
     `spacing`: the least distance (mm) of centres; inf: as large as the space allows for all that start with equal settings.
     `seed`: for the positions; None for the setting's seed.
     `ahead` (n, 3): the unit vector of the heading at each point; nan for a random heading.
@@ -299,8 +297,7 @@ class WorldSetting:
     `camera`: a camera from a file.
     `by_rays`: agents find meshes by two rays per step and do not walk over triangles.
     `orient`: bodies stand perpendicular to the ground's smooth `normal`, to the last two directions of motion (`turns`), or to
-        the
-    directions to two `probes`.
+    the directions to two `probes`.
     `deviations`: the largest distance (mm) of the triangles of height surfaces from bilinear patches.
     `contacts`: how bodies are separated.
     `clips`: the clips of each species' body, by name.

@@ -1,8 +1,7 @@
 """The kinds of scalar in a scene, as pydantic types over text: integers, quantities, lengths, frame rates, names.
 
 It also has the mappings that several models share: points, and positions at frames. Each type converts a text to a value by one
-exact
-routine. Otherwise it raises an error with a code, a message, and what to write instead."""
+exact routine. Otherwise it raises an error with a code, a message, and what to write instead."""
 
 from __future__ import annotations
 

@@ -20,9 +20,8 @@ class DrivenPose:
     """Values that drive the poses of n agents.
 
     `channels`: float32[n] by display name. A value overrides the clips for a channel of the rig; NaN leaves the value of the
-        clips.
-    `looks`: float32[n, 3] by transform group, unit vectors in the agent's space (+x ahead, +y up); (1, 0, 0) is straight ahead.
-    `draws`: the random variation of bodies.
+    clips. `looks`: float32[n, 3] by transform group, unit vectors in the agent's space (+x ahead, +y up); (1, 0, 0) is straight
+    ahead. `draws`: the random variation of bodies.
     `lean`: float32[n, 2], how much each agent turns (positive: left) and climbs, from -1 to 1; None if no clip depends on it.
     """
 

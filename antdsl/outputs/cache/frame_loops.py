@@ -131,8 +131,7 @@ def agent_orientations(heading: Three, up: Three, ranks: Array1[I32], out: Array
     A quaternion rotates +x to the heading, and +y to the part of `up` perpendicular to the heading.
 
     It is composed of the shortest rotation of +x to the heading, and a rotation about the heading. A zero heading counts as +x.
-    If
-    `up` is parallel to the heading, an arbitrary perpendicular direction replaces it."""
+    If `up` is parallel to the heading, an arbitrary perpendicular direction replaces it."""
     px, py, pz = heading
     qx, qy, qz = up
     for i in independent(begin, end):

@@ -87,8 +87,7 @@ class BackgroundWorker:
     """Runner of jobs in a thread, one after the other.
 
     The callback `report` receives the result of each job in the caller's thread: when the next job is submitted, or at the end.
-    After
-    an error no further job runs, and the next call raises the error."""
+    After an error no further job runs, and the next call raises the error."""
 
     def __init__(self, report: Callable[[Results], None]) -> None:
         self._told = report

@@ -27,8 +27,7 @@ class FolderLock:
     """The lock of a cache's folder, held from `__enter__` to `__exit__`.
 
     Processes forked in between hold it until they end. Raises FolderLocked if another run holds it, OSError if the file system
-    has no
-    locks.
+    has no locks.
 
     The file contains the process id and the host, for people to read. The lock itself belongs to the operating system, so no lock
     outlives its processes. If the run that holds the lock has ended but its writer has not, `__enter__` waits for the writer.

@@ -187,8 +187,7 @@ def _scene_layer_masks(
     """Yield masks of the layers that the scene gives to agents, one layer per part of the body.
 
     Layers are drawn by the agent's id and the scene's seed, and stay for the agent's lifetime. Agents born later use the crowd
-    line
-    of their parent."""
+    line of their parent."""
     crowds = [crowd for crowd in _crowds(population, setting) if crowd.wears]
     if not crowds:
         return

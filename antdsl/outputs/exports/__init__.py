@@ -32,8 +32,7 @@ class ExportFormat:
     """An export to files with some `endings`.
 
     `forms`: by name, the functions that write frames of a cache into a file; the first is the default. They return sentences on
-        what
-    was left out or changed.
+    what was left out or changed.
     `each`: the forms that write one file per frame, with the frame number in the name.
     `options`: by form, the dataclass of its additional options.
     `barred`: strings that file names must not contain, because they have a special meaning for the export's libraries."""

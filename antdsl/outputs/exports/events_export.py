@@ -76,8 +76,7 @@ def export_npz_events(gallery: Gallery, frames: Iterable[int], path: Path) -> li
     fails.
 
     Each kind has the arrays `KIND.frame`, `.species`, `.id`, `.P`, `.N` and `.what`. Contacts also have `.other_species`,
-    `.other`
-    and `.depth`. `KIND.P` is relative to `origin` float64[3]."""
+    `.other` and `.depth`. `KIND.P` is relative to `origin` float64[3]."""
     frames = list(frames)
     events_by_kind: dict[str, list[tuple[int, EventRows]]] = {kind: [] for kind in EVENT_KINDS}
     for frame, each in _all_events(gallery, frames):

@@ -1,8 +1,7 @@
 """A cache as Houdini's ASCII geometry (.geo), one file per frame with one point per agent.
 
 The format has no published description. This writer follows open readers (`hgeo.py` of cgdougm/HoudiniObj among others). A file
-is
-a list of keys and values. Attributes are `tuples`, `arrays`, and tables of `strings` with `indices`.
+is a list of keys and values. Attributes are `tuples`, `arrays`, and tables of `strings` with `indices`.
 
 Points have y up, as in Houdini. `orient` rotates +z, Houdini's forward axis for agents, to the heading. In a world far from the
 zero point, points are relative to the global attribute `origin`, which is in double precision."""
@@ -141,8 +140,7 @@ def _slots(machines: Iterable[MachineClips], count: int) -> list[Slot]:
     """Return two slots per machine, for the outgoing and the current clip: clip number, turns, weight.
 
     Houdini normalises the weights at each joint. In antdsl, a machine's clips replace the clips of earlier machines by their
-    total
-    weight. The returned weights give the same result for up to two machines."""
+    total weight. The returned weights give the same result for up to two machines."""
     slots, below = [], np.zeros(count)
     for machine in machines:
         fade = np.clip(machine.fade, 0, 1).astype(np.float64)

@@ -29,8 +29,7 @@ def export_meshes(gallery: Gallery, frames: Iterable[int], path: Path) -> list[s
     """Write the posed bodies of agents as one mesh per frame, in scene units. Return messages about agents that are left out.
 
     Agents are in order of species and id. The n-th point is the same point of the same agent in each frame. Agents that are not
-    in
-    all frames are left out.
+    in all frames are left out.
 
     Raises ExportUnavailable if no agent is in all frames, or if there are too many points. Raises CacheError for a damaged frame,
     OSError if writing fails."""

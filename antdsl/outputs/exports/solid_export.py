@@ -40,14 +40,11 @@ def export_volumes(gallery: Gallery, frames: Iterable[int], path: Path) -> list[
     """Write the solids in the last of the frames as dense volumes, in scene units. Return a message that names this frame.
 
     `NAME.distance` float32[x, y, z]: signed distances to the surface at lattice points; below 0 in the solid, limited to the
-        band.
-    `NAME.origin` float64[3]: the position of the first lattice point.
-    `NAME.cell` float64: the spacing.
-    `NAME.band` float64[2]: the least and the greatest distance.
+    band. `NAME.origin` float64[3]: the position of the first lattice point. `NAME.cell` float64: the spacing. `NAME.band`
+    float64[2]: the least and the greatest distance.
 
     Raises ExportUnavailable without solids, or if a volume is too large. Raises CacheError for a damaged frame, OSError if
-    writing
-    fails."""
+    writing fails."""
     last = list(frames)[-1]
     dug = DugSolids(gallery.cache, gallery.static)
     if not dug.at(last):

@@ -21,8 +21,7 @@ class CameraView:
     `eye` (3,): its position.
     `right`, `above`, `ahead`: unit axes.
     `half`: the tangents of half the angle of view across width and height. With `parallel` rays: half the width and height in
-        world
-    units."""
+    world units."""
 
     eye: Array
     right: Array

@@ -1,8 +1,7 @@
 """The legend beside a picture, and sheets of several pictures.
 
 The legend has the frame number, the states of each species with colours and counts, and fields with a scale of numbers. A sheet
-has
-equal tiles with a line of text below each."""
+has equal tiles with a line of text below each."""
 
 from collections.abc import Sequence
 from itertools import groupby

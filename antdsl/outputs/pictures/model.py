@@ -27,8 +27,7 @@ class Solid:
     """A mesh that is static between frames: `vertices` (n, 3) in world units, `faces` (m, 3).
 
     `colour`: sRGB display values 0..1, one colour (3,) or one per vertex (n, 3). None, or NaN for a vertex, selects the look of
-        the
-    solid's `kind`."""
+    the solid's `kind`."""
 
     name: str
     vertices: Array

@@ -145,8 +145,7 @@ def _grain(picture: Picture, extent: float) -> float:
     """Return the reference length of grain and shade, in world units, limited to values that suit the extent.
 
     It is the picture's own, else the body length of the first crowd. This length is rounded, so that growth does not invalidate
-    the
-    stage."""
+    the stage."""
     if picture.grain is not None and picture.grain > 0:
         return float(min(max(picture.grain, extent / 2000), extent / 20))
     lengths = [float(np.median(crowd.scale)) for crowd in picture.crowds if len(crowd.scale)]

@@ -139,8 +139,7 @@ def cover_of_strengths(strength: Array, full: float) -> Floats:
     """Return the shares (n,) of the ground that strengths (n,) cover. `full`: the strength drawn strongest.
 
     Scent spans many powers of ten, and agents also follow faint scent. With the exponent 0.4, a thousandth of the strongest
-    covers a
-    sixteenth."""
+    covers a sixteenth."""
     share = np.clip(np.asarray(strength, np.float64) / max(full, 1e-30), 0.0, 1.0) ** 0.4
     return np.asarray(share, np.float32)
 

@@ -1,9 +1,8 @@
 """A bank of poses: for each species, the prototypes of its agents' instances, created at first use.
 
 A pose consists of the topmost clip on the complete body and the clip on each transform group. Each clip is at the nearest of a
-few
-moments. A clip counts if it has most of its machine's weight. An agent that walks on its feet but plays no walking clip gets one.
-This clip is chosen by the agent's speed, at the phase of its gait. A prototype is a pose in the colour of a state."""
+few moments. A clip counts if it has most of its machine's weight. An agent that walks on its feet but plays no walking clip gets
+one. This clip is chosen by the agent's speed, at the phase of its gait. A prototype is a pose in the colour of a state."""
 
 from __future__ import annotations
 
@@ -153,8 +152,7 @@ def played_codes(worn: PosedBody, crowd: Crowd, speed: NDArray[np.float64] | Non
     A code is 0 for no clip, else (clip + 1) · (POSES_PER_CLIP + 1) + the nearest moment. `clip` is an index of `bank_clips`.
 
     `speed` [n]: body lengths per second, or None. An agent that moves, but plays no walking clip, gets the walking clip nearest
-        to its
-    speed. The phase is that of its feet."""
+    to its speed. The phase is that of its feet."""
     clips = [worn.definition.clips.get(each.clip) for each in bank_clips(worn)]
     loops = np.array([clip is not None and clip.loop for clip in clips] + [False])
     groups = np.array([bool(each.on) for each in bank_clips(worn)] + [False])

@@ -1,9 +1,8 @@
 """An agent definition as UsdSkel: a skeleton, and the shapes of a layer bound to it, with their materials.
 
 A shape is static if all its points follow its joint. UsdSkel has one bind pose per skeleton. So shapes captured in a different
-pose
-get a separate skeleton with the same joints. UsdSkel first blends shapes, then skins them, linearly or by dual quaternions. Other
-features of a definition are left out and reported."""
+pose get a separate skeleton with the same joints. UsdSkel first blends shapes, then skins them, linearly or by dual quaternions.
+Other features of a definition are left out and reported."""
 
 from __future__ import annotations
 

@@ -1,8 +1,8 @@
 """A crowd as a point instancer. Poses of its bodies are prototypes, agents are instances.
 
 Positions, orientations, velocities and angular velocities have a sample at every time. Readers use velocities only at the times
-of
-positions and orientations. Other arrays have samples when they change. The signs of quaternions follow the previous sample."""
+of positions and orientations. Other arrays have samples when they change. The signs of quaternions follow the previous
+sample."""
 
 from __future__ import annotations
 

@@ -1,9 +1,8 @@
 """Agents of a species at any time of a cache, by id: in a frame or between two frames.
 
 Between two frames, positions and scales are interpolated linearly. Orientations rotate at a constant rate by the smaller angle.
-This
-matches the velocities and angular velocities, which lead from a frame to the next. An agent missing from the next frame continues
-at its own velocity."""
+This matches the velocities and angular velocities, which lead from a frame to the next. An agent missing from the next frame
+continues at its own velocity."""
 
 from __future__ import annotations
 
@@ -192,8 +191,7 @@ def _leading_velocities(
 
 def rotation_vector(first: Floats, second: Floats) -> Floats:
     """Return the rotations between orientations (n, 4: x y z w, unit), by the smaller angle. The results (n, 3) are world axes
-    times
-    radians."""
+    times radians."""
     a, b = first, second * np.where((first * second).sum(axis=1) < 0, -1.0, 1.0)[:, None]
     real = (a * b).sum(axis=1)
     axis = a[:, 3:] * b[:, :3] - b[:, 3:] * a[:, :3] - np.cross(b[:, :3], a[:, :3])

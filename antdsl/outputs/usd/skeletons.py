@@ -35,8 +35,7 @@ class SkeletonWriter:
     """Writer of one species: an instance for each agent, with its animation beside it.
 
     With `copies`, agents are full copies, and their meshes have the state colours. Some programs need this, because they do not
-    pose
-    instances or inherit primvars."""
+    pose instances or inherit primvars."""
 
     def __init__(self, out: StageOutput, species: SpeciesEntry, number: int, copies: bool = False, close: bool = False) -> None:
         self._out, self._species, self._number, stage = out, species, number, out.stage

@@ -58,9 +58,7 @@ class UsdOptions(XformOptions):
     """Options of an export with instances.
 
     `skeletons`: up to this number of agents of a species, each agent has its own skeleton. More agents are instances from a bank
-        of
-    poses.
-    `copies`: agents with skeletons are full copies, not instances."""
+    of poses. `copies`: agents with skeletons are full copies, not instances."""
 
     skeletons: int = MAX_SKELETON_AGENTS
     copies: bool = False

@@ -54,8 +54,7 @@ def aim(
     """Compute the search for ground of the requests from `begin` to before `end` (numbered as `stepping.LEG_BITS` describes).
 
     Writes to `seekers` where hips will be when feet land and the target positions of the feet; to `rays` the first ray between
-    both.
-    `measures`: `Gaits.legs` and `Gaits.exact`.
+    both. `measures`: `Gaits.legs` and `Gaits.exact`.
     `standing`: start faces of the agents, copied to `rays`.
     `quick`: set for feet that lift; these search again when they land."""
     legs, exact = measures

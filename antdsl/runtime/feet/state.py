@@ -49,20 +49,15 @@ def _axis(name: str) -> int:
 class Feet:
     """The feet of n agents with L legs. Positions are mm in world coordinates, components first.
 
-    Agents may be in any order. A step sorts them in the order of the population's rows, in which neighbours in space are
-    mostly neighbours in memory.
-    `place` float64[3, n, L]: where each foot stands or is to land.
-    `shown` float64[3, n, L]: current position of the foot.
-    `start` float64[3, n, L]: where its swing began.
-    `swing` float32[n, L]: the completed share of its swing, -1 for a standing foot.
-    `on` int16[n, L]: number of the thing that `place` is on; -1: the plane; -2: nothing (the foot hangs).
-    `face` int32[n, L], `weight` float64[2, n, L]: the triangle, and the weights of its second and third corner.
-    `found` float32[n, L]: how far from its rest position (body lengths) a foot was put back, because no nearer ground was
-        found.
-    `phase` float32[n]: gait phase, from 0 to 1.
-    `rise` float32[n]: height of the trunk above its rest height (mm).
-    `slope` float32[2, n]: increase in ground height below the feet, per length ahead and per length aside.
-    `position` float64[3, n], `heading`, `up` float32[3, n]: those of the body at the end of the last frame."""
+    Agents may be in any order. A step sorts them in the order of the population's rows, in which neighbours in space are mostly
+    neighbours in memory. `place` float64[3, n, L]: where each foot stands or is to land. `shown` float64[3, n, L]: current
+    position of the foot. `start` float64[3, n, L]: where its swing began. `swing` float32[n, L]: the completed share of its
+    swing, -1 for a standing foot. `on` int16[n, L]: number of the thing that `place` is on; -1: the plane; -2: nothing (the foot
+    hangs). `face` int32[n, L], `weight` float64[2, n, L]: the triangle, and the weights of its second and third corner. `found`
+    float32[n, L]: how far from its rest position (body lengths) a foot was put back, because no nearer ground was found. `phase`
+    float32[n]: gait phase, from 0 to 1. `rise` float32[n]: height of the trunk above its rest height (mm). `slope` float32[2,
+    n]: increase in ground height below the feet, per length ahead and per length aside. `position` float64[3, n], `heading`,
+    `up` float32[3, n]: those of the body at the end of the last frame."""
 
     ids: NDArray[np.int64]
     place: NDArray[np.float64]

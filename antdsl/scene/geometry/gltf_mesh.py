@@ -1,8 +1,7 @@
 """Reader of all meshes of a glTF file (.gltf, .glb) as one mesh, in metres with y up.
 
 The transforms of nodes are applied. Triangles, strips and fans are read. Khronos Group, glTF 2.0 Specification, 2021, sections
-3.5
-and 3.7."""
+3.5 and 3.7."""
 
 from __future__ import annotations
 

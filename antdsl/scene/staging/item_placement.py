@@ -50,8 +50,7 @@ def _place_item(staging: SceneStaging, name: str, item: str, thing: ItemThing) -
     """Return an item's position at each frame (frames, 3); one frame if it is static.
 
     With `on`, it lies on the surface: at each position of its keys, or without keys at one point of a surface that may move. If
-    it misses
-    the surface, report an error and return None."""
+    it misses the surface, report an error and return None."""
     track = item_positions(staging, name, item, thing)
     mesh = staging.surfaces.get(thing.on) if thing.on is not None else None
     if mesh is None or thing.on is None:
@@ -152,8 +151,7 @@ def _facing_columns(up: str, value: UsdThing, ahead: NDArray[np.float64]) -> lis
     """Return the columns of the attributes that receive the direction of empties.
 
     They are a unit vector (three columns), or its angle from +x about the scene's up, counted to the left. Columns are nan
-    without a
-    direction. The angle is also nan if the direction is straight up or down."""
+    without a direction. The angle is also nan if the direction is straight up or down."""
     if value.turn is None:
         return []
     size = np.sqrt((ahead[:, 0] * ahead[:, 0] + ahead[:, 1] * ahead[:, 1]) + ahead[:, 2] * ahead[:, 2])

@@ -38,8 +38,7 @@ class NativeProgram:
 
     `text`: all functions. `functions`: the text of each function, by name.
     `units`: the texts that are compiled separately, by name. A unit is a function called from outside, with everything that it
-        calls.
-    `blocks`: the block codes, by species and block."""
+    calls. `blocks`: the block codes, by species and block."""
 
     text: str
     functions: Mapping[str, str]

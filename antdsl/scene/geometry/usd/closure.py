@@ -2,9 +2,8 @@
 
 `Roots` reads each file, so the same rules hold as for any file that a scene names. Files must be below the scene's folder or a
 granted root. Links and addresses are not followed, and a file may be no larger than a mesh. The reader opens each copy and lists
-the
-files that it names. Copies have the same relative paths as the files, by which USD finds them. No message reveals whether a file
-outside the roots exists.
+the files that it names. Copies have the same relative paths as the files, by which USD finds them. No message reveals whether a
+file outside the roots exists.
 
 A .usdz package is unpacked here, never by USD. It is written again as USD expects it: layers only, stored, with plain and unique
 names. Otherwise two readers of one zip file could see different members."""

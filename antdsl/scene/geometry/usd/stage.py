@@ -99,8 +99,8 @@ def open_stage(
     `closures`: stores collected files by name, or the error why they cannot be collected.
 
     Frame f is USD's time code f · timeCodesPerSecond / fps. They are equal if the rates are equal. Raises UsdError if a file may
-    not be
-    opened, or if there is no such prim. Also raises it if the system has no sandbox and the user does not trust USD files."""
+    not be opened, or if there is no such prim. Also raises it if the system has no sandbox and the user does not trust USD
+    files."""
     _check_sandbox(text)
     stored = {} if closures is None else closures
     if text not in stored:

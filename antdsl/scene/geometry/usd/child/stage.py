@@ -105,8 +105,7 @@ def open_stage(request: ReaderMessage) -> OpenStage:
     `prim`: the path of the prim; `text`: the file's name in messages.
 
     Frame f is USD's time code f · timeCodesPerSecond / fps. They are equal if the rates are equal. Raises UsdError if the stage
-    uses a
-    file outside the folder, exceeds the limits, or has no such prim."""
+    uses a file outside the folder, exceeds the limits, or has no such prim."""
     global _last_stage
     said, frames = request.document, request.array("frames", "<i8", None)
     path, folder, text, prim, up, purpose = (str(said[key]) for key in ("path", "folder", "text", "prim", "up", "purpose"))
