@@ -11,9 +11,8 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 
 _budget_process = 0  # the process that has a budget, 0 for none
-_budget_end_seconds = (
-    0.0  # the processor time of this process at which it is spent; the system's timer adds a tick each time that it is set
-)
+# The processor time of this process at which it is spent; the system's timer adds a tick each time that it is set
+_budget_end_seconds = 0.0
 _SOONEST_SIGNAL_SECONDS = 1e-6
 
 

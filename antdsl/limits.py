@@ -82,9 +82,8 @@ READER_MEMORY_PER_FILE_BYTE: Final = 12  # more for each byte of the files of a 
 MAX_READER_MEMORY_BYTES: Final = 8 * GIB
 READER_BYTES_PER_CPU_SECOND: Final = 256 * KIB  # of files that are given one second of CPU more each
 READER_BASE_CPU_SECONDS: Final = 5  # of CPU for one request about files of no size
-READER_CPU_SECONDS_PER_SCENE: Final = (
-    1_800  # of CPU for all requests of one scene, in addition to those for the size of its files
-)
+# Of CPU for all requests of one scene, in addition to those for the size of its files
+READER_CPU_SECONDS_PER_SCENE: Final = 1_800
 READER_BASE_WALL_SECONDS: Final = 60  # in addition to four times the seconds of CPU
 MAX_USD_LAYERS: Final = 10_000  # files that one USD file is made of
 MAX_USD_PRIM_DEPTH: Final = 256  # of prims below each other

@@ -16,12 +16,10 @@ from antdsl.numerics.vector_rows import dot, unit
 Floats = NDArray[np.float64]
 Index = NDArray[np.int64]
 
-HAIR_PER_COORDINATE = (
-    1e-6  # of the largest coordinate: several times what float32 makes of a corner, of a ray, and of where they meet
-)
-WIDENED_HAIRS = (
-    16.0  # hairs by which faces are wider for rays: even one that passes a side at 4 degrees finds them, whatever it rounds
-)
+# Of the largest coordinate: several times what float32 makes of a corner, of a ray, and of where they meet
+HAIR_PER_COORDINATE = 1e-6
+# Hairs by which faces are wider for rays: even one that passes a side at 4 degrees finds them, whatever it rounds
+WIDENED_HAIRS = 16.0
 _RIM_HAIRS = 20.0  # hairs: nearer to a side than this, the faces at its end are queried too
 RETEST_HAIRS = 40.0  # hairs behind a face that is named: where another one may be the first that is hit
 _MAX_PRECOMPUTED_FACES = 200_000  # faces: above this number, the tables of each face are computed on demand

@@ -8,9 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 _TRIANGLES_PER_CHUNK = 1 << 15  # triangles handled at once
-_PAIRS_PER_CHUNK = (
-    1 << 13
-)  # pairs of a triangle and a cell tested at once: what the test computes of them stays in the processor's cache
+# Pairs of a triangle and a cell tested at once: what the test computes of them stays in the processor's cache
+_PAIRS_PER_CHUNK = 1 << 13
 _CELL_SLACK = 1e-9  # cells
 _OTHER_AXES = ((1, 2), (2, 0), (0, 1))
 _MAX_TRIANGLE_CELLS = 2.0  # extent in cells above which a triangle is cut in four

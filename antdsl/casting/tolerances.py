@@ -6,9 +6,7 @@ MIN_VECTOR_LENGTH = 1e-30  # of a vector of float32: a shorter one points nowher
 ROUNDING_BOUND = 1e-4  # relative, and in mm: more than any rounding of a place or a direction
 
 NO_FACE, FACE_BEYOND_GRID = -1, -2  # instead of a face: there is none, and the grid cannot tell
-NEAREST_BEYOND_RANGE, NEAREST_UNKNOWN = (
-    -3,
-    -4,
-)  # of a search within a distance: the nearest is farther and faces the place, and that is not known
+# Of a search within a distance: the nearest is farther and faces the place, and that is not known
+NEAREST_BEYOND_RANGE, NEAREST_UNKNOWN = -3, -4
 MAX_RAY_CUBES = 16.0  # cubes along the three axes that a ray passes: of longer ones, thousands at once are faster in a tree
 MAX_SEARCH_RINGS = 4  # of cubes around a place in which its nearest face is looked for

@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import time
+from abc import ABC, abstractmethod
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, Future, wait
@@ -83,26 +84,26 @@ class TaskOutcome:
     notes: tuple[str, ...] = ()
 
 
-class Engine:
+class Engine(ABC):
     """Runs tasks. The future of a lost task is cancelled, and the task is submitted again. A future with BrokenExecutor has lost
     its process, possibly through its own task."""
 
     @property
+    @abstractmethod
     def task_capacity(self) -> int:
         """Return the number of tasks that should run at the same time."""
-        raise NotImplementedError
 
+    @abstractmethod
     def start(self) -> None:
         """Start the engine, or start it again after a stop. Raises WorkersLost."""
-        raise NotImplementedError
 
+    @abstractmethod
     def submit(self, task: Task) -> Future[str]:
         """Submit a task. Call this only while fewer than `task_capacity` tasks run. Raises WorkersLost."""
-        raise NotImplementedError
 
+    @abstractmethod
     def stop(self) -> None:
         """End all running tasks at once."""
-        raise NotImplementedError
 
     def frame(self, future: Future[str]) -> int | None:
         """Return the current frame of a running task, if known."""
@@ -114,7 +115,7 @@ class Engine:
 
     def break_reason(self) -> str:
         """Return the reason why the processes ended. Call this only after they have broken."""
-        raise NotImplementedError
+        raise NotImplementedError  # only engines with processes on this machine can break
 
     def describe_failure(self, why: BaseException) -> str:
         """Return the message for a task that ended with an exception. Raises the exception if it is an error of antdsl itself."""
@@ -125,10 +126,11 @@ class Engine:
     def fetch(self, worker: str, file: str, size: int) -> Iterator[bytes]:
         """Yield the parts of a file that a task wrote on a worker. Raises WorkersLost if the file is missing or shorter than
         `size`."""
-        raise NotImplementedError
+        raise NotImplementedError  # only tasks on other machines leave files to fetch
 
     def forget(self, worker: str, folder: str) -> None:
         """Make a worker remove the files that a task wrote."""
+        return  # tasks on this machine write where the files stay
 
 
 def run_tasks(

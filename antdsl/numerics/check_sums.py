@@ -31,16 +31,11 @@ _REGISTERS_PER_STEP = 4  # read at once
 _ALL_32_BITS = 0xFFFFFFFF
 _CRC_POLYNOMIAL = 0x104C11DB7
 _BYTE_DTYPE = np.dtype(np.uint8)
-_DATA_WORD, _LENGTH_WORD, _PREVIOUS_CRC_WORD = (
-    RESULT_WORDS,
-    RESULT_WORDS + 1,
-    RESULT_WORDS + 2,
-)  # words of a call's table; the first is what is given back
+# Words of a call's table; the first is what is given back
+_DATA_WORD, _LENGTH_WORD, _PREVIOUS_CRC_WORD = RESULT_WORDS, RESULT_WORDS + 1, RESULT_WORDS + 2
 _CallTable = ctypes.c_int64 * (_PREVIOUS_CRC_WORD + 1)
-_CARRYLESS_FEATURE, _WIDE_FEATURES = (
-    "+pclmul",
-    ("+vpclmulqdq", "+avx512vbmi2"),
-)  # as LLVM names them; the wide ones are used where `machine` does
+# As LLVM names them; the wide ones are used where `machine` does
+_CARRYLESS_FEATURE, _WIDE_FEATURES = "+pclmul", ("+vpclmulqdq", "+avx512vbmi2")
 
 
 def crc32(data: bytes | memoryview, previous_crc: int = 0) -> int:

@@ -27,11 +27,8 @@ EXP_COEFFICIENTS = tuple(1.0 / factorial(k) for k in range(12))
 LOG_COEFFICIENTS = tuple(2.0 / (2 * k + 1) for k in range(10))
 ATAN_COEFFICIENTS = tuple((-1.0) ** k / (2 * k + 1) for k in range(15))
 _F = np.float32
-_FRACTION_BITS, _EXPONENT_MASK, _EXPONENT_BIAS = (
-    52,
-    0x7FF,
-    1023,
-)  # of float64: bits of the fraction, those of the exponent, and its offset
+# Of float64: bits of the fraction, those of the exponent, and its offset
+_FRACTION_BITS, _EXPONENT_MASK, _EXPONENT_BIAS = 52, 0x7FF, 1023
 
 
 @inlined

@@ -11,12 +11,8 @@ from contextlib import contextmanager
 from functools import cache
 from typing import Any
 
-_ONE_AT_RUN_TIME, _HALF_AT_RUN_TIME, _HALF_ULP, _LEAST_NORMAL = (
-    1.0,
-    0.5,
-    2.0**-53,
-    2.0**-1022,
-)  # read at run time: a constant would be folded beforehand
+# Read at run time: a constant would be folded beforehand
+_ONE_AT_RUN_TIME, _HALF_AT_RUN_TIME, _HALF_ULP, _LEAST_NORMAL = 1.0, 0.5, 2.0**-53, 2.0**-1022
 _ENVIRONMENT_BYTES = 256  # bytes; more than any C library keeps of it
 
 

@@ -40,14 +40,8 @@ TABLE_STORE: Final = object_cache.StoreKind(
 )
 _MAX_STORE_BYTES: Final = 1024 * MIB
 _MAX_TABLE_BYTES: Final = 256 * MIB
-_HASHED_PACKAGES: Final = (
-    "machine_code",
-    "numerics",
-    "scene/geometry",
-    "casting",
-    "ground",
-    "fields",
-)  # packages that compute tables
+# Packages that compute tables
+_HASHED_PACKAGES: Final = "machine_code", "numerics", "scene/geometry", "casting", "ground", "fields"
 _ALIGNMENT_BYTES: Final = 64  # bytes: where arrays begin
 _ALLOWED_DTYPES: Final = frozenset(["|b1", "|i1", "<i4", "<i8", "<f4", "<f8"])
 

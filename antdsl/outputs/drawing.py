@@ -32,10 +32,8 @@ _PNG_HASH_KEYWORD = "antdsl"  # keyword of the text with the hash in a PNG file
 MAX_STILL_BYTES = 512 * limits.MIB
 
 Image = NDArray[np.uint8]
-MIN_AGENT_PIXELS, MAX_AGENT_ENLARGEMENT = (
-    7.0,
-    3.0,
-)  # shorter agents are enlarged to this length (pixels), by a factor of at most the second number
+# Shorter agents are enlarged to this length (pixels), by a factor of at most the second number
+MIN_AGENT_PIXELS, MAX_AGENT_ENLARGEMENT = 7.0, 3.0
 
 
 class AgentMissing(Exception):

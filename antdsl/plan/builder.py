@@ -27,9 +27,8 @@ def operand_problem(op: str, args: tuple[PlanNode, ...], attrs: tuple[Any, ...])
     return wrong
 
 
-_CHECKED_SHAPES: set[tuple[Any, ...]] = (
-    set()
-)  # operations with numbers of attributes and kinds of operands that were found fitting
+# Operations with numbers of attributes and kinds of operands that were found fitting
+_CHECKED_SHAPES: set[tuple[Any, ...]] = set()
 
 
 def _operand_problem(op: str, args: tuple[PlanNode, ...], attrs: tuple[Any, ...]) -> str | None:

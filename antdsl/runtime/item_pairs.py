@@ -22,10 +22,8 @@ PairColumns = tuple[Array1[I64], Array1[I64], Array1[F32], Array1[F32], Array1[F
 
 _PAIRS_PER_CHUNK = 1 << 16  # pairs of an agent and an item at once
 _MIN_ITEMS_TO_FILTER = 128  # above it those that are too far off along an axis are not measured
-_RADIUS_SLACK_FACTOR, _MIN_DISTANCE_MM = (
-    1 + 1e-5,
-    1e-15,
-)  # of a radius, and mm: more than float32 rounds, and than squares of it lose
+# Of a radius, and mm: more than float32 rounds, and than squares of it lose
+_RADIUS_SLACK_FACTOR, _MIN_DISTANCE_MM = 1 + 1e-5, 1e-15
 
 
 def items_within(items: Items, own: tuple[Floats, ...], radius: Any) -> ItemPairColumns:

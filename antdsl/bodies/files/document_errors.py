@@ -38,8 +38,8 @@ _CONTAINERS = ("list_type", "tuple_type", "dict_type", "model_type")
 
 
 def read_form(form: type[F], root: Node, report: Report) -> F | None:
-    """Return the model of a document, or None if the report has an error about it. At most `_MOST_ERRORS` findings of a kind are
-    reported, errors before warnings."""
+    """Return the model of a document, or None if the report has an error about it. At most `_MOST_ERRORS` findings of a round
+    are reported, errors before warnings."""
     tree = _plain(root)
     while True:
         try:

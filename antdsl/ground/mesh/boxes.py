@@ -17,9 +17,8 @@ Floats = NDArray[np.float64]
 Index = NDArray[np.int64]
 
 BOXES_PER_NODE = 4  # boxes in one box
-EDGE_TOLERANCE = (
-    1e-9  # of a triangle's weights: how far beside it a way still meets it, so that none slips between two that share an edge
-)
+# Of a triangle's weights: how far beside it a way still meets it, so that none slips between two that share an edge
+EDGE_TOLERANCE = 1e-9
 MAX_LENGTHENING = 1e6  # times its length that a way is made longer, at most
 MIN_PLANE_SINE = 1e-12  # sine between a way and a plane, below which it lies along it and meets nothing
 _GRID_STEPS_PER_AXIS = 1 << 21  # places along an axis that the order tells apart

@@ -42,17 +42,14 @@ from antdsl.numerics.kernel_vectors import (
 EYE_HEIGHT_PER_BODY = 0.02  # of a body: how far above the surface an agent looks ahead
 MIN_LOOK_AHEAD_FACTOR = 8.0  # times that height is the way left at least: an agent that climbs also comes up by it
 BORDER_GAP_PER_BODY = 0.02  # of a body: how far beyond a border it looks for what continues there
-BORDER_RAY_HEIGHT_PER_BODY, BORDER_RAY_DEPTH_PER_BODY = (
-    0.5,
-    0.25,
-)  # of a body: how far above and below a border it looks, and how deep back
+# Of a body: how far above and below a border it looks, and how deep back
+BORDER_RAY_HEIGHT_PER_BODY, BORDER_RAY_DEPTH_PER_BODY = 0.5, 0.25
 RELATIVE_DISTANCE_NOISE = 1e-4  # of the extent of a ground: more than distances to other pieces err by
 RELATIVE_MIN_EYE_HEIGHT = 1e-6  # of that extent: least height of eyes
 RELATIVE_COINCIDENT_DISTANCE = 1e-8  # of that extent: nearer surfaces are at one place
 RELATIVE_TOUCH_DISTANCE = 1e-9  # of that extent: how near feet are to what cuts their face when they are on it
-MIN_NORMALS_COSINE = (
-    -0.17
-)  # cosine between two normals, of about 100 degrees: below it nothing leads from the one over a border to the other
+# Cosine between two normals, of about 100 degrees: below it nothing leads from the one over a border to the other
+MIN_NORMALS_COSINE = -0.17
 
 
 @dataclass(frozen=True, slots=True)

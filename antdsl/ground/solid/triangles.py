@@ -15,9 +15,8 @@ Floats = NDArray[np.float64]
 Index = NDArray[np.int64]
 Distances = NDArray[np.float32]
 
-EXACT_DISTANCE_VOXELS = (
-    1.75  # voxels up to which a node is measured to all triangles: corners of a cell that the surface crosses are nearer
-)
+# Voxels up to which a node is measured to all triangles: corners of a cell that the surface crosses are nearer
+EXACT_DISTANCE_VOXELS = 1.75
 FAR_DISTANCE = np.float32(1e9)  # of nodes beyond the band
 _PAIRS_PER_CHUNK = 1 << 15  # pairs of node and triangle measured together, so that they stay in the processor's cache
 _NEIGHBOUR_STEPS = ((1, 0, 0), (-1, 0, 0), (0, 1, 0), (0, -1, 0), (0, 0, 1), (0, 0, -1))

@@ -20,10 +20,8 @@ _PAIRS_PER_CHUNK = 1 << 16  # pairs of triangle and line looked at together
 Floats = NDArray[np.float64]
 Index = NDArray[np.int64]
 
-_INNER_BAND_VOXELS, _OUTER_BAND_VOXELS = (
-    1.75,
-    4.0,
-)  # voxels of the band inside and outside; a cell that the surface crosses has corners within 1.733
+# Voxels of the band inside and outside; a cell that the surface crosses has corners within 1.733
+_INNER_BAND_VOXELS, _OUTER_BAND_VOXELS = 1.75, 4.0
 _RAY_OFFSETS_VOXELS = (0.37, 0.41, 0.43)  # voxels
 _BLOCK_VOXELS = 4.0  # voxels
 _BYTES_PER_NEAR_NODE = 24  # bytes of memory for each node near the surface while distances are found

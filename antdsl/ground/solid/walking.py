@@ -27,9 +27,8 @@ Vectors = Array2[F64]
 
 MAX_STRIDE_VOXELS = 1.0  # voxels of one step at most
 MIN_STRIDE_VOXELS = 1 / 128  # voxels of one step, below which there is no way on
-MAX_CHORD_ERROR_VOXELS = (
-    0.12  # voxels that the middle of a step may be off the surface: else an edge is cut, or a thin wall is passed
-)
+# Voxels that the middle of a step may be off the surface: else an edge is cut, or a thin wall is passed
+MAX_CHORD_ERROR_VOXELS = 0.12
 MIN_TURN_COSINE = -0.25  # cosine of the turn of the normal in one step, below which another wall may have been met
 MAX_STRIDE_STRETCH = 1.3  # lengths of one step that it may lead at most
 EDGE_STRIDE_VOXELS = 0.1  # voxels of a step so short that a sharp turn is an edge and no other wall

@@ -13,9 +13,8 @@ from antdsl.machine_code.library import library_text
 from antdsl.machine_code.module import LlvmModule
 
 CONTIGUOUS_WORD, STRIDED_WORD, ROW_NUMBER_WORD, HALVES_WORD = range(4)  # kinds of words
-TABLE_WORDS_PER_WORD = (
-    9  # words of a table for each of the row's words: kind, two addresses each before the bytes of a step, four keys
-)
+# Words of a table for each of the row's words: kind, two addresses each before the bytes of a step, four keys
+TABLE_WORDS_PER_WORD = 9
 TABLE_HEADER_WORDS = 4  # words of the table of a call: both sums, how many words a row has, and where the table of these begins
 ROWS_PER_STEP = 8  # rows that are looked at together
 _BLOCK_ROWS = 1_024  # rows

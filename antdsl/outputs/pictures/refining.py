@@ -17,10 +17,8 @@ Rows = NDArray[np.int64]
 
 _CONTACT_RAYS_PER_PIXEL = 4  # of every fourth pixel
 _VISIBLE_DIFFERENCE = 0.03  # difference of two pixels' display values that an eye sees
-_MIN_REFINED_SAMPLES, _MEAN_SAMPLES_PER_PIXEL = (
-    4,
-    1.1,
-)  # samples of a refined pixel at least, and of all of them for each pixel of the picture
+# Samples of a refined pixel at least, and of all of them for each pixel of the picture
+_MIN_REFINED_SAMPLES, _MEAN_SAMPLES_PER_PIXEL = 4, 1.1
 
 
 @dataclass(frozen=True, slots=True, eq=False)

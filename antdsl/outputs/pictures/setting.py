@@ -28,9 +28,8 @@ _FINE_PEBBLE_RADIUS = 0.06  # from this radius on a pebble is worth a round shap
 Array = NDArray[np.float64]
 
 
-TABLE_DEPTH_SHARE = (
-    0.03  # how far the table lies below the lowest point, as a share of the extent: room for the cut edge of a floor
-)
+# How far the table lies below the lowest point, as a share of the extent: room for the cut edge of a floor
+TABLE_DEPTH_SHARE = 0.03
 _TABLE_DEPTH_SHARE_WITHOUT_FLOOR = 0.001  # the same without a floor: things stand on the table
 
 

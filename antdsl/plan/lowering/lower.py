@@ -29,9 +29,8 @@ from antdsl.plan.traverse import find_shared_senses, operands, required_nodes, s
 from antdsl.program import model
 from antdsl.program.tables.things import KIND_BY_WORD
 
-MAX_RECURSION_FRAMES = (
-    20_000  # frames of our own recursion over expressions; their nesting is capped by the parser and the checker
-)
+# Frames of our own recursion over expressions; their nesting is capped by the parser and the checker
+MAX_RECURSION_FRAMES = 20_000
 
 
 def lower(

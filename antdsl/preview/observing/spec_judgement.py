@@ -21,10 +21,8 @@ from antdsl.scene.paths import PathRefused, Roots
 from antdsl.specs.cases import Failure
 from antdsl.specs.judge import SpecJudge
 
-_MAX_JUDGING_SHARE, _MAX_JUDGING_SECONDS = (
-    0.1,
-    0.004,
-)  # of the time that a step takes, and seconds: what judging a spec may take unless it is requested
+# Of the time that a step takes, and seconds: what judging a spec may take unless it is requested
+_MAX_JUDGING_SHARE, _MAX_JUDGING_SECONDS = 0.1, 0.004
 _WARM_UP_FRAMES, _MEASURED_FRAMES = 3, 24  # frames that are not counted, and those after which it is known
 CURVE_NAME_PREFIX = "spec: "
 

@@ -8,10 +8,8 @@ from typing import Any
 
 from antdsl.preview.timeline import Timeline, TimelineBranch
 
-_MAX_HISTORY_POINTS, _MAX_BRANCH_POINTS = (
-    4000,
-    1000,
-)  # points of a history, and of a branch: of a longer one every so many frames are sent
+# Points of a history, and of a branch: of a longer one every so many frames are sent
+_MAX_HISTORY_POINTS, _MAX_BRANCH_POINTS = 4000, 1000
 
 
 class SentCurves:

@@ -25,10 +25,8 @@ _CENTRE_SOFTNESS = 0.15  # of a cell: nearer than so a vertex counts as in the m
 _UPDATE_INTERVAL_SECONDS = 0.125  # seconds between two showings while it plays
 _MESH_INTERVAL_SECONDS = 1.0  # the same of meshes that grow
 _DEFAULT_FULL_VALUE = 100.0  # what is shown as full where a field has no limit
-MIN_BYTE_VALUE, BYTE_DECADES = (
-    1e-8,
-    16,
-)  # the values that a byte can tell: 1 is the least of them, 255 is so many powers of ten more
+# The values that a byte can tell: 1 is the least of them, 255 is so many powers of ten more
+MIN_BYTE_VALUE, BYTE_DECADES = 1e-8, 16
 
 
 def full(limit: float) -> float:

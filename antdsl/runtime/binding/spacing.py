@@ -28,9 +28,8 @@ _TRIES_PER_ROUND = (1,) * 8 + (2,) * 4 + (4,) * 4 + (8,) * 4 + (16,) * 4
 _SPACING_ROUNDS = ((0.005, _TRIES_PER_ROUND + (32,) * 8), (0.1, _TRIES_PER_ROUND), (1.0, (1,) * 4))
 _FIRST_BATCH_AGENTS = 64  # agents of the first batch; of each other as many as have been before it
 _GAP_FACTOR = 1.001  # so much farther apart than their radii reach: float32 rounds
-_FIRST_QUERY_NEIGHBOURS = (
-    8  # smaller neighbours of the first query; each further query doubles the number until the result is certain
-)
+# Smaller neighbours of the first query; each further query doubles the number until the result is certain
+_FIRST_QUERY_NEIGHBOURS = 8
 _CELLS_PER_BODY = 8  # of those who may overlap already, one in so small a part of a body stands for all there
 
 

@@ -23,9 +23,8 @@ Flags = NDArray[np.bool_]
 
 _VISIBLE_OVERLAP_SHARE = 0.05  # of the room of two: an overlap for which more is walked
 _MISSED_RADIUS_SHARE = 0.05  # of a radius: who ends so far from where it was to is looked at again
-_HELD_DISTANCE_SHARE = (
-    0.5  # of the way it was to go: who comes on by less is held by an obstacle, a border or a fall, and others make the room
-)
+# Of the way it was to go: who comes on by less is held by an obstacle, a border or a fall, and others make the room
+_HELD_DISTANCE_SHARE = 0.5
 Floats = NDArray[np.float64]
 Rows = NDArray[np.intp]
 

@@ -18,9 +18,8 @@ SUM_BITS = 40  # digits of a term in a sum, below the widest overlap
 _SHARE_RESOLUTION = 1 << 20  # a share is a multiple of one in so many
 _LOCK_SPREAD_CONTACTS = 3  # contacts along which the lock values spread
 _OUTER_SHARE_FACTOR = 10.0  # times the difference of two agents, by which the outer one moves more in a dense cluster
-_SHALLOW_OUTER_SHARE_FACTOR = (
-    1.0  # the same among those who are hardly in each other: there a crowd that presses must not be thrown about
-)
+# The same among those who are hardly in each other: there a crowd that presses must not be thrown about
+_SHALLOW_OUTER_SHARE_FACTOR = 1.0
 _MIN_INNER_SHARE = 1 / 64  # of the whole: what the inner one makes room for at least
 _CLUSTER_OVERRELAXATION = 1.5  # times the mean of its contacts, by which an agent in a dense cluster is moved
 _MIN_SQUARED_GROUND_PART = 0.1  # square of the part of a way that lies along the ground, below which one goes no farther for it

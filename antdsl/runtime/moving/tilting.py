@@ -44,9 +44,8 @@ _F = np.float32
 _FLOAT32_ZERO, _FLOAT32_ONE, _FLOAT32_PI = _F(0), _F(1), _F(np.pi)
 _RIGHT_ANGLE = _F(np.pi / 2)
 _MIN_TILT_RATE = _F(np.pi / 4)  # rad/s that a body tilts at least: one that turns slower still comes round an edge
-_OPPOSITE_SINE = (
-    0.05  # sine of an angle near half a turn, below which its axis is drowned in rounding: it goes over the head then
-)
+# Sine of an angle near half a turn, below which its axis is drowned in rounding: it goes over the head then
+_OPPOSITE_SINE = 0.05
 _STEEP_COSINE = 0.9  # as `vectors.across`
 _WAITING_VELOCITY_SHARE = _F(0.05)  # of a velocity: retained by an agent that waits for its body
 

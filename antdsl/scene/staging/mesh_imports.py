@@ -29,10 +29,8 @@ Floats = NDArray[np.float64]
 Index = NDArray[np.int64]
 Faces = NDArray[np.int32]
 
-_MAX_WELD_PAIRS, _MAX_PAIRS_PER_VERTEX = (
-    1 << 21,
-    32,
-)  # pairs of near places that are listed at most, and for each place on average
+# Pairs of near places that are listed at most, and for each place on average
+_MAX_WELD_PAIRS, _MAX_PAIRS_PER_VERTEX = 1 << 21, 32
 _FLAT_BODY_RATIO = 1e-9  # of the extent: bodies that are less thick have no volume
 _MAX_CLOSING_TRIES = 4  # tolerances that are tried to close gaps, each twice as large
 

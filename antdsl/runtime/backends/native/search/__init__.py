@@ -34,9 +34,8 @@ from antdsl.runtime.backends.native.sums import RunningReduction
 from antdsl.runtime.pairs import count_nearest
 from antdsl.runtime.world import AXES
 
-MAX_LISTED_CANDIDATES = (
-    limits.MAX_QUERY_NEIGHBOURS
-)  # candidates of one agent that are gone through here, so that the cap leaves out none
+# Candidates of one agent that are gone through here, so that the cap leaves out none
+MAX_LISTED_CANDIDATES = limits.MAX_QUERY_NEIGHBOURS
 _CACHE_LINE_BYTES = 64  # bytes of memory that come together
 _ROWS_LOOKED_UP = 8  # of cells, which are looked up before those in them are gone through
 _LIST_STRIDE = MAX_LISTED_CANDIDATES + 2 * LANE_COUNT  # numbers from one agent's list to that of the next
