@@ -30,6 +30,13 @@ def stable_order(keys: NDArray[np.integer[Any]]) -> NDArray[np.intp]:
     return order
 
 
+def ranks(order: NDArray[np.intp]) -> NDArray[np.int32]:
+    """Return the rank of each row, from the rows in their order."""
+    result = np.empty(len(order), np.int32)
+    result[order] = np.arange(len(order), dtype=np.int32)
+    return result
+
+
 def morton_codes(cells: NDArray[np.uint64], threads: int = 1) -> NDArray[np.uint64]:
     """Return the numbers of cells [n,3] along the curve of G. Morton (1966), which interleaves their bits. 21 bits of each axis
     count."""

@@ -16,7 +16,7 @@ from antdsl.ground.protocol import Footing, Ground
 from antdsl.machine_code.memory import padded_empty, padded_rows
 from antdsl.numerics.row_copies import RowCopier, copy_rows
 from antdsl.numerics.row_hash import RowHasher
-from antdsl.numerics.sorting import stable_order
+from antdsl.numerics.sorting import ranks, stable_order
 from antdsl.plan import ir
 from antdsl.program.tables.columns import FIXED, REGISTERS
 from antdsl.runtime.requests import EffectRequests
@@ -183,9 +183,7 @@ class Population:
     def id_ranks(self) -> NDArray[np.int32]:
         """Return the rank of each row in the order of ids."""
         if self._ranks is None or self._ranks[0] != self.version:
-            found = np.empty(len(self), np.int32)
-            found[self.in_id_order()] = np.arange(len(self), dtype=np.int32)
-            self._ranks = self.version, found
+            self._ranks = self.version, ranks(self.in_id_order())
         return self._ranks[1]
 
     def nth_id(self, share: NDArray[np.uint64]) -> NDArray[np.int64]:

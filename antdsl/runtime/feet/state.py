@@ -12,7 +12,7 @@ from numpy.typing import DTypeLike, NDArray
 
 from antdsl.numerics.records import match_ids
 from antdsl.numerics.row_hash import RowHasher, describe_columns
-from antdsl.numerics.sorting import stable_order
+from antdsl.numerics.sorting import ranks, stable_order
 from antdsl.program.tables.columns import FEET
 
 Array = NDArray[Any]
@@ -109,8 +109,7 @@ class Feet:
     def id_ranks(self) -> NDArray[np.int32]:
         """Return the rank of each row in the order of ids."""
         if self._ranks is None:
-            self._ranks = np.empty(len(self), np.int32)
-            self._ranks[stable_order(self.ids)] = np.arange(len(self), dtype=np.int32)
+            self._ranks = ranks(stable_order(self.ids))
         return self._ranks
 
     def _find_ids(self, ids: NDArray[np.int64]) -> tuple[NDArray[np.intp], NDArray[np.bool_]]:
