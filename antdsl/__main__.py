@@ -5,6 +5,7 @@ import sys
 
 
 def _working_directory() -> str:
+    """Return the working directory, or "" if it was removed."""
     try:
         return os.getcwd()
     except OSError:  # it was removed

@@ -191,6 +191,7 @@ def run_gate(python: Path) -> int:
 
 
 def main() -> int:
+    """Run the requested command. Return its exit code."""
     parser = argparse.ArgumentParser(prog="python3 -m antdsl.bootstrap", description=__doc__)
     parser.add_argument("job", choices=("example", "test", "gate"))
     parser.add_argument("--env", type=Path, default=ROOT / ".venv", help="folder of the virtual environment")

@@ -1,5 +1,5 @@
-"""Bounded reads. All files named by a user are opened by this module only. It opens only regular files, never waits, and reads at
-most a given number of bytes."""
+"""Size-limited reads. Only this module opens files that a user names. It opens only regular files, never waits, and reads
+at most a given number of bytes."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ PathName = str | os.PathLike[str]
 
 
 class NotRegular(OSError):
-    """The path is a folder, a pipe, a socket or a device. The message is the kind, and fits after the file's name and `is`."""
+    """Error for a folder, a pipe, a socket or a device. The message is the kind, worded to follow the file's name and `is`."""
 
     def __init__(self, kind: str) -> None:
         super().__init__(errno.EINVAL, f"it is {kind}")
@@ -29,7 +29,7 @@ class NotRegular(OSError):
 
 
 class TooLarge(OSError):
-    """A file has `size` bytes, which is more than the limit of the read."""
+    """Error for a file of `size` bytes, if the limit of the read is `cap` bytes."""
 
     def __init__(self, size: int, cap: int) -> None:
         super().__init__(errno.EFBIG, f"it has {size:,} bytes, and more than {cap:,} are not read")

@@ -46,6 +46,7 @@ class CheckResult:
     cpu_seconds: float = 0.0
 
     def add(self, other: CheckResult) -> None:
+        """Add the results of another check."""
         self.reports |= other.reports
         self.programs |= other.programs
         known = {source.path for source in self.sources}
@@ -98,6 +99,7 @@ def check_text(data: bytes, choices: RunChoices, *, strict: bool = False, cpu_se
 def _check_in_processes(
     groups: list[list[Path]], choices: RunChoices, strict: bool, cores: int, parsed: SharedParsedFiles, result: CheckResult
 ) -> None:
+    """Check groups of files in parallel processes. Each process takes the next unchecked group from a pipe."""
     # The first is checked before the others are shared out: all that is imported and the library are then there once.
     _check(groups[0], choices, strict, parsed, result)
     gc.freeze()  # so that no process copies what it has not changed, only to look for garbage in it
@@ -124,6 +126,7 @@ def _check_in_processes(
 def _check_claimed(
     groups: Sequence[list[Path]], claims: int, choices: RunChoices, strict: bool, parsed: SharedParsedFiles, result: CheckResult
 ) -> None:
+    """Check groups until none is left. `claims`: the pipe that yields the number of the next group."""
     while claim := os.read(claims, 1):
         _check(groups[claim[0]], choices, strict, parsed, result)
 
@@ -136,6 +139,7 @@ def _check(
     result: CheckResult,
     programs: bool = False,
 ) -> None:
+    """Check files one after the other, and store their reports in `result`. `programs`: also store their programs."""
     for file in files:
         try:
             with cpu_budget(result.cpu_seconds):
@@ -186,6 +190,7 @@ def _group_files(files: Sequence[Path]) -> list[list[Path]]:
 
 
 def _file_weight(files: Iterable[Path]) -> int:
+    """Return an estimate of the time to check files, comparable only with other estimates."""
     weight = 0
     for file in files:
         with suppress(OSError):
@@ -229,6 +234,7 @@ def _run_child(
     parsed: SharedParsedFiles,
     cpu_seconds: float,
 ) -> None:
+    """Check groups in a child process, and write the encoded reports to `pipe`."""
     results = CheckResult(cpu_seconds=cpu_seconds)
     _check_claimed(groups, claims, choices, strict, parsed, results)
     write_parts(pipe, [encode_reports(results.reports, load_sources((), parsed))])  # scenes are read once, by the parent

@@ -55,4 +55,5 @@ def module_environment() -> dict[str, str]:
 
 
 def _relative_entries(value: str) -> list[str]:
+    """Return the empty and relative entries of a list of folders, such as that of `PATH`."""
     return [entry for entry in value.split(os.pathsep) if not os.path.isabs(entry)] if value else []

@@ -1,4 +1,4 @@
-"""A limit of processor time for a piece of work, including other processes that work for it."""
+"""Limits the processor time of a piece of work. Time that other processes spend for it is charged to the same budget."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ _SOONEST_SIGNAL_SECONDS = 1e-6
 
 
 class CpuBudgetSpent(BaseException):
-    """The work has used more processor time than its budget. Derived so that no handler of Exception catches it."""
+    """Error if work has used more processor time than its budget. It is no Exception, so that no handler of those catches it."""
 
 
 @contextmanager

@@ -35,6 +35,8 @@ class Step:
 
     `command`: the words; `_placeholder` stands for a path or the chunk.
     `needs`: the steps that must finish first.
+    `chunks`: ranges of frames, one task each; empty for a step of one task.
+    `grace`: seconds from SIGTERM to SIGKILL.
     """
 
     name: str
@@ -42,7 +44,7 @@ class Step:
     command: tuple[str, ...]
     needs: tuple[str, ...] = ()
     chunks: tuple[str, ...] = ()
-    grace: int = 120  # seconds from SIGTERM to SIGKILL
+    grace: int = 120
 
     def fixed_texts(self) -> list[str]:
         """Return the parts of the command that are equal on all machines and for all chunks."""
@@ -51,7 +53,7 @@ class Step:
 
 @dataclass(frozen=True, slots=True)
 class Job:
-    """All steps of a shot. Each step comes after the steps that it needs."""
+    """All steps of a shot. A step comes after all steps that it needs. `paths`: the paths that commands use."""
 
     name: str
     paths: tuple[JobPath, ...]
@@ -120,6 +122,7 @@ def frame_chunks(first: int, last: int, every: int, count: int) -> tuple[str, ..
 
 
 def _placeholder(name: str) -> str:
+    """Return the text that stands for a path or the chunk in the words of a command."""
     return f"\0{name}\0"
 
 
@@ -172,11 +175,13 @@ def paths_to_name(job: Job, folder: Path) -> list[JobPath]:
 
 
 def _path_below(place: JobPath, folder: Path) -> str | None:
+    """Return a path relative to `folder`, or None if it is not below it."""
     path, start = place.path.resolve(), folder.resolve()
     return path.relative_to(start).as_posix() if path.is_relative_to(start) else None
 
 
 def _path_parameter(place: JobPath, folder: Path) -> dict[str, Any]:
+    """Return the declaration of a path as a parameter of a job template."""
     parameter = {
         "name": place.name,
         "type": "PATH",
@@ -189,6 +194,7 @@ def _path_parameter(place: JobPath, folder: Path) -> dict[str, Any]:
 
 
 def _step_template(job: Job, step: Step) -> dict[str, Any]:
+    """Return one step of a job template."""
     expressions = {place.name: f"{{{{Param.{place.name}}}}}" for place in job.paths}
     command, *rest = _command_words(step.command, expressions | {_FRAMES: f"{{{{Task.Param.{_FRAMES}}}}}"})
     action = {

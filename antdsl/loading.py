@@ -101,10 +101,12 @@ class LoadedSources:
         return {name: hashlib.blake2b(text.encode(), digest_size=16).hexdigest() for name, text in sorted(self.texts.items())}
 
     def _key(self, path: Path) -> str:
+        """Return the key of a file's text: its path relative to `folder`, or its full path if it is not below `folder`."""
         full, folder = path.resolve(), self.folder.resolve()
         return full.relative_to(folder).as_posix() if full.is_relative_to(folder) else full.as_posix()
 
     def _locate(self, text: str, roots: Roots, span: Span) -> Path | None:
+        """Return the path of a program that a scene or a `use` line names, or None with the reason in the report."""
         if not text.endswith(".ant"):
             self.report.error("bad-path", f"`{text[:80]}` is not an .ant file", span, "name a file that ends in `.ant`")
             return None
@@ -152,6 +154,7 @@ class LoadedSources:
         return file
 
     def _load_uses(self, file: nodes.File, roots: Roots, depth: int, chain: tuple[Path, ...]) -> None:
+        """Load the files that a file uses. `depth`: the number of nested uses. `chain`: the files that lead to this one."""
         for use in use_lines(file):
             if use.path is None:
                 continue

@@ -63,6 +63,7 @@ class Shot:
 
     @property
     def frames(self) -> FrameRange:
+        """Return the frames of the scene."""
         return self.scene.model.frames
 
 
@@ -82,6 +83,7 @@ def compile_files(
 
 
 def _check_loaded(loaded: LoadedSources, strict: bool, memo: CheckMemo | None = None) -> tuple[Program | None, Report]:
+    """Check loaded files as one program. `strict`: as in `compile_files`."""
     from antdsl.program import check
 
     report = Report()

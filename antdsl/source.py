@@ -49,6 +49,7 @@ class Span:
 
     @property
     def text(self) -> str:
+        """Return the text of the span."""
         return self.source.text[self.start : self.end]
 
     def to(self, other: Span) -> Span:

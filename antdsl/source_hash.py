@@ -24,7 +24,8 @@ def has_modules() -> bool:
 
 @cache
 def sources() -> str:
-    """Return a hash of the package's modules, its library of behaviours and its grammar, by name: 24 hexadecimal digits."""
+    """Return a hash of the names and contents of the package's files, the behaviour library and the grammar: 24 hexadecimal
+    digits."""
     hashed = blake2b(digest_size=12)
     for start in (Path(antdsl.__file__).parent, behaviours_folder(), grammar_folder()):
         for folder, inner, files in os.walk(start):

@@ -17,7 +17,7 @@ _LOCAL_APP_DATA_FOLDER_ID = "f1b32785-6fba-4fcf-9d55-7b8e7f157091"  # the known 
 
 
 class NotPrivate(PermissionError):
-    """A file or folder could have been written or read by another user; the message says why."""
+    """Error for a file or folder that another user could have read or written. The message is the reason."""
 
 
 def home_folder() -> Path:

@@ -1,8 +1,8 @@
 """Atomic writes: a file gets its name only after it has been written completely. All files are written, synced and moved by this
 module.
 
-`sync=True`, the default, writes a file to the disk before it gets its name, so that a power loss leaves the old file or the new
-one. `sync=False` is for files that need not wait for the disk one by one. Some of them are checked against a hash on every read,
+`sync=True`, the default, writes a file to the disk before it gets its name. So a power loss leaves the old file or the new one.
+`sync=False` is for files that need not wait for the disk one by one. Some of them are checked against a hash on every read,
 so a damaged one is detected and created again. Others are the many files of one command, which creates them again when it is
 repeated. For these, `sync_files` writes all of them to the disk before the command ends.
 """
@@ -115,6 +115,7 @@ def remove_stale(folder: str) -> None:
 
 
 def _is_running(process: int) -> bool:
+    """Return whether a process with this id exists."""
     try:
         os.kill(process, 0)
     except ProcessLookupError:
@@ -235,6 +236,7 @@ class AppendedFile:
             os.fsync(self._handle)
 
     def close(self) -> None:
+        """Close the file. Call this once."""
         os.close(self._handle)
 
 

@@ -20,8 +20,8 @@ FEW = 2_000  # foraging ants up to which the small scene is taken
 
 
 class CaseError(Exception):
-    """A scene cannot be opened, or cannot have this number of agents. `report` has the findings; the message has all other
-    reasons."""
+    """Error for a scene that cannot be opened, or cannot have this number of agents. `report`: its findings; the message has all
+    other reasons."""
 
     def __init__(self, message: str, report: Report | None = None) -> None:
         super().__init__(message)
@@ -77,10 +77,12 @@ def _open_texts(texts: Mapping[str, str]) -> Shot:
 
 
 def _example_maker(name: str) -> Callable[[int | None], Shot]:
+    """Return a function that opens an example with a given number of agents."""
     return lambda agents: open_shot(example_file(name), agents)
 
 
 def _foraging(agents: int | None) -> Shot:
+    """Open the foraging example. Large numbers of agents use the scene `many.yaml`."""
     small = agents is not None and agents <= FEW
     return open_shot(example_file("foraging/scene.yaml" if small else "foraging/many.yaml"), agents)
 
@@ -91,23 +93,27 @@ def _without_contacts(shot: Shot) -> Shot:
 
 
 def _boids(agents: int | None) -> Shot:
+    """Open boids on a plane, each with about nine neighbours."""
     count = agents or 15_000
     scene = programs.plane_scene("boid", count, programs.disc_radius(count))
     return _open_texts({"scene.yaml": scene, "boid.ant": programs.BOIDS})
 
 
 def _crowd(agents: int | None) -> Shot:
+    """Open people on a plane, each with about nine neighbours."""
     count = agents or 15_000
     scene = programs.plane_scene("person", count, programs.disc_radius(count, programs.PERSON_SIGHT))
     return _open_texts({"scene.yaml": scene, "person.ant": programs.CROWD})
 
 
 def _trails(agents: int | None) -> Shot:
+    """Open ants that follow two scents on flat ground."""
     texts = {"scene.yaml": programs.trails_scene(agents or 15_000), "ant.ant": programs.TRAILS}
     return _open_texts({**texts, "ground.ply": programs.flat_ground(1_000.0)})
 
 
 def _cluster(agents: int | None) -> Shot:
+    """Open the boids compressed to a tenth of their area."""
     from antdsl.bench.scaling import gather_crowds
 
     shot = _boids(agents)
@@ -115,6 +121,7 @@ def _cluster(agents: int | None) -> Shot:
 
 
 def _node(agents: int | None) -> Shot:
+    """Open ants that wander and keep apart on a plane."""
     count = agents or 500
     return _open_texts({"scene.yaml": programs.plane_scene("ant", count, 70.0 * (count / 500) ** 0.5), "ant.ant": programs.NODE})
 
@@ -124,6 +131,7 @@ def _valley(agents: int | None) -> Shot:
 
 
 def _valley_file(agents: int | None) -> Path:
+    """Return the path of the valley's scene. Raises CaseError unless it has this number of agents."""
     names = {None: "five_hundred", 500: "five_hundred", 15_000: "many"}
     if agents not in names:
         raise CaseError(f"the valley has 500 ants or 15,000, not {agents:,}")
@@ -150,6 +158,7 @@ def _valley_of_meshes(agents: int | None) -> Shot:
 
 
 def _without_voxels(text: str) -> list[str]:
+    """Return the lines of a scene without `voxel` settings."""
     import re
 
     return [re.sub(r",\s*voxel: [^,}]*", "", line) for line in text.splitlines()]

@@ -134,7 +134,7 @@ JOBS, MEASUREMENTS = TypeAdapter(Job), TypeAdapter(Measurement)  # which read an
 
 
 class MeasuringError(Exception):
-    """The measuring process ended without a result. The message is the last output of the process."""
+    """Error if the measuring process ended without a result. The message is the last output of the process."""
 
 
 def measure_in_process(job: Job, words: Sequence[str] = ()) -> Measurement:

@@ -44,6 +44,7 @@ def measure(job: Job, make_others: Callable[[int], Mapping[str, Frame]] = lambda
 
 
 def _measure(job: Job, make_others: Callable[[int], Mapping[str, Frame]]) -> Measurement:
+    """Measure a job as `measure` does, with the current folder for machine code."""
     start = _import_packages("native" in job.backends)
     case = case_of(job.case)
     shot, compile_ = _time_call(lambda: case.make(job.agents))
@@ -122,12 +123,14 @@ def _import_packages(llvm: bool) -> float:
 
 
 def _time_call(work: Callable[[], Any]) -> tuple[Any, float]:
+    """Return the result of a call and its CPU seconds."""
     began = process_time()
     result = work()
     return result, process_time() - began
 
 
 def _make_stepper(world: World) -> Frame:
+    """Return a function that steps a world once."""
     return lambda: step(world)
 
 

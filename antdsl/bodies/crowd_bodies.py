@@ -59,6 +59,7 @@ class LegsBySpecies(Mapping[str, LegsData]):
 
     @cached_property
     def _legs(self) -> dict[str, LegsData]:
+        """Return the legs of all bodies that have legs, by species."""
         definitions = {name: library_body(body) if isinstance(body, str) else body for name, body in self._bodies.items()}
         return {name: legs_data(body) for name, body in definitions.items() if body.legs and body.gaits}
 
@@ -251,6 +252,7 @@ def _find_misplaced_marks(species: Species, body: Definition) -> Iterator[tuple[
 
 
 def _play_lines(machine: Machine) -> Iterator[Play]:
+    """Yield the `play` statements of a machine's states."""
     for state in machine.states:
         yield from (line for line in state.body if isinstance(line, Play))
 

@@ -27,14 +27,14 @@ from antdsl.bodies.agents.varied_bodies import colours_of, with_scales
 from antdsl.bodies.body import vertex_normals
 from antdsl.bodies.skinned_mesh import SkinnedMesh, skinned_mesh
 
-COARSE_CELLS_PER_BODY_LENGTH = 14  # to the length of a body, and at least
-_CELL_GROWTH = 2.0  # a shape is made again at most
-COARSE_CELLS_PER_SHAPE = 3  # to the longest side of a shape
+COARSE_CELLS_PER_BODY_LENGTH = 14  # grid cells of coarse shapes along a body's length
+_CELL_GROWTH = 2.0  # largest factor by which a coarse shape is stretched to its original box
+COARSE_CELLS_PER_SHAPE = 3  # least number of grid cells along the longest side of a shape
 
 
 BODY_LAYER, CLOSE_LAYER, COLLISION_LAYER = "body", "close", "collision"  # layers
 NO_DRIVEN_POSE = DrivenPose()
-_GOLDEN_RATIO_FRACTION = (5**0.5 - 1) / 2  # multiples of it are spread evenly over a turn
+_GOLDEN_RATIO_FRACTION = (5**0.5 - 1) / 2  # its multiples, modulo 1, are spread evenly over 0 to 1
 
 
 class PosedBody:
@@ -242,10 +242,12 @@ def _visible_bindings(definition: Definition, layers: Sequence[str]) -> tuple[Bi
 
 
 def _layer_bindings(layer: Layer) -> tuple[Binding, ...]:
+    """Return the static bindings of a layer, then the deforming ones."""
     return (*layer.static, *layer.deforming)
 
 
 def _with_normals(shape: Shape) -> Shape:
+    """Return a shape with normals; missing ones are computed from its faces."""
     if shape.normals is not None:
         return shape
     return replace(shape, normals=vertex_normals(shape.points.astype(np.float64), shape.faces))
@@ -315,5 +317,6 @@ def coarse_shape(shape: Shape, cell: float) -> Shape:
 
 
 def _without_blending(binding: Binding) -> Binding:
+    """Return a binding without the deformer for blend shapes."""
     steps = [step for step in binding.deformer.split("+") if step != "blendshape"]
     return replace(binding, deformer="+".join(steps))

@@ -18,6 +18,7 @@ ColouredMesh = tuple[NDArray[np.float64], NDArray[np.int32], NDArray[np.float32]
 
 
 def _apple() -> ColouredMesh:
+    """Return a red and golden apple with a stem."""
     vertices, faces = sphere(4)
     flat = np.hypot(vertices[:, 0], vertices[:, 2])
     turn = np.arctan2(vertices[:, 2], vertices[:, 0])
@@ -90,7 +91,7 @@ def _mound() -> ColouredMesh:
     crest = 0.52
     outside = 0.07 * np.exp(-(((r - crest) / 0.34) ** 2))
     inside = 0.07 * np.exp(-(((r - crest) / 0.22) ** 2)) - 0.07 * np.exp(-((r / 0.20) ** 2))
-    high = np.where(r > crest, outside, np.maximum(inside, 0.012))  # the ground goes on below: a hole in it would not be seen
+    high = np.where(r > crest, outside, np.maximum(inside, 0.012))  # the ground continues below, so a hole is not visible
     points = np.stack([r * np.cos(t), high, r * np.sin(t)], axis=2).reshape(-1, 3)
     soft = np.clip(r.reshape(-1) / 0.25, 0, 1)
     points[:, 1] += 0.012 * wave_noise(points * np.array([1, 0, 1]), 61, 0.35, 2) * soft
@@ -136,6 +137,7 @@ def _cube() -> ColouredMesh:
 
 
 def _ball() -> ColouredMesh:
+    """Return a plain ball of radius 1 with its lowest point at y = -0.15."""
     vertices, faces = sphere(3)
     vertices[:, 1] += 0.85
     return vertices, faces, np.full((len(vertices), 3), (0.86, 0.80, 0.62), np.float32)
@@ -150,7 +152,7 @@ ITEM_SHAPES: dict[str, Callable[[], ColouredMesh]] = {
     "sphere": _ball,
 }
 
-# Words in an item's name that tell its shape; the first that is found decides.
+# Words in an item's name and the shape that they mean; the first match counts.
 _SHAPE_WORDS: tuple[tuple[str, str], ...] = (
     ("apple", "apple"),
     ("fruit", "apple"),
@@ -160,13 +162,13 @@ _SHAPE_WORDS: tuple[tuple[str, str], ...] = (
     ("sugar", "cube"),
     ("crumb", "crumb"),
     ("bread", "crumb"),
-    ("food", "crumb"),  # whatever it is called
+    ("food", "crumb"),  # for any name
     ("nest", "mound"),
     ("home", "mound"),
     ("camp", "mound"),
     ("hill", "mound"),
     ("heap", "mound"),
-    ("door", "none"),  # places that are meant, not things
+    ("door", "none"),  # names of positions, not of objects
     ("room", "none"),
 )
 
@@ -187,6 +189,7 @@ def item_shape(kind: str, name: str) -> str:
 
 @lru_cache(maxsize=8)
 def _icosphere(detail: int) -> MeshArrays:
+    """Return a unit sphere: an icosahedron with each triangle divided into four, `detail` times."""
     import trimesh
 
     mesh = trimesh.creation.icosphere(subdivisions=detail, radius=1.0)

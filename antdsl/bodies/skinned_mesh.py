@@ -15,10 +15,10 @@ from antdsl.bodies.agents.definition import Binding, Capture, Clip, Definition, 
 from antdsl.bodies.agents.deformers import SKINNING_DEFORMERS, deformer_steps
 from antdsl.bodies.agents.transforms import world_matrices
 
-MAX_JOINTS_PER_VERTEX = 4  # that a vertex follows
-NO_JOINT = -1  # of a bone that stays where it is in the space of the agent
-_EQUAL_MATRIX_TOLERANCE = 1e-4  # matrices that differ by no more of their largest entry are one bone
-_SINGULAR_DETERMINANT = 1e-9  # the determinant of what cannot be inverted
+MAX_JOINTS_PER_VERTEX = 4  # most joints that a vertex follows
+NO_JOINT = -1  # the joint of a bone that does not move in agent space
+_EQUAL_MATRIX_TOLERANCE = 1e-4  # relative to the largest entry; matrices that differ less share a bone
+_SINGULAR_DETERMINANT = 1e-9  # matrices with a smaller determinant count as singular
 Matrix = NDArray[np.float64]
 
 
@@ -65,6 +65,8 @@ def skinned_mesh(definition: Definition, bindings: Sequence[Binding], taken: NDA
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _MeshPart:
+    """Vertices of one binding: points, normals, bones and weights, as in `SkinnedMesh`."""
+
     points: NDArray[np.floating]
     normals: NDArray[np.floating]
     bones: NDArray[np.int32]
@@ -80,6 +82,7 @@ class _BoneTable:
         self.inverses: list[Matrix] = []
 
     def number(self, joint: int, inverse: Matrix) -> int:
+        """Return the number of the bone with a joint and an inverse matrix. A new pair gets the next number."""
         for number, (other, known) in enumerate(zip(self.joints, self.inverses, strict=True)):
             if other == joint and np.abs(known - inverse).max() <= _EQUAL_MATRIX_TOLERANCE * max(
                 1.0, float(np.abs(inverse[:, :3]).max())
@@ -91,6 +94,7 @@ class _BoneTable:
 
 
 def _is_skinned(binding: Binding) -> bool:
+    """Return whether a binding moves its points by the joints that they follow."""
     return bool(binding.deformer) and any(step in SKINNING_DEFORMERS for step in deformer_steps(binding.deformer))
 
 
@@ -143,6 +147,7 @@ def _strongest_joints(capture: Capture) -> tuple[NDArray[np.int32], NDArray[np.f
 
 
 def _normals(shape: Shape) -> NDArray[np.float32]:
+    """Return the normals of a shape; zeros if it has none."""
     return np.zeros_like(shape.points) if shape.normals is None else shape.normals
 
 
@@ -185,6 +190,7 @@ def blend_targets(
 def _offsets(
     definition: Definition, shape: Shape, turn: NDArray[np.float64]
 ) -> list[tuple[BlendTarget, NDArray[np.intp], NDArray[np.float64]]]:
+    """Return each target of a shape with its points and their offsets, rotated by `turn`."""
     blend = shape.blend
     assert blend is not None
     target_offsets = []

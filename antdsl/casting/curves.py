@@ -12,7 +12,7 @@ from antdsl.casting.nearby import Vectors
 from antdsl.numerics.vector_rows import unit
 
 _MAX_SAMPLES = 4096
-_NEAREST_SAMPLES = 6  # samples looked at first: settles all but those who stand far from a bend
+_NEAREST_SAMPLES = 6  # samples of the first query; sufficient except for agents far from a bend
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,13 +74,13 @@ class SampledCurve:
         few = min(_NEAREST_SAMPLES, len(self.samples))
         gap, sample = self._tree.query(place, k=list(range(1, few + 1)))
         best = self._nearest_segment(place, sample)
-        # A segment nearer than the nearest sample has an end within half a piece more.
+        # A segment nearer than the nearest sample has an end within that distance plus half a piece.
         reach = np.sqrt(gap[:, 0] ** 2 + (self._size.max() / 2) ** 2) * (1 + 1e-9) + 1e-12
         for row in np.flatnonzero((gap[:, -1] <= reach) & (few < len(self.samples))):
             near = self._tree.query_ball_point(place[row], reach[row])
             best[row] = self._nearest_segment(place[row : row + 1], np.asarray(near, np.int64)[None])[0]
         part = self._project_on_segment(place, best)[0][:, None]
-        # Between joints the tangent turns evenly, so that agents that follow the curve do not jerk at a joint.
+        # The tangent rotates evenly along each piece, so that agents that follow the curve do not jerk.
         tangent = self._tangent[best] * (1 - part) + self._tangent[best + 1] * part
         return self.samples[best] + part * self._step[best], unit(tangent)
 

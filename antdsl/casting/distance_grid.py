@@ -16,13 +16,13 @@ from antdsl.machine_code.kernels import F32, F64, I64, Array1, independent, inli
 from antdsl.numerics import parallel, stored_tables
 from antdsl.numerics.vector_rows import dot
 
-_TARGET_CELLS = 250_000  # a table that stays in the processor's cache beside all else of a step
-_MAX_LISTED_CELLS = 4_000_000  # cells of triangles, one in several counted as often
-_MAX_REFINED_CELLS = 150_000  # cells: about 2 microseconds each
+_TARGET_CELLS = 250_000  # such a table stays in the processor's cache together with all other data of a step
+_MAX_LISTED_CELLS = 4_000_000  # most pairs of a triangle and a touched cell
+_MAX_REFINED_CELLS = 150_000  # each takes about 2 microseconds
 
 PointColumns = tuple[Array1[F32], Array1[F32], Array1[F32]]
 PointColumns64 = tuple[Array1[F64], Array1[F64], Array1[F64]]
-Cells = tuple[Array1[F64], Array1[F64], Array1[I64], F64]  # where they begin and end, how many along each axis, and how wide
+Cells = tuple[Array1[F64], Array1[F64], Array1[I64], F64]  # lowest and highest corner, cells along each axis, cell width
 
 
 class DistanceGrid:
@@ -62,7 +62,7 @@ class DistanceGrid:
             return
         cells = np.stack(np.unravel_index(near, tuple(self._size)), axis=1)
         measured_distances = distance(self._low + (cells + 0.5) * self._width)
-        error = 2e-3 + 2e-6 * float((self._high - self._low).max())  # mm, of float32
+        error = 2e-3 + 2e-6 * float((self._high - self._low).max())  # mm: rounding error of float32
         least = measured_distances - np.sqrt(0.75) * self._width * (1 + 1e-6) - error
         self._least[near] = np.maximum(self._least[near], least.astype(np.float32))
 
@@ -85,6 +85,7 @@ class DistanceGrid:
 
 @inlined
 def _lower_bound(cells: Cells, least: Array1[F32], px: F64, py: F64, pz: F64) -> F32:
+    """Return a lower bound (mm) of the distance from a position to all triangles."""
     low, high, size, width = cells
     part = 1.0 / width
     ix, iy, iz = _clamp(px, low[0], high[0]), _clamp(py, low[1], high[1]), _clamp(pz, low[2], high[2])
@@ -93,7 +94,7 @@ def _lower_bound(cells: Cells, least: Array1[F32], px: F64, py: F64, pz: F64) ->
     cell = min(_cell_number((ix - low[0]) * part), size[0] - 1) * size[1] + min(_cell_number((iy - low[1]) * part), size[1] - 1)
     cell = cell * size[2] + min(_cell_number((iz - low[2]) * part), size[2] - 1)
     away = least[cell]
-    # The nearest place of the box is a projection, so the two distances are legs of a right angle at least.
+    # The position in the box is a projection, so the angle between both distances is at least a right angle.
     further = np.float32(np.sqrt(np.float64(away * away) + outside) * (1 - 1e-5))
     return further if outside > 0 else away
 

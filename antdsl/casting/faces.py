@@ -16,16 +16,16 @@ from antdsl.numerics.vector_rows import dot, unit
 Floats = NDArray[np.float64]
 Index = NDArray[np.int64]
 
-# Of the largest coordinate: several times what float32 makes of a corner, of a ray, and of where they meet
+# Relative to the largest coordinate: several times the float32 rounding error of a corner, a ray and their intersection
 HAIR_PER_COORDINATE = 1e-6
-# Hairs by which faces are wider for rays: even one that passes a side at 4 degrees finds them, whatever it rounds
+# In tolerances: faces are widened by this for rays, so that rounded rays hit them even at an angle of 4 degrees
 WIDENED_HAIRS = 16.0
-_RIM_HAIRS = 20.0  # hairs: nearer to a side than this, the faces at its end are queried too
-RETEST_HAIRS = 40.0  # hairs behind a face that is named: where another one may be the first that is hit
+_RIM_HAIRS = 20.0  # in tolerances: nearer to a side than this, the faces at its end are tested too
+RETEST_HAIRS = 40.0  # in tolerances: another face up to this far behind a reported face may be the first hit
 _MAX_PRECOMPUTED_FACES = 200_000  # faces: above this number, the tables of each face are computed on demand
-_SHARP_CORNER_LIMIT = 1 / 128  # 1 + cosine of two sides' outward directions: below it their corner is moved no further out
+_SHARP_CORNER_LIMIT = 1 / 128  # 1 + cosine between the outward directions of two sides; limits how far a sharp corner moves out
 
-# Planes and rims of faces; the place of each corner by number, where the faces at each place begin, and these faces.
+# Planes and border widths of faces; vertex number of each corner; start of each vertex's faces in a list; the list.
 FaceTable = tuple[Array3[F64], Array1[F64], Array1[I64], Array1[I64], Array1[I64]]
 
 
@@ -347,6 +347,7 @@ def _greatest_index(a: F64, b: F64, c: F64) -> I64:
 
 @inlined
 def _cross_plane(planes: Array3[F64], face: I64, a: F64, b: F64, c: F64, x: F64, y: F64, z: F64) -> tuple[F64, Vec3, F64]:
+    """Return the ray parameter at a face's plane, the corner weights there, and the least of these weights."""
     t = -evaluate_point(planes, face, 0, a, b, c) / evaluate_direction(planes, face, 0, x, y, z)
     w1 = evaluate_point(planes, face, 1, a, b, c) + t * evaluate_direction(planes, face, 1, x, y, z)
     w2 = evaluate_point(planes, face, 2, a, b, c) + t * evaluate_direction(planes, face, 2, x, y, z)

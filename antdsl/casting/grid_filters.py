@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 T = TypeVar("T", np.bool_, np.int32)
 
-_MAX_SQUARED_CELLS = 1 << 29  # cells squared: more than any grid is long, and the sum of two is an int32
+_MAX_SQUARED_CELLS = 1 << 29  # squared cells: more than the length of any grid; the sum of two fits into int32
 
 
 def greatest_around(grid: NDArray[T], rings: int) -> NDArray[T]:
@@ -25,8 +25,9 @@ def least_around(grid: NDArray[T], rings: int) -> NDArray[T]:
 
 
 def _filter_around(grid: NDArray[T], rings: int, better: Any) -> NDArray[T]:
+    """Combine each cell with those within `rings` cells, axis by axis, by the function `better`."""
     for axis in range(grid.ndim):
-        for flip in (False, True):  # those after each, then those before as well
+        for flip in (False, True):  # first the following cells, then the preceding ones
             line = np.moveaxis(grid, axis, 0)
             line = line[::-1] if flip else line
             covered, window = 1, min(rings + 1, len(line))
@@ -45,7 +46,7 @@ def distances_to_blocked(free: NDArray[np.bool_]) -> NDArray[np.float64]:
     The axes are processed one after another. For each cell, the result is the minimum over its line of two terms: the squared
     value of a cell of the line, plus its squared distance along the line."""
     square = np.where(free, np.int32(_MAX_SQUARED_CELLS), np.int32(0))
-    for axis in np.argsort(free.shape, kind="stable"):  # after the shortest few cells are far from all
+    for axis in np.argsort(free.shape, kind="stable"):  # after the shortest axis, few cells are far from all blocked cells
         line = np.moveaxis(square, axis, 0)
         nearest = line.copy()
         for step in range(1, len(line)):

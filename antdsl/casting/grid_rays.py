@@ -25,7 +25,7 @@ FeelerResults = tuple[Array1[BOOL], Array1[F32], Array1[F32], Array1[F32], Array
 SevenColumns = tuple[Array1[F32], Array1[F32], Array1[F32], Array1[F32], Array1[F32], Array1[F32], Array1[F32]]
 FLOAT32_ONE, ROUNDING_SLACK, SHORTEST_VECTOR = np.float32(1), np.float32(ROUNDING_BOUND), np.float32(MIN_VECTOR_LENGTH)
 PREFETCH_GROUP_SIZE = 16  # rays or points with faces prefetched together
-_MIN_AXIS_CUBES = 1e-12  # cubes: a ray that goes no farther along an axis stays in its layer
+_MIN_AXIS_CUBES = 1e-12  # cubes along an axis below which a ray counts as staying in its layer
 
 
 @kernel
@@ -182,7 +182,7 @@ def first_hit(grid: GridTables, a: Vec3, w: Vec3) -> tuple[F64, I64]:
         return np.inf, FACE_BEYOND_GRID
     if not (abs(px) + abs(py) + abs(pz) < np.inf and long <= MAX_RAY_CUBES):
         return np.inf, NO_FACE
-    # A ray that stays in a layer has its borders infinitely far away, and none that is outside enters it.
+    # A ray that stays in a layer never reaches the layer's borders; a ray outside a layer never enters it.
     mx, my, mz = abs(dx) > _MIN_AXIS_CUBES, abs(dy) > _MIN_AXIS_CUBES, abs(dz) > _MIN_AXIS_CUBES
     ix, iy, iz = 1.0 / dx if mx else np.inf, 1.0 / dy if my else np.inf, 1.0 / dz if mz else np.inf
     bx, ex = _axis_interval(px, ix, mx, np.float64(size[0]))
@@ -201,7 +201,7 @@ def first_hit(grid: GridTables, a: Vec3, w: Vec3) -> tuple[F64, I64]:
     while x >= 0 and x < size[0] and y >= 0 and y < size[1] and z >= 0 and z < size[2]:
         cell = (x * size[1] + y) * size[2] + z
         for k in range(first[cell], first[cell + 1]):
-            # Most faces lie with their whole plane on one side of the ray, or with their ball beside it.
+            # Most faces have both ends of the ray on one side of their plane, or the ray misses their ball.
             nx, ny, nz = np.float64(bound[k, 0]), np.float64(bound[k, 1]), np.float64(bound[k, 2])
             start_distance = ((nx * a[0] + ny * a[1]) + nz * a[2]) + np.float64(bound[k, 3])
             distance = start_distance + ((nx * w[0] + ny * w[1]) + nz * w[2]) * most
@@ -225,7 +225,7 @@ def first_hit(grid: GridTables, a: Vec3, w: Vec3) -> tuple[F64, I64]:
                     and (t < best or f < face)
                 ):
                     best, face, most = t, f, t
-        # Where the ray leaves the cube: what it meets before is listed in it.
+        # Where the ray leaves the cube: all earlier hits are listed in this cube.
         tx = (np.float64(x + ux) - px) * ix if mx else np.inf
         ty = (np.float64(y + uy) - py) * iy if my else np.inf
         tz = (np.float64(z + uz) - pz) * iz if mz else np.inf

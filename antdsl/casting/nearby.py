@@ -21,10 +21,10 @@ from antdsl.numerics.vectors import VectorComponents
 Vectors = NDArray[np.float64]
 Index = NDArray[np.int64]
 
-FeelerQuery = tuple[NDArray[np.bool_], Arrays, Arrays]  # which of n agents take part; operands and results, n each
+FeelerQuery = tuple[NDArray[np.bool_], Arrays, Arrays]  # mask of the requesting agents; operands and results, n each
 
-RAY_LENGTH_FACTOR = 1.1  # of a ray: Open3D looks as far, which is more than it errs by unless the ray is a hair long
-_MIN_POINTS_TO_REFINE = 2_000  # simultaneous queries from which finer distances pay
+RAY_LENGTH_FACTOR = 1.1  # of the ray's length; Open3D searches this far, more than its rounding error except for tiny rays
+_MIN_POINTS_TO_REFINE = 2_000  # number of simultaneous queries from which refined distances are worthwhile
 _SHORT_LIVED_GRID_CELLS = 1000
 
 
@@ -69,15 +69,19 @@ class ProximityQueries:
     def _first_hits_within(
         self, origin: Vectors, displacement: Vectors, threads: int, most_hit: bool = False
     ) -> tuple[Index, Vectors, Index]:
+        """Return the rays that hit within one `displacement`, ascending, with ray parameter and face."""
         raise NotImplementedError
 
     def _facing_normals(self, face: Index, direction: NDArray[Any]) -> NDArray[np.float32]:
+        """Return the normals of faces, on the sides that rays with these directions hit."""
         raise NotImplementedError
 
     def _triangle_grid(self) -> TriangleGrid | None:
+        """Return the grid for short rays and near faces; None if there is none."""
         raise NotImplementedError
 
     def _bound_distances(self, points: Vectors) -> Vectors:
+        """Return the approximate distances [n] (mm) to the nearest face."""
         raise NotImplementedError
 
     def clearance(self, x: NDArray[Any], y: NDArray[Any], z: NDArray[Any], threads: int = 1) -> NDArray[np.float32]:
@@ -92,6 +96,7 @@ class ProximityQueries:
         return self._grid.lower_bounds(x, y, z, threads)
 
     def _distance_grid(self) -> DistanceGrid:
+        """Return the grid of lower bounds, built on first use."""
         corners = self._faces.corners + self.origin
         return (
             DistanceGrid(corners, _SHORT_LIVED_GRID_CELLS, False) if self._brief else DistanceGrid(corners, lasting=self._lasting)
@@ -213,6 +218,7 @@ class ProximityQueries:
     def _signed_distances(
         self, points: Vectors, within: NDArray[Any] | float, threads: int
     ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        """Return the results of `signed_distances` for points [n,3], from their nearest faces."""
         mesh, face, place, distance = self.closest(points, threads, within)
         if self._empty or not len(points):
             return distance.astype(np.float32), np.zeros((3, len(points)), np.float32)

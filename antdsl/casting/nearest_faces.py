@@ -105,6 +105,7 @@ def prefetch_lists(grid: GridTables, rows: Array1[I64], count: I64) -> None:
 
 @inlined
 def _layer_index(at: F64, low: F64, part: F64, size: I64) -> I64:
+    """Return the layer of cubes at a coordinate (mm), limited to the grid."""
     return min(max(nearest_integer(np.floor((at - low) * part)), 0), size - 1)
 
 
@@ -121,7 +122,7 @@ def nearest_face(grid: GridTables, p: Vec3, within: F64) -> tuple[F64, I64, Vec3
     part = 1.0 / width
     ax, ay, az = (p[0] - shape[0]) * part, (p[1] - shape[1]) * part, (p[2] - shape[2]) * part
     best, face, place, least = np.inf, FACE_BEYOND_GRID, p, np.inf
-    # How far the nearest that has the place before it is at most, and both; how far faces on either side matter.
+    # Upper bounds: of the nearest face in front, and of any face; limits for faces in front and behind.
     ahead, until, before_it, behind_it = np.inf, np.inf, within + off, np.inf
     latest, second, third = (
         FACE_BEYOND_GRID,
@@ -195,23 +196,26 @@ def _is_farther(away: F64, above: F64, square: F64, least: F64) -> BOOL:
     if abs(above) > least:
         return True
     across = square - above * above
-    # How far it is along the plane at most, if it is no farther than `least`.
+    # The largest distance along the plane for which the total distance is at most `least`.
     margin = least * least - above * above
     return across > away * away and across > away * away + margin + 2.0 * away * np.sqrt(margin)
 
 
 @inlined
 def _is_near_grid(at: F64, size: I64) -> BOOL:
+    """Return whether a coordinate (in cubes) is at most the search range outside the grid."""
     return at >= -MAX_SEARCH_RINGS and at <= size + MAX_SEARCH_RINGS
 
 
 @inlined
 def _clamped_index(at: F64, size: I64) -> I64:
+    """Return the layer of cubes at a coordinate (in cubes), limited to the grid."""
     return min(np.int64(np.floor(max(at, 0.0))), size - 1)
 
 
 @inlined
 def _covered_distance(at: F64, middle: I64, ring: I64, size: I64) -> F64:
+    """Return the distance (in cubes) along an axis up to which the rings so far contain all faces."""
     below, above = middle - ring, middle + ring + 1
     low = np.inf if below <= 0 else at - np.float64(below)
     high = np.inf if above >= size else np.float64(above) - at

@@ -43,6 +43,7 @@ def open3d() -> Any:
 
 
 def _not_loaded(why: str) -> str:
+    """Return the message of a failed import, with a correction."""
     return (
         f"open3d cannot be loaded ({why}): install the package `open3d-cpu`; on a bare Linux system it also needs "
         "the system packages libegl1 libgl1 libusb-1.0-0"

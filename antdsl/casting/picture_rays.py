@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from antdsl.casting.open3d_module import open3d
 
-_RAYS_PER_CHUNK = 1 << 17  # rays at once
+_RAYS_PER_CHUNK = 1 << 17  # rays per chunk
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -40,7 +40,7 @@ class PictureRays:
         if not self.faces:
             return
         self.origin = (vertices.min(axis=0).astype(np.float64) + vertices.max(axis=0)) / 2
-        # By one thread, so that the tree is the same on every machine of one kind.
+        # Built by one thread, so that the tree is the same on all machines of one kind.
         self._scene = open3d().t.geometry.RaycastingScene(nthreads=1)
         points = (vertices - self.origin.astype(vertices.dtype)).astype(np.float32)
         self._scene.add_triangles(_tensor(points), _tensor(faces.astype(np.uint32)))

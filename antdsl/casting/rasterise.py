@@ -7,14 +7,14 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
-_TRIANGLES_PER_CHUNK = 1 << 15  # triangles handled at once
-# Pairs of a triangle and a cell tested at once: what the test computes of them stays in the processor's cache
+_TRIANGLES_PER_CHUNK = 1 << 15  # triangles per batch
+# Pairs of a triangle and a cell per batch: the intermediate results fit into the processor's cache
 _PAIRS_PER_CHUNK = 1 << 13
 _CELL_SLACK = 1e-9  # cells
 _OTHER_AXES = ((1, 2), (2, 0), (0, 1))
 _MAX_TRIANGLE_CELLS = 2.0  # extent in cells above which a triangle is cut in four
 _MAX_CELL_NUMBER = float(1 << 62)
-_THIN_TRIANGLE_RATIO = 64.0  # cells along a triangle for each that it touches, from where on it is sliced
+_THIN_TRIANGLE_RATIO = 64.0  # ratio of length in cells to touched cells, from which a triangle is sliced
 
 
 def triangle_cells(
@@ -114,6 +114,7 @@ def _slice_triangles(tri: NDArray[np.float64]) -> Iterator[tuple[NDArray[np.floa
 
 
 def _quarter(tri: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return each triangle divided into four at the middles of its sides."""
     a, b, c = tri[:, 0], tri[:, 1], tri[:, 2]
     ab, bc, ca = (a + b) / 2, (b + c) / 2, (c + a) / 2
     parts = ((a, ab, ca), (ab, b, bc), (ca, bc, c), (ab, bc, ca))
@@ -131,6 +132,7 @@ def _bounds(tri: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.f
 def _box_cells(
     tri: NDArray[np.float64], name: NDArray[np.int64], exact: bool, margin: float
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Return the touched cells in the bounding box of each triangle, and their triangles."""
     least, most = _bounds(tri)
     low, high = np.floor(least - margin).astype(np.int64), np.floor(most + margin).astype(np.int64)
     size = high - low + 1

@@ -32,13 +32,13 @@ Plane = tuple[F64, F64, F64, F64]
 Arrays = tuple[NDArray[Any], ...]
 Corners = tuple[Array1[I64], Array1[I64], Array1[I64], Array1[BOOL]]
 
-ROW, LINK, BALL = 32, 24, 28  # numbers of four bytes in a row, and before its parts
-_SEARCH, _WALK = 4, 3  # faces that are searched for the beginning, and that a walk passes: all are in the ring of the first
-_SURE = 1e-4  # weight by which a ray must be inside of a face
-_FLAT = 0.2  # least cosine of the angle between a face and one of its ring
-_THIN = 1e-3  # edges of cubes: faces that are less high have no ring
-_ROUNDING = 1 + 1e-5  # more than float32 makes of a square
-_FACES = 512  # for which a thread pays
+ROW, LINK, BALL = 32, 24, 28  # 4-byte words per row, and the offsets of its parts
+_SEARCH, _WALK = 4, 3  # most faces searched for the start, and most faces of a walk; all are in the ring of the first face
+_SURE = 1e-4  # smallest corner weight for which a ray is certainly inside a face
+_FLAT = 0.2  # smallest cosine between the normals of a face and of a face in its ring
+_THIN = 1e-3  # in cube edges; faces with a smaller height have no ring
+_ROUNDING = 1 + 1e-5  # factor above the rounding error of a square in float32
+_FACES = 512  # number of faces from which another thread is worthwhile
 
 
 def find_rings(faces: Faces, grid: GridTables, lasting: bool, threads: int = 1) -> Arrays:
@@ -59,6 +59,7 @@ def find_rings(faces: Faces, grid: GridTables, lasting: bool, threads: int = 1) 
 
 
 def _rings(faces: Faces, grid: GridTables, threads: int) -> stored_tables.Tables:
+    """Compute the links and balls of `find_rings`."""
     tables = faces.tables()
     assert tables is not None
     weld, first, listed = tables[2:]
@@ -207,7 +208,7 @@ def walked_hit(grid: GridTables, rings: Rings, start: I64, a: Vec3, w: Vec3) -> 
                 return t, g
             if least > -_SURE:
                 break
-        # Weights of what is below the ray or above it, seen along the normal of the first face, at its origin and by its length.
+        # Weights of the ray's projection along the first face's normal: at the origin, and their change along the ray.
         rise = _slope(plane, up)
         r1, r2 = _slope(plane1, up) / rise, _slope(plane2, up) / rise
         a1, d1, a2, d2 = a1 - r1 * at, d1 - r1 * to, a2 - r2 * at, d2 - r2 * to
@@ -264,6 +265,7 @@ def _slope(plane: Plane, way: Vec3) -> F64:
 
 @inlined
 def _least_of(a: F64, b: F64, c: F64) -> I64:
+    """Return the index of the least number; of equal ones, the first."""
     return 0 if a <= b and a <= c else (1 if b <= c else 2)
 
 

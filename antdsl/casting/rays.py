@@ -21,12 +21,12 @@ from antdsl.casting.triangle_grid import TriangleGrid
 MeshArrays = tuple[Vectors, NDArray[np.int32]]
 RayHits = tuple[Index, Vectors, Index, Vectors]
 
-_RAYS_PER_CHUNK = 1 << 16  # rays at once
-_MAX_RECASTS = 16  # faces that a ray may pass by at less than a hair
-_NUDGE_HAIRS = 8.0  # hairs further away from the nearest face: from there one that is as near is nearer
+_RAYS_PER_CHUNK = 1 << 16  # rays per chunk
+_MAX_RECASTS = 16  # most faces that a ray may miss by less than the tolerance
+_NUDGE_HAIRS = 8.0  # in tolerances: a point moved this far from its face is nearer to an equally near face on another side
 _MAX_RAYS_CAST_ONCE = 128  # rays: up to this number, one cast to the end of the scene is faster than two queries
-_MAX_NEAREST_DISTANCE_MM = 1e15  # mm: from much farther off, Open3D names no nearest face, because its squares are float32
-FAR_FROM_ORIGIN_MM = 2000.0  # mm; nearer to zero float32 is a ten-thousandth of a millimetre at worst
+_MAX_NEAREST_DISTANCE_MM = 1e15  # mm; much farther away Open3D reports no nearest face, because squares overflow in float32
+FAR_FROM_ORIGIN_MM = 2000.0  # mm; nearer to zero, float32 is exact to a ten-thousandth of a millimetre
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,6 +47,7 @@ class RayHitArrays:
 
     @property
     def hit(self) -> NDArray[np.bool_]:
+        """Return which rays hit."""
         return self.face >= 0
 
 
@@ -54,13 +55,13 @@ class RayScene(ProximityQueries):
     """Triangle meshes that rays can be cast at. Vertices are float64[n,3], faces int[m,3]; lengths are in mm.
 
     Open3D computes in float32, relative to the centre for meshes far from the world's origin, and its last bits depend on the
-    processor. So it only proposes faces, of triangles enlarged by a hair. Hit points and nearest points are computed in float64,
+    processor. So it only proposes faces, of slightly enlarged triangles. Hit points and nearest points are computed in float64,
     from the proposed face and the faces that share its corner there. Of equally near faces, the first mesh counts, then the first
     face.
 
     A `brief` scene, for a single step, is faster to build but has coarser lower bounds of distances. A scene that is not
-    `lasting` stores no table for other runs. A hair is relative to the largest coordinate, or to `largest` (mm) if anything
-    beyond that is a backdrop.
+    `lasting` stores no table for other runs. The smallest resolved length, `hair`, is relative to the largest coordinate, or to
+    `largest` (mm) if anything beyond that is a backdrop.
 
     Rays with an end, and nearest-face queries within a distance, use a `TriangleGrid` if that is useful. The grid measures all
     nearby faces in float64. Open3D answers longer rays, and queries too far from all faces. The choice depends on the scene and
@@ -85,13 +86,14 @@ class RayScene(ProximityQueries):
         return scene
 
     def _fill(self, meshes: Sequence[MeshArrays]) -> None:
+        """Set the triangles of the scene, relative to an origin near their centre."""
         arrays = [(np.asarray(v, np.float64).reshape(-1, 3), np.asarray(f, np.int32).reshape(-1, 3)) for v, f in meshes]
         counts = np.array([len(f) for _, f in arrays], np.int64)
         corners = np.concatenate([np.empty((0, 3, 3)), *(v[f] for v, f in arrays)])
         self._first_face = np.cumsum(np.concatenate(([0], counts)))
         self._mesh_of_face = np.repeat(np.arange(len(arrays), dtype=np.int32), counts)
         middle = (corners.min(axis=(0, 1)) + corners.max(axis=(0, 1))) / 2 if corners.size else np.zeros(3)
-        # Whole metres, and none at all near zero: one more stone at the rim moves no bit of a ray at the others.
+        # Multiples of a metre, and zero near the origin: another mesh at the border then changes no bit of other results.
         self.origin = np.round(middle / 1000.0) * 1000.0 if np.abs(middle).max() > FAR_FROM_ORIGIN_MM else np.zeros(3)
         self._faces = Faces(corners - self.origin, self._brief, self._largest)
         self._empty = not len(corners)
@@ -113,7 +115,8 @@ class RayScene(ProximityQueries):
         return self._tree
 
     def _build_scene(self, corners: NDArray[np.float32]) -> Any:
-        # By one thread, so that the tree is the same on every machine of one kind.
+        """Return an Open3D scene of triangles with corners float32[3m,3]."""
+        # Built by one thread, so that the tree is the same on all machines of one kind.
         scene = open3d().t.geometry.RaycastingScene(nthreads=1)
         scene.add_triangles(self._tensor(corners), self._tensor(np.arange(len(corners), dtype=np.uint32).reshape(-1, 3)))
         return scene
@@ -219,7 +222,7 @@ class RayScene(ProximityQueries):
             rays[:, 3:] = w
             many = len(rows) > _MAX_RAYS_CAST_ONCE and not most_hit
             if most < np.inf and many:
-                # A ray that hits nothing costs the whole scene's length unless it has an end, which only occlusions know.
+                # A ray without a hit traverses the complete scene. Only occlusion queries can limit its length.
                 maybe = self._occluded(rays, most * RAY_LENGTH_FACTOR, threads).nonzero()[0]
                 rows, rays = rows.take(maybe), rays.take(maybe, axis=0)
                 a, w = a.take(maybe, axis=0), w.take(maybe, axis=0)
@@ -290,6 +293,7 @@ class RayScene(ProximityQueries):
         return self._occluded(rays, far, threads)
 
     def _occluded(self, rays: NDArray[np.float32], far: float, threads: int) -> NDArray[np.bool_]:
+        """Return whether prepared rays hit anything before `far` lengths of their directions, by Open3D."""
         if self._empty or len(rays) == 0:
             return np.zeros(len(rays), bool)
         is_occluded: NDArray[np.bool_] = self._scene.test_occlusions(
@@ -328,7 +332,7 @@ class RayScene(ProximityQueries):
     def _closest(self, local: Vectors, threads: int, within: NDArray[Any] | float) -> tuple[Vectors, Vectors, Index]:
         """Return position, distance and face nearest to points relative to the scene's origin, by Open3D."""
         place, square, face = self._faces.nearest(local, self._open3d_nearest(local, threads))
-        # A little further away from it what is as near on another side is nearer: so it is known too, whichever was named.
+        # Slightly farther away, an equally near face on another side is nearer. So both are found in any case.
         distance = np.sqrt(square)
         candidates = np.flatnonzero(distance <= within)
         if candidates.size:
@@ -354,7 +358,7 @@ class RayScene(ProximityQueries):
             self._exact = self._scene if self._brief else self._build_scene(self._faces.corners.reshape(-1, 3).astype(np.float32))
         near = np.fmin(np.fmax(points, -_MAX_NEAREST_DISTANCE_MM), _MAX_NEAREST_DISTANCE_MM).astype(
             np.float32
-        )  # NaN is nowhere, and has a nearest face too
+        )  # NaN gets an arbitrary nearest face
         answer = self._exact.compute_closest_points(self._tensor(near), nthreads=threads)
         face: Index = answer["primitive_ids"].numpy().astype(np.int64)
         return face

@@ -29,19 +29,19 @@ PointColumns = tuple[Float32Array, Float32Array, Float32Array]
 Arrays = tuple[NDArray[Any], ...]
 Tables = tuple[Floats, Index, NDArray[np.int32], NDArray[np.int32], Float32Array, Floats, Floats, Floats]
 
-_CUBE_WIDTH_IN_FACE_EDGES = 1.0  # cube's edge, in mean edges of faces
+_CUBE_WIDTH_IN_FACE_EDGES = 1.0  # edge of a cube, in mean face edges
 _MAX_CUBES = 400_000
-_MAX_LISTED_FACES = 4_000_000  # faces in cubes, one in several counted as often
-_CROWDED_CUBE_FACES = 48.0  # faces in the cube of a face, on average: from there on a tree asks about fewer
-_RAYS_PER_THREAD = 128  # rays or places for which a thread pays
-_CUBE_MARGIN = 1e-6  # cubes: further than rounding and `EDGE_WEIGHT_TOLERANCE` move a place off a face
-_THIN_CORNER_SINE = 1e-8  # sine of the corner of a face, below which its plane is noise and rays go through it
+_MAX_LISTED_FACES = 4_000_000  # pairs of a face and a cube that lists it
+_CROWDED_CUBE_FACES = 48.0  # mean number of faces in a face's cube, from which a tree tests fewer faces
+_RAYS_PER_THREAD = 128  # number of rays or points from which another thread is worthwhile
+_CUBE_MARGIN = 1e-6  # in cubes; more than rounding and `EDGE_WEIGHT_TOLERANCE` move a point off a face
+_THIN_CORNER_SINE = 1e-8  # sine of a corner angle below which a face defines no plane; rays pass through it
 
 
 class TriangleGrid:
     """A grid of all faces. `tables` contains:
 
-    - lowest corner, edge, error of a bound, hair and origin (mm, float64[9])
+    - lowest corner, edge of a cube, error of a bound, `hair` of the faces, and origin (mm, float64[9])
     - number of cubes along each axis, int64[3]
     - the start of each cube's faces in a list, and the list of face numbers, int32
     - plane and bounding ball of each listed face, float32[e,8]
@@ -57,9 +57,9 @@ class TriangleGrid:
         normals = faces.normals(np.arange(len(corners)))
         off = 1e-6 * (
             float(np.abs(corners).max()) + (MAX_RAY_CUBES + MAX_SEARCH_RINGS) * width
-        )  # several times what float32 makes of it
+        )  # several times the rounding error of float32
         self.tables: Tables = (
-            np.array([*low, width, off, faces.hair, *origin]),  # the grid's lowest corner and the world's place of its zero
+            np.array([*low, width, off, faces.hair, *origin]),  # lowest corner of the grid; world position of its zero
             size,
             first,
             listed,

@@ -58,6 +58,7 @@ class GroupedHelp(TyperGroup):
 
 
 def _first_sentence(command: Any) -> str:
+    """Return the first sentence of a command's help."""
     text = " ".join((command.help or "").split())
     return text.partition(". ")[0].rstrip(".") + "."
 
@@ -112,6 +113,7 @@ for _command_row in COMMANDS:
 
 
 def _version(value: bool) -> None:
+    """Print the version and exit if the flag is set."""
     if value:
         from antdsl import __version__
 
@@ -173,6 +175,7 @@ def _deliver(code: int) -> int:
 
 
 def _run() -> int:
+    """Run the command with the warnings of libraries disabled. Return its exit code."""
     with warnings.catch_warnings():
         if not sys.warnoptions:  # what libraries have to say to those who program with them; `python -W default` shows it
             warnings.simplefilter("ignore")
@@ -203,6 +206,7 @@ def _require_order(words: list[str]) -> None:
 
 
 def _command() -> int:
+    """Run the command that the arguments name. Return its exit code, also after an error."""
     try:
         try:
             _require_text(sys.argv[1:])

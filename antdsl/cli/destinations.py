@@ -125,6 +125,7 @@ def protect_inputs(
 
 
 def _is_same_file(one: Path, other: Path) -> bool:
+    """Return whether two paths lead to the same existing file."""
     try:
         return os.path.samefile(one, other)
     except (OSError, ValueError):
@@ -132,6 +133,7 @@ def _is_same_file(one: Path, other: Path) -> bool:
 
 
 def _is_same_destination(one: Path, other: Path) -> bool:
+    """Return whether output to two paths would go to the same file or stream."""
     return (
         (is_standard_output(one) and is_standard_output(other))
         or _is_same_file(one, other)
@@ -140,12 +142,13 @@ def _is_same_destination(one: Path, other: Path) -> bool:
 
 
 def _first_name_below(path: Path, folder: Path) -> str | None:
-    """Return the first path component below `folder` on the path to `path`, or None if `path` is not below `folder`."""
+    """Return the first component of `path` relative to `folder`, or None if `path` is not below `folder`."""
     real_path, start = Path(os.path.realpath(path)), os.path.realpath(folder)
     return real_path.relative_to(start).parts[0] if real_path != Path(start) and real_path.is_relative_to(start) else None
 
 
 def _try_writing(beside: Path, path: Path, flag: str) -> None:
+    """Exit with a message about `flag` if no file can be created next to `beside`. The message names `path`."""
     try:
         new_sibling(beside).unlink()
     except OSError as why:

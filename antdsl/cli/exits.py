@@ -26,6 +26,8 @@ _ADVICE_BY_ERRNO = {
 
 
 class ExitCode(IntEnum):
+    """Exit codes of commands."""
+
     FINE = 0
     FINDINGS = 1
     USAGE = 2
@@ -149,7 +151,7 @@ def _cache_advice(why: Exception) -> tuple[ExitCode, str]:
 
 
 def as_machine_failure(problem: Exception) -> OSError | MemoryError | None:
-    """Return an error of any library as a disk or memory error; None if it is neither."""
+    """Return the disk or memory error behind an error of any library; None if there is none."""
     if is_out_of_memory(problem):
         return MemoryError()
     return problem if isinstance(problem, OSError) else None
@@ -194,5 +196,5 @@ def _has_working_directory() -> bool:
 
 
 def recovery_advice(problem: OSError) -> str:
-    """Return the user's next action before the command can continue, as the start of a sentence."""
+    """Return what the user must do before the command can continue, as the start of a sentence."""
     return _ADVICE_BY_ERRNO.get(problem.errno or 0, "once that is mended,")

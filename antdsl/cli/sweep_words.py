@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 
 def nothing() -> list[str]:
-    """Raise BadParameter: no scene is named."""
+    """Raise BadParameter, because the command names no scene."""
     raise typer.BadParameter("name a scene, or continue a sweep: `--resume --out DIR`", param_hint="SCENE")
 
 

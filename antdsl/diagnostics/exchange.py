@@ -22,6 +22,7 @@ FORMAT_VERSION = "1.0"
 
 
 def document(diagnostics: Sequence[Diagnostic], omitted_count: int) -> str:
+    """Return findings as one JSON document. `omitted_count`: the number of findings that are left out."""
     errors = sum(diagnostic.severity == "error" for diagnostic in diagnostics)
     content = {
         "format_version": FORMAT_VERSION,
@@ -35,6 +36,7 @@ def document(diagnostics: Sequence[Diagnostic], omitted_count: int) -> str:
 
 
 def _entry(diagnostic: Diagnostic) -> dict[str, Any]:
+    """Return a finding as JSON values."""
     entry: dict[str, Any] = {
         "severity": diagnostic.severity,
         "code": diagnostic.code,
@@ -53,6 +55,7 @@ def _entry(diagnostic: Diagnostic) -> dict[str, Any]:
 
 
 def _range(span: Span) -> dict[str, Any]:
+    """Return a span as JSON values: file name, start and end."""
     return {"filename": span.source.path, "start": _position(span.source, span.start), "end": _position(span.source, span.end)}
 
 
@@ -64,6 +67,7 @@ def _position(source: Source, offset: int) -> dict[str, int]:
 
 
 def github(diagnostics: Sequence[Diagnostic], omitted_count: int) -> str:
+    """Return findings as workflow commands of GitHub, errors first."""
     ordered = sorted(diagnostics, key=lambda diagnostic: severity_rank(diagnostic.severity))
     lines = [_command(diagnostic) for diagnostic in ordered]
     if omitted_count:
@@ -101,6 +105,7 @@ _SCHEMA_URL = "https://docs.oasis-open.org/sarif/sarif/v2.1.0/errata01/os/schema
 
 
 def sarif(diagnostics: Sequence[Diagnostic], omitted_count: int) -> str:
+    """Return findings as a SARIF 2.1.0 document."""
     codes = sorted({diagnostic.code for diagnostic in diagnostics})
     rules = [_rule(code) for code in codes]
     fingerprint_counts: Counter[str] = Counter()
@@ -163,6 +168,7 @@ def _fingerprint(diagnostic: Diagnostic, span: Span, fingerprint_counts: Counter
 
 
 def junit(diagnostics: Sequence[Diagnostic], omitted_count: int) -> str:
+    """Return findings as JUnit XML."""
     errors = sum(diagnostic.severity == "error" for diagnostic in diagnostics)
     count = str(max(1, len(diagnostics)))
     root = ElementTree.Element("testsuites", tests=count, failures=str(errors))

@@ -12,6 +12,7 @@ _MAX_LINE_WIDTH = 120  # of a source line; a longer one is shown around the plac
 
 
 def full(diagnostics: Sequence[Diagnostic], omitted_count: int) -> str:
+    """Return findings as text for people, each with its source line."""
     blocks = [_block(diagnostic) for diagnostic in diagnostics]
     if omitted_count:
         blocks.append(f"… and {omitted_count:,} more\n")
@@ -19,6 +20,7 @@ def full(diagnostics: Sequence[Diagnostic], omitted_count: int) -> str:
 
 
 def _block(diagnostic: Diagnostic) -> str:
+    """Return one finding as text, with its source lines and its help."""
     lines = [f"{diagnostic.severity}[{diagnostic.code}]: {escape_text(diagnostic.message)}"]
     spans = [span for span in (diagnostic.span, *(label.span for label in diagnostic.labels)) if span is not None]
     margin = max((len(str(line_range(span).line)) for span in spans), default=1)

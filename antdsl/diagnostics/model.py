@@ -69,7 +69,8 @@ class Diagnostic:
 
 
 def _diagnostic_key(diagnostic: Diagnostic) -> tuple[str | int, ...]:
-    """Return a key that uses the file's name and not its text: a file that many scenes extend is read once for each of them."""
+    """Return a key that is equal for duplicates. It contains the file's name and not its text, because a file that scenes share
+    is read once per scene."""
     span = diagnostic.span
     if span is None:
         return (diagnostic.code, diagnostic.message)
@@ -99,6 +100,7 @@ class Report:
         self._known_keys.update(_diagnostic_key(d) for d in self.diagnostics)
 
     def add(self, diagnostic: Diagnostic) -> None:
+        """Add a finding, unless an equal one is in the report."""
         key = _diagnostic_key(diagnostic)
         if key not in self._known_keys:
             self._known_keys.add(key)
@@ -113,9 +115,11 @@ class Report:
         self._known_keys |= keys
 
     def error(self, code: str, message: str, span: Span | None, help: str | None = None, **details: object) -> None:
+        """Add an error. `details`: further fields of the Diagnostic."""
         self._add_complaint("error", code, message, span, help, details)
 
     def warning(self, code: str, message: str, span: Span | None, help: str | None = None, **details: object) -> None:
+        """Add a warning. `details`: further fields of the Diagnostic."""
         self._add_complaint("warning", code, message, span, help, details)
 
     def _add_complaint(
@@ -126,6 +130,7 @@ class Report:
         self.add(Diagnostic(code, message, span, severity, help, **details))  # type: ignore[arg-type]
 
     def extend(self, others: Report | Iterable[Diagnostic]) -> None:
+        """Add findings. The dropped warnings of another report are also dropped here."""
         if isinstance(others, Report) and others.answered:
             self.answer(others.answered)
         for diagnostic in others.diagnostics if isinstance(others, Report) else others:
@@ -133,10 +138,12 @@ class Report:
 
     @property
     def errors(self) -> list[Diagnostic]:
+        """Return the errors, without warnings."""
         return [d for d in self.diagnostics if d.severity == "error"]
 
     @property
     def ok(self) -> bool:
+        """Return whether there are no errors."""
         return not any(d.severity == "error" for d in self.diagnostics)
 
     def sorted(self) -> list[Diagnostic]:

@@ -30,7 +30,7 @@ def _escape_character(character: str) -> str:
 
 
 def width(text: str) -> int:
-    """Return how many terminal columns a text takes."""
+    """Return the width of a text in terminal columns. Wide characters count twice."""
     return sum(2 if unicodedata.east_asian_width(c) in "WF" else 0 if unicodedata.combining(c) else 1 for c in text)
 
 
@@ -46,11 +46,12 @@ class LineRange:
 
 
 def line_range(span: Span) -> LineRange:
+    """Return the lines and columns of a span."""
     line, column = span.source.line_column(span.start)
     end_line, end_column = span.source.line_column(max(span.start, span.end))
     return LineRange(span.source.path, line, column, end_line, end_column)
 
 
 def severity_rank(severity: str) -> int:
-    """Sorts errors before warnings."""
+    """Return a sort key that puts errors before warnings."""
     return 0 if severity == "error" else 1

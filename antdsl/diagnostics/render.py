@@ -12,6 +12,7 @@ from antdsl.diagnostics.places import escape_text, line_range
 
 
 def concise(diagnostics: Sequence[Diagnostic], omitted_count: int) -> str:
+    """Return findings as one line each."""
     lines = [_line(diagnostic) for diagnostic in diagnostics]
     if omitted_count:
         lines.append(f"… and {omitted_count:,} more")

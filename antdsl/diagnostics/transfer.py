@@ -41,7 +41,7 @@ def decode_reports(data: bytes) -> tuple[dict[Path, Report], list[Source]]:
 
 
 def _source_number(source: Source, numbers: dict[Source, int]) -> int:
-    """The index of a text in the table. A new text is added."""
+    """Return the index of a text in the table. Add the text if it is new."""
     return numbers.setdefault(source, len(numbers))
 
 

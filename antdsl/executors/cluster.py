@@ -162,6 +162,7 @@ class Cluster(Engine):
         return future
 
     def _require_scheduler(self) -> None:
+        """Raise WorkersLost if the connection to the scheduler is lost."""
         if self._client.status != "running":
             raise WorkersLost(self.break_reason())
 

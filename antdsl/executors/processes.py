@@ -76,6 +76,7 @@ class Processes(Engine):
 
 
 def _describe_end(code: int | None) -> str:
+    """Return why a process ended, in words. `code`: its exit code; negative codes are signals."""
     if code is not None and code < 0:
         name = signal.Signals(-code).name if -code in {s.value for s in signal.Signals} else str(-code)
         reason = ", most likely because memory ran out" if name == "SIGKILL" else ""
@@ -108,6 +109,8 @@ def _end_with_parent() -> None:
 
 
 def _perform(work: Work, text: str, slot: int) -> str:
+    """Run a task in a process of the pool. `slot`: the index at which its current frame is reported."""
+
     def say_frame(frame: int) -> None:
         _frames[slot] = frame
 

@@ -26,11 +26,11 @@ Answer = dict[str, Any]
 
 
 class TaskRefused(Exception):
-    """A task cannot be carried out. The message is for the requester. The task is not tried again."""
+    """Error for a task that cannot be carried out. The message is for the requester. The task does not run again."""
 
 
 class WorkersLost(Exception):
-    """No process or worker is left to run tasks. The message is for the requester."""
+    """Error if no process or worker is left to run tasks. The message is for the requester."""
 
 
 @dataclass(slots=True)
@@ -207,6 +207,7 @@ def _finished(running: Mapping[Future[str], Task]) -> list[Future[str]]:
 
 
 def _is_broken(future: Future[str]) -> bool:
+    """Return whether the process of a task has ended before its answer."""
     return not future.cancelled() and isinstance(future.exception(), BrokenExecutor)
 
 

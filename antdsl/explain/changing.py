@@ -33,6 +33,7 @@ def list_changes(
 def _changed_registers(
     world: World, population: Population, species: Species, trace: AgentTrace, row: int
 ) -> Iterator[ChangedValue]:
+    """Yield the changes of an agent's stored registers. `row`: its row after the step."""
     types = {a.name: a.type for a in species.attributes}
     for name, register in population.plan.registers.items():
         if register.role in ("temp", "pair") or name.endswith((".y", ".z", ".next")):
@@ -72,14 +73,17 @@ def _values_by_other(registers: Mapping[str, Any], slots: list[tuple[str, str]])
 
 
 def _describe_value(world: World, held: Any, type: ValueType, unit: str) -> tuple[PlainValue, str]:
+    """Return a value for programs and as text; `nothing` for a missing value."""
     return ("nothing", "nothing") if held is None else (plain_value(world, held, type, unit), said(world, held, type, unit))
 
 
 def _row(population: Population, stem: str, row: int) -> dict[str, Any]:
+    """Return the components of a vector register of one agent."""
     return {f"{stem}.{axis}": population.now[f"{stem}.{axis}"][row] for axis in AXES}
 
 
 def _vector_change(world: World, name: str, both: list[list[Any]], type: ValueType | None, memory: bool) -> ChangedValue:
+    """Return the change of a vector register. `both`: its components before and after the step."""
     unit = REGISTERS[name].unit if name in REGISTERS else default_unit(type.dim) if type is not None else ""
     origin = world.origin if name == "position" else (0.0, 0.0, 0.0)  # registers are relative to it
     old_vector, new_vector = (

@@ -18,8 +18,7 @@ from antdsl.runtime.world import Population, World
 def machine_step(
     world: World, population: Population, machine: MachinePlan, notes: SourceNotes, trace: AgentTrace
 ) -> MachineStep:
-    """Return the step of one machine of an agent. `world` is in the step to be explained, still in its state at the start of the
-    step."""
+    """Return the report on one machine of an agent. `world`: the world at the start of the step."""
     old_state = int(trace.start[f"{machine.name}.state"])
     new_state = int(trace.now[f"{machine.name}.state"])
     mine = [n for n in notes.changes if n.machine == machine.name and n.state.index == old_state]
@@ -43,6 +42,7 @@ def machine_step(
 def _transition_account(
     world: World, machine: MachinePlan, note: ChangeNote, winner: int, trace: AgentTrace
 ) -> TransitionAccount:
+    """Return the report on one transition. `winner`: the number of the transition that was taken."""
     t = note.transition
     kind = "interrupt" if t.interrupt else "from any" if f".{model.FROM_ANY_KEY}->" in t.key else "when"
     return TransitionAccount(
@@ -59,6 +59,7 @@ def _transition_account(
 
 
 def _target(machine: MachinePlan, t: model.Transition) -> str:
+    """Return the target of a transition, in words."""
     if t.previous:
         return "previous"
     if t.choices:
@@ -67,6 +68,7 @@ def _target(machine: MachinePlan, t: model.Transition) -> str:
 
 
 def _claim(world: World, population: Population, won: ChangeNote, trace: AgentTrace) -> ClaimResult | None:
+    """Return the result of the claim of a transition; None if the agent made no claim."""
     entry = next((each for each in trace.claims if each.statement.site == won.transition.key), None)
     if entry is None:
         return None
@@ -95,6 +97,7 @@ def _claim_draw(world: World, population: Population, entry: ClaimEntry, row: in
 
 
 def _choice(machine: MachinePlan, note: ChoiceNote, trace: AgentTrace, new_state: int) -> ChoiceResult | None:
+    """Return the draw among the states of a `choose`; None if it was not computed."""
     if note.draw not in trace.values:
         return None
     total = sum(float(trace.values[node]) for _, node in note.weights)

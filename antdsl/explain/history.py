@@ -1,6 +1,7 @@
 """Runs with checkpoints, from which a step can be repeated: a cache, or a session that is running.
 
-A cache names the shot that it was made from. Its scene is found, with the texts of that time, or the cache is an error."""
+A cache names the shot that it was made from. The scene of that shot must exist with unchanged texts. Otherwise the step cannot
+be explained."""
 
 from __future__ import annotations
 
@@ -30,7 +31,7 @@ class History(Protocol):
     def shot(self) -> Shot: ...
 
     def points(self) -> Sequence[int]:
-        """The frames that have a checkpoint, in order."""
+        """Return the frames that have a checkpoint, in order."""
 
     def world(self, point: int) -> World | None:
         """Return a separate world in the state of a checkpoint; None if that is damaged."""
@@ -59,6 +60,7 @@ class CacheHistory:
 
     @classmethod
     def of(cls, cache: Cache, shot: Shot, threads: int = 1) -> CacheHistory:
+        """Return the history of a cache. `threads`: threads of the replay."""
         return cls(cache, shot, threads, cache.hashes())
 
     def points(self) -> Sequence[int]:
@@ -92,8 +94,8 @@ class CacheHistory:
 
 
 class ExplainError(Exception):
-    """Why nothing can be explained, in a message that stands alone. `usage`: the request is wrong. `report`: the findings about
-    the scene's files, where they are the reason."""
+    """Error if a step cannot be explained. The message is self-contained. `usage`: the request is wrong. `report`: the findings
+    about the scene's files, if they are the reason."""
 
     def __init__(self, message: str, help: str = "", *, usage: bool = False, report: Report | None = None) -> None:
         super().__init__(message)

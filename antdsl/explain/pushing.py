@@ -23,6 +23,7 @@ def layers(world: World, mode: str, notes: SourceNotes, trace: AgentTrace) -> tu
 
 
 def _layer_account(world: World, mode: str, note: LayerNote, trace: AgentTrace) -> LayerReport:
+    """Return the report on one layer."""
     where, left = place(note.layer.span, note.layer.text), float(trace.values.get(note.left, 0.0))
     nothing = (0.0, 0.0, 0.0)
     if not trace.values.get(note.looked, False):

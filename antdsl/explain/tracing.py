@@ -23,8 +23,8 @@ _DRAW_OPERATIONS = frozenset(("draw", "draw.agent"))
 
 @dataclass(slots=True, eq=False)
 class AgentTrace:
-    """The events of a step. `values`: of noted nodes. `start` and `now`: registers at the start of the step, and after the
-    blocks. `claims`: those of the agent, in text order."""
+    """The events of an agent's step. `row`: its row. `values`: the values of noted nodes. `start` and `now`: registers at the
+    start of the step, and after the blocks. `claims`: its claims, in text order."""
 
     row: int
     start: dict[str, Any]
@@ -90,7 +90,8 @@ class TracedAgent(AgentRun):
         return self.trace.sets[node]
 
     def _collect(self, block: str) -> None:
-        """Record only computed values: a layer without strength computed no senses."""
+        """Record the values that a block has computed. Leave out values that it has skipped, such as senses of a layer without
+        strength."""
         for node, value in self.values.items():
             if node.op in SENSE_BY_OPERATION:
                 self.trace.senses[node] = value

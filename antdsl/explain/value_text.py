@@ -31,6 +31,7 @@ def place(span: Span, text: str | None = None) -> SourceLocation:
 
 
 def triple(parts: Any) -> FloatTriple:
+    """Return three components as Python floats."""
     x, y, z = (float(part) for part in parts)
     return x, y, z
 
@@ -56,7 +57,7 @@ def condition_part(world: World, note: PartNote | None, values: NodeValues) -> E
 
 
 def said(world: World, raw: Any, type: ValueType, unit: str) -> str:
-    """Return a value in the author's spelling. A boolean value is written as one, whatever its declared type."""
+    """Return a value in the author's spelling. The kind of the value, boolean or not, overrides its declared type."""
     if isinstance(raw, np.bool_ | bool):
         type = ValueType(TypeKind.BOOL)
     elif type.kind is TypeKind.BOOL:

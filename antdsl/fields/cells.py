@@ -23,9 +23,9 @@ Floats = NDArray[np.float64]
 Cells = NDArray[np.int32]
 
 NEAREST_CELLS = 16
-_MAX_DENSE_VOXELS = 8_000_000  # voxels of a box that may be listed one by one
-_MAX_VOXELS_PER_AXIS = 1 << 19  # voxels along an axis; three packed with a side stay in 63 bits
-_MAX_SLIVER_CELL_RATIO = 2.0  # cells along triangles for each that is allowed: of slivers many lie in one
+_MAX_DENSE_VOXELS = 8_000_000  # most voxels of a box for a table of all voxels
+_MAX_VOXELS_PER_AXIS = 1 << 19  # three packed coordinates and a side fit into 63 bits
+_MAX_SLIVER_CELL_RATIO = 2.0  # factor for triangle cells above the limit: many slivers lie in one cell
 BLOCK_OFFSETS = tuple((x, y, z) for x, y, z in product((-1, 0, 1), repeat=3))
 _POINTS_PER_CHUNK = 1 << 15
 
@@ -116,6 +116,7 @@ class SurfaceCells:
         return self._keys % 6
 
     def _key(self, voxel: NDArray[np.int64], side: NDArray[np.int8]) -> NDArray[np.int64]:
+        """Return the packed keys of voxels [n,3] and their sides."""
         key: NDArray[np.int64] = ((voxel[:, 0] * self._size[1] + voxel[:, 1]) * self._size[2] + voxel[:, 2]) * 6 + side
         return key
 
@@ -224,7 +225,7 @@ class SurfaceCells:
         for axis in range(3):
             step = np.floor(points[:, axis] / self.cell + 0.5)
             step -= self._low[axis]
-            inside = (step >= 0) & (step < self._size[axis])  # not so for what is no number
+            inside = (step >= 0) & (step < self._size[axis])  # false for NaN
             integer_steps = np.where(inside, step, 0.0).astype(np.int64)
             if axis:
                 key *= self._size[axis]
@@ -263,6 +264,7 @@ class SurfaceCells:
         return table
 
     def side_of(self, cell: NDArray[np.integer]) -> NDArray[np.int64]:
+        """Return the sides that cells face, as `facing_sides`."""
         return self._keys.take(cell) % 6
 
     def _nearby(self, points: Floats, voxel: NDArray[np.int64], side: NDArray[np.int64]) -> NDArray[np.int64]:
@@ -364,7 +366,7 @@ class SurfaceCells:
             own, other = self._neighbour_pairs(chosen, lambda x, y: 1)
             count = np.bincount(own, minlength=len(chosen))
             crowded = np.flatnonzero(count > k)
-            if crowded.size:  # most have no more than so many around
+            if crowded.size:  # most cells have no more neighbours than this
                 crowded_pairs = np.flatnonzero((count > k).take(own))
                 one, two = own.take(crowded_pairs), other.take(crowded_pairs)
                 place, other_place = self.position.take(chosen.take(one), axis=0), self.position.take(two, axis=0)
@@ -383,7 +385,7 @@ class SurfaceCells:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class KnownCells:
-    """Results of a cell lookup, for reuse: the cells `of` which, and for each point the `key` of its voxel and side, and the
+    """The results of a cell lookup in the cells `of`, for the next lookup: each point's `key` (voxel and side), and its
     `cell`. `key` is -1 outside the box, `cell` is -1 if there is none."""
 
     of: SurfaceCells

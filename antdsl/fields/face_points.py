@@ -13,16 +13,16 @@ from numpy.typing import NDArray
 from antdsl import limits
 from antdsl.scene.setting import BorderFlow, SolvedFlow, SpreadFlow
 
-_PIECES_PER_RADIUS = 8  # of a radius or border, where no cell is given
-_PIECES_PER_EXTENT = 64  # pieces of the ground's extent, where there is no radius either
+_PIECES_PER_RADIUS = 8  # pieces per radius or border, if no cell size is set
+_PIECES_PER_EXTENT = 64  # pieces per extent of the ground, if there is no radius either
 _CROWD_PIECES_PER_EXTENT = 48  # the same, for a flow that is solved repeatedly
-_MAX_DEFAULT_POINTS = 200_000  # at most, where the cell is not given
-_MIN_CELL_EXTENT = 1e-12  # of the extent
+_MAX_DEFAULT_POINTS = 200_000  # most points, if no cell size is set
+_MIN_CELL_EXTENT = 1e-12  # smallest cell, relative to the extent
 Floats = NDArray[np.float64]
 Index = NDArray[np.int64]
 
-_WELD_DISTANCE = 1e-7  # of the extent: points nearer than this are one point
-_MAX_CUTS_PER_EDGE = 1024  # along one edge
+_WELD_DISTANCE = 1e-7  # relative to the extent; points nearer than this are merged
+_MAX_CUTS_PER_EDGE = 1024  # most pieces along an edge
 
 
 class LatticeTooFine(ValueError):
@@ -59,6 +59,7 @@ class FaceLattice:
 
     @staticmethod
     def of(cuts: Index) -> FaceLattice:
+        """Return the lattice with `cuts` pieces along an edge of each face."""
         sizes = (cuts + 1) * (cuts + 2) // 2
         return FaceLattice(cuts, np.concatenate(([0], np.cumsum(sizes)))[:-1])
 
@@ -72,7 +73,7 @@ class FaceLattice:
         j = np.clip(v.astype(np.int64), 0, n - 1)
         i = np.clip(u.astype(np.int64), 0, n - 1 - j)
         u, v = u - i, v - j
-        upper = (u + v > 1) & (i + j < n - 1)  # the like triangle that stands on its head
+        upper = (u + v > 1) & (i + j < n - 1)  # the inverted triangle
         slot = start + j * (n + 1) - j * (j - 1) // 2 + i
         above = slot + n + 1 - j
         slots = np.stack([np.where(upper, above + 1, slot), slot + 1, above])
@@ -123,7 +124,7 @@ def weld_points(positions: Floats, owner: NDArray[np.integer]) -> tuple[Index, i
         return np.empty(0, np.int64), 0
     low = positions.min(axis=0)
     grain = max(float((positions.max(axis=0) - low).max()) * _WELD_DISTANCE, 1e-300)
-    # half a grain and a bit off: round coordinates lie nowhere near the edge of a grain
+    # an odd offset, so that round coordinates are not near the border of a cell
     keys = np.floor((positions - low) / grain + 0.318).astype(np.int64)
     order = np.lexsort((keys[:, 2], keys[:, 1], keys[:, 0], owner))
     rows = np.column_stack([owner, keys])[order]
@@ -158,4 +159,4 @@ def edge_pieces(flow: SpreadFlow | BorderFlow | SolvedFlow, longest: Floats, ext
             raise LatticeTooFine(points)
         if flow.cell is not None or points <= max(_MAX_DEFAULT_POINTS, 3 * len(longest)):
             return cuts
-        cell = max(1.3 * cell, extent * _MIN_CELL_EXTENT)  # a radius next to 0 has cells of 0
+        cell = max(1.3 * cell, extent * _MIN_CELL_EXTENT)  # a radius near 0 gives a cell size of 0

@@ -20,10 +20,10 @@ if TYPE_CHECKING:
     from antdsl.runtime.world import World
 
 VectorColumns = tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]]
-VectorSource = Callable[[Floats], Floats]  # vectors (n, 3) at places (n, 3), not yet laid into any surface
+VectorSource = Callable[[Floats], Floats]  # vectors (n, 3) at positions (n, 3), not projected onto a surface
 
-_CURVE_SPACING_MM = 1.0  # mm, as for curves with queries for their nearest point
-_MIN_LAID_COSINE = 0.5  # cosine below which a vector that is laid down loses length
+_CURVE_SPACING_MM = 1.0  # mm, as for curves in nearest-point queries
+_MIN_LAID_COSINE = 0.5  # cosine of the angle to the face below which a projected vector loses length
 
 
 def lay_on_faces(v: Floats, axis1: Floats, axis2: Floats) -> tuple[Floats, Floats]:

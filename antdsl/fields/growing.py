@@ -14,11 +14,11 @@ from antdsl.fields.numbered import sum_by_key
 from antdsl.ground.mesh.topology import facing_sides
 from antdsl.machine_code.kernels import F64, I32, I64, Array1, Array2, inlined, kernel, scratch
 
-_GROWTH_DIVISOR = 8  # cells are added in rooms of this share of what is there, so that most steps move nothing
+_GROWTH_DIVISOR = 8  # capacity grows by 1 / this number, so that most steps need no copy
 _MIN_ADDED_CAPACITY = 1024
 _NO_KEY = -1
-_ISOLATED_VOXEL = -(1 << 60)  # number of a voxel that no other lies beside
-_MAX_NEIGHBOUR_CELLS = 27 * 6  # cells in 3³ voxels
+_ISOLATED_VOXEL = -(1 << 60)  # number of a voxel without neighbours
+_MAX_NEIGHBOUR_CELLS = 27 * 6  # most cells in 3³ voxels
 Numbers = tuple[Array1[I64], Array1[I64]]  # voxels and keys of cells
 
 
@@ -79,6 +79,7 @@ class GrowingCells(SurfaceCells):
         return new
 
     def _nearby(self, points: Floats, voxel: NDArray[np.int64], side: NDArray[np.int64]) -> NDArray[np.int64]:
+        """Return the nearest cell of a compatible side in the 27 voxels around each point, -1 for none."""
         if self._direct is None:
             return super()._nearby(points, voxel, side)
         best = np.empty(len(points), np.int64)
@@ -86,6 +87,7 @@ class GrowingCells(SurfaceCells):
         return best
 
     def _grow_capacity(self, needed: int) -> None:
+        """Extend the arrays so that they have space for `needed` cells."""
         if needed <= len(self):
             return
         old_count = len(self)
@@ -100,6 +102,7 @@ class GrowingCells(SurfaceCells):
 
     @property
     def _has_kernel_lookup(self) -> bool:
+        """Return whether a table lists every key: keys of added cells are not in ascending order."""
         return self._direct is not None
 
     def _find_cells(self, key: NDArray[np.int64], within: NDArray[np.bool_]) -> Cells:

@@ -12,9 +12,9 @@ Floats = NDArray[np.float64]
 Index = NDArray[np.int64]
 Flags = NDArray[np.bool_]
 
-_MAX_BAND_ITERATIONS = 40  # most times that a band of points is computed, since its points depend on each other
-_MAX_PASSES = 8  # over all bands at most: the order of the last pass is not quite that of this one
-_CONVERGENCE_TOLERANCE = 0.01  # of an edge: what a pass changes less than is left
+_MAX_BAND_ITERATIONS = 40  # most iterations for a band of points, because its points depend on each other
+_MAX_PASSES = 8  # most passes over all bands, because the order of the points changes
+_CONVERGENCE_TOLERANCE = 0.01  # relative to the median edge length; smaller changes end the iteration
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -76,6 +76,7 @@ def directions(land: WalkableSurface, bound: Floats) -> Floats:
 
 
 def _unit(v: Floats) -> Floats:
+    """Return vectors (n, 3) scaled to length 1; vectors that are much shorter than the longest become 0."""
     size = np.sqrt((v * v).sum(axis=1))
     return v / np.where(size > 1e-12 * size.max(initial=0.0) + 1e-300, size, np.inf)[:, None]
 
@@ -102,9 +103,9 @@ def _edge_costs(land: WalkableSurface, cost: Floats, start: Index, first: Floats
     weight = np.sqrt((step * step).sum(axis=1)) * price
     rows = [low, land.links[:, 0], np.full(len(start), n)]
     columns = [high, land.links[:, 1], start]
-    # one more than they are: a way of length 0 would be no way for the graph
+    # start costs plus one, because the graph ignores links of length 0
     weights = [weight, _link_costs(land, cost), first + 1.0]
-    # 32 bits: older versions of the search take no others, and there are fewer points by far
+    # 32 bits: older SciPy versions need them, and there are far fewer points
     ends = tuple(np.concatenate(numbers).astype(np.int32) for numbers in (rows, columns))
     graph = coo_array((np.concatenate(weights), ends), shape=(n + 1, n + 1))
     reached: Floats = dijkstra(graph.tocsr(), directed=False, indices=n)[:n]
@@ -113,6 +114,7 @@ def _edge_costs(land: WalkableSurface, cost: Floats, start: Index, first: Floats
 
 
 def _link_costs(land: WalkableSurface, cost: Floats) -> Floats:
+    """Return the cost of each link: its length times the median cost per mm of open triangles."""
     step = land.points[land.links[:, 1]] - land.points[land.links[:, 0]]
     usual = float(np.median(cost[land.open])) if land.open.any() else 1.0
     price: Floats = np.maximum(np.sqrt((step * step).sum(axis=1)), 1e-9) * usual
@@ -120,6 +122,7 @@ def _link_costs(land: WalkableSurface, cost: Floats) -> Floats:
 
 
 def _relax_links(land: WalkableSurface, cost: Floats, bound: Floats) -> None:
+    """Lower `bound` at both ends of each link to the bound at the other end plus the link's cost, in place."""
     price = _link_costs(land, cost)
     for a, b in ((0, 1), (1, 0)):
         np.minimum.at(bound, land.links[:, b], bound[land.links[:, a]] + price)
@@ -146,11 +149,13 @@ class _CornerEdges:
     cost: Floats
 
     def take_rows(self, rows: NDArray[np.intp] | NDArray[np.bool_] | slice) -> _CornerEdges:
+        """Return some entries."""
         ends = self.corner[rows], self.one[rows], self.two[rows]
         return _CornerEdges(*ends, self.length[rows], self.foot[rows], self.height[rows], self.cost[rows])
 
 
 def _make_corner_edges(land: WalkableSurface, cost: Floats) -> _CornerEdges:
+    """Return the entries for all corners of open triangles."""
     t = land.triangles[land.open]
     corner, one, two = (np.concatenate([t[:, (k + shift) % 3] for k in range(3)]) for shift in range(3))
     edge, side = land.points[two] - land.points[one], land.points[corner] - land.points[one]

@@ -19,8 +19,8 @@ from antdsl.scene.field_settings import largest_stable_diffusion
 
 Floats = NDArray[np.float32]
 
-DEPOSIT_UNIT = 2.0**-24  # deposits are whole numbers of this
-MAX_DEPOSIT = 2.0**16  # so that five million of them in one cell stay within 63 bits
+DEPOSIT_UNIT = 2.0**-24  # deposits are integer multiples of this
+MAX_DEPOSIT = 2.0**16  # five million such deposits in a cell fit into 63 bits
 FLUSH_THRESHOLD = 1e-12
 _NO_SHARES = np.empty(0)
 _SYMMETRIC_ENTRIES = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
@@ -45,12 +45,12 @@ class PheromoneField:
     ) -> None:
         self.cells, self.combine, self.limit = cells, combine, float(limit)
         self.stencil, self.deposits_first = stencil, deposits_first
-        self._padded = np.zeros(len(cells) + 1)  # one past the end: what a cell that is not there holds
+        self._padded = np.zeros(len(cells) + 1)  # the extra entry is the amount of "no cell"
         self._pending = np.zeros(len(cells), np.int64)
-        self.version = 0  # changes whenever some array of it, or of its cells, becomes another one
+        self.version = 0  # increases whenever an array of the field or of its cells is replaced
         self.hashed = RowHasher()  # of `values`
         self._touched = False
-        self._left: list[tuple[NDArray[np.integer[Any]], NDArray[np.float64]]] = []  # cells, and what claims have left in them
+        self._left: list[tuple[NDArray[np.integer[Any]], NDArray[np.float64]]] = []  # cells, and their amounts after claims
         self._askers: dict[int, tuple[NDArray[np.int64], Cells]] = {}
 
     @property
@@ -215,14 +215,14 @@ class PheromoneField:
         slope = np.zeros((3, own.size))
         for column in np.ascontiguousarray(self._block(k).take(own, axis=0).T).astype(np.int64):
             real = column < len(self.cells)
-            # A cell that is not there counts as the own one, which adds nothing.
+            # A missing cell is replaced by the agent's own cell, which adds nothing.
             column = np.where(real, column, own)
             d = positions.take(column, axis=1) - own_positions
             rise = self._padded.take(column) - held
             for m, (a, b) in enumerate(_SYMMETRIC_ENTRIES):
                 moments[m] += d[a] * d[b]
             slope += d * rise
-        # Cells say nothing across the surface: the normal's own direction is made stiff, so that the answer lies in it.
+        # Cells give no information along the normal: a large weight there keeps the result in the surface.
         stiff = moments[0] + moments[1] + moments[2] + 1e-30
         for m, (a, b) in enumerate(_SYMMETRIC_ENTRIES):
             moments[m] += stiff * normal[a] * normal[b] * 1e3 + (1e-9 * stiff if m < 3 else 0.0)

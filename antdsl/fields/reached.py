@@ -12,8 +12,8 @@ from antdsl.fields.pheromone import PheromoneField
 from antdsl.machine_code.kernels import BOOL, F32, F64, I32, I64, U8, Array1, independent, kernel, scratch
 from antdsl.numerics import parallel
 
-_MAX_LISTED_NUMBERS = 1 << 22  # numbers in the table of blocks of which another one is made that is as large
-_CELLS_PER_CHUNK = 512  # cells that are compared before those that differ are written down
+_MAX_LISTED_NUMBERS = 1 << 22  # most entries of the table of blocks; its inverse needs the same memory
+_CELLS_PER_CHUNK = 512  # cells per chunk: compared first, then the changed ones are written
 
 
 class CellsAboveThreshold:
@@ -25,7 +25,7 @@ class CellsAboveThreshold:
         self._of, self._k = (field, field.version, least), k
         cells = field.cells
         self._all = not least > 0 or isinstance(cells, GrowingCells) or len(cells) * k > _MAX_LISTED_NUMBERS
-        self._count = np.full(len(cells) + 1, self._all, np.uint8)  # of the cells around each, how many hold as much
+        self._count = np.full(len(cells) + 1, self._all, np.uint8)  # number of cells above the threshold in each block
         self._holds = np.zeros(0 if self._all else len(cells), np.bool_)
         self._changed = np.empty(len(self._holds), np.int64)
 

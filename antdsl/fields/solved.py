@@ -18,10 +18,10 @@ from antdsl.ground.protocol import Floats, Footing, Index, MeshSurfaces
 if TYPE_CHECKING:
     from antdsl.runtime.world import World
 
-_MIN_COST_PER_MM = 0.05  # of a mm: what is painted below zero makes no way free
-_COVERAGE_PARTS_PER_MM2 = 1024.0  # parts of a mm² in which covered ground is counted, so that no order of agents matters
-_MAX_COVERAGE = 2.0  # ground that is covered more often than so counts as so
-_CROWD_SMOOTHING_PASSES = 2  # how many points far a crowd is felt beyond the ground that it covers
+_MIN_COST_PER_MM = 0.05  # smallest cost per mm: negative painted costs make no path free
+_COVERAGE_PARTS_PER_MM2 = 1024.0  # covered area is counted in these integer units, so that the order of agents does not matter
+_MAX_COVERAGE = 2.0  # upper limit of the coverage of a triangle
+_CROWD_SMOOTHING_PASSES = 2  # number of lattice steps by which the effect of a crowd spreads
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -49,17 +49,17 @@ class PathFlow(SurfaceFlow):
     If the flow avoids crowds, or something moves, `begin` updates it when due. Points and lattice stay the same."""
 
     grounds: CrossableGround | None = None
-    cost: Floats | None = None  # (t,) of a mm, without agents
+    cost: Floats | None = None  # (t,) per mm, without agents
     start: Index | None = None
-    first: Floats | None = None  # what is still to go from there
-    gap: float = 0.0  # mm from the ground to the nearest place of the target, its radius left out
+    first: Floats | None = None  # remaining cost from each of these points
+    gap: float = 0.0  # mm from the ground to the nearest point of the target, without its radius
     strength: float = 1.0
     crowding: float = 0.0
-    every: int = 1  # steps
+    every: int = 1  # update interval, in steps
     due: Callable[[World], bool] = lambda world: False
-    crowd: NDArray[np.int64] | None = None  # covered ground at each point, in parts
-    reached: NDArray[np.bool_] | None = None  # from which points there is a path to the goal
-    stores_reached: bool = False  # where a program reads it, it is part of the state
+    crowd: NDArray[np.int64] | None = None  # covered area at each point, in units of 1 / _COVERAGE_PARTS_PER_MM2 mm²
+    reached: NDArray[np.bool_] | None = None  # mask of the points with a path to the goal
+    stores_reached: bool = False  # the state includes `reached`, because a program reads it
 
     def update_flow(self) -> None:
         """Compute the flow for the most recently recorded crowd."""
@@ -84,6 +84,7 @@ class PathFlow(SurfaceFlow):
         return known & g.faces[face] & self.reached[g.point[slot]]
 
     def _nearest_slot(self, face: Index, footing: Footing) -> Index:
+        """Return the slot of largest weight at each footing."""
         slots, weights = self.lattice.locate(face, footing.b1, footing.b2)
         nearest: Index = np.take_along_axis(slots, weights.argmax(axis=0)[None], axis=0)[0]
         return nearest
@@ -102,6 +103,7 @@ class PathFlow(SurfaceFlow):
         return shares
 
     def _sum_to_points(self, each: Floats) -> Floats:
+        """Return the sum of the corner values `each` at every point."""
         assert self.grounds is not None
         land = self.grounds.land
         return np.bincount(land.triangles.ravel(), each, len(land.points)).astype(np.float64)
@@ -128,7 +130,7 @@ class PathFlow(SurfaceFlow):
             radius = population.start["radius"].astype(np.float64)
             parts = np.rint(np.pi * radius * radius * _COVERAGE_PARTS_PER_MM2)
             counted = known & g.faces[face] & (parts > 0) & (parts < 2.0**40)
-            # whole numbers: exact whatever the order
+            # integers: exact in any order
             coverage += np.bincount(g.point[slot[counted]], parts[counted], len(coverage)).astype(np.int64)
         return coverage
 

@@ -27,6 +27,7 @@ def charts(program: Program) -> tuple[Chart, ...]:
 
 
 def _build_chart(title: str, machine: Machine) -> Chart:
+    """Return the chart of one machine."""
     sketch = _Sketch(machine)
     for state in machine.states:
         own = [change for change in state.transitions if not _is_from_any(change)]
@@ -43,8 +44,7 @@ def _is_from_any(change: Transition) -> bool:
 
 
 def _changes_from_any(machine: Machine) -> list[tuple[Transition, tuple[str, ...]]]:
-    """Return each transition `from any` once, with the names of its excepted states. Its target is not listed, although it never
-    leads into the current state."""
+    """Return each transition `from any` once, with the names of the states that its author excepted."""
     changes: dict[str, Transition] = {}
     where: dict[str, set[int]] = {}
     for state in machine.states:
@@ -71,10 +71,12 @@ class _Sketch:
         self._arrow("start", f"s{machine.start}", False, "", "")
 
     def add_any_box(self, left_out: tuple[str, ...]) -> str:
+        """Add the box of transitions from any state. Return its key. `left_out`: the excepted states."""
         name = "any state" if not left_out else "any but " + ", ".join(left_out)
         return self._add_extra_box("any", name, name)
 
     def _add_extra_box(self, kind: str, mark: str, name: str, details: str = "") -> str:
+        """Add a box that is no state, unless it exists. Return its key."""
         key = f"{kind} {mark}"
         self.boxes.setdefault(key, Box(key, kind, name, "", _GREY, details))  # type: ignore[arg-type]
         return key
@@ -93,9 +95,11 @@ class _Sketch:
             self._arrow(target, f"s{state}", False, _source_text(weight.span), details)
 
     def _arrow(self, source: str, target: str, interrupt: bool, words: str, details: str) -> None:
+        """Add a transition. Transitions between the same boxes share an arrow, except that interrupts have their own."""
         self._changes.setdefault((source, target, interrupt), []).append((words, details))
 
     def arrows(self) -> tuple[Arrow, ...]:
+        """Return the arrows of all transitions."""
         return tuple(
             Arrow(source, target, tuple(w for w, _ in labels if w), interrupt, "\n".join(dict.fromkeys(d for _, d in labels)))
             for (source, target, interrupt), labels in self._changes.items()
@@ -103,6 +107,7 @@ class _Sketch:
 
 
 def _state_box(state: State) -> Box:
+    """Return the box of a state."""
     label = " ".join(state.label.split())
     lasts = f"for at least {_source_text(state.at_least.span)}" if state.at_least is not None else ""
     details = " · ".join(part for part in (label, lasts, _source_place(state.span)) if part)

@@ -28,6 +28,7 @@ def dot(charts: Sequence[Chart]) -> str:
 
 
 def _box(box: Box) -> str:
+    """Return the attributes of a box."""
     tip = f"tooltip={_text(box.details or box.name)}"
     if box.kind == "start":
         return f'shape=circle, width=0.18, label="", fillcolor="{hex_colour(box.colour)}", {tip}'
@@ -41,6 +42,7 @@ def _box(box: Box) -> str:
 
 
 def _arrow(arrow: Arrow, colour: RGB) -> str:
+    """Return the attributes of an arrow."""
     words = f"label={_text(chr(10).join(arrow.lines))}, " if arrow.lines else ""
     ink, thick = hex_colour(darken(colour, 0.1)), THICK if arrow.interrupt else THIN
     tip = f", tooltip={_text(arrow.details)}" if arrow.details else ""

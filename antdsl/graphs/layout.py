@@ -92,6 +92,7 @@ def _place_chart(chart: Chart) -> PlacedChart:
 
 
 def _try_spacing(chart: Chart, spacing: dict[str, float]) -> tuple[PlacedChart, WordPlacement]:
+    """Return the layout with a spacing, and the positions of its words."""
     import graphlay
 
     graph = graphlay.Graph()
@@ -170,6 +171,7 @@ class _Spots:
     hidden: Array
 
     def place(self, number: int) -> PlacedBox:
+        """Return the words' box at a candidate position."""
         x, y = self.centres[number].tolist()
         return PlacedBox((x, y), *self.size)
 

@@ -28,6 +28,7 @@ def is_built_in(text: str) -> bool:
 
 
 def _built_in_has(sign: str) -> bool:
+    """Return whether Pillow's built-in font has a character."""
     return " " <= sign <= "~" or sign in _OWN
 
 

@@ -39,18 +39,21 @@ def mermaid(charts: Sequence[Chart]) -> str:
 
 
 def _box(key: str, box: Box) -> str:
+    """Return the line that declares a box."""
     prefix, suffix = _SHAPES[box.kind]
     words = [box.name, box.label] if box.kind in ("state", "any", "previous") else [" "]
     return key + prefix + "<br/>".join(_escape(word) for word in words if word) + suffix
 
 
 def _link(keys: dict[str, str], arrow: Arrow) -> str:
+    """Return the line that declares an arrow. `keys`: the boxes' keys in the text."""
     line = "==>" if arrow.interrupt else "-->"
     words = "<br/>".join(_escape(words) for words in arrow.lines)
     return f"{keys[arrow.source]} {line}" + (f'|"{words}"|' if words else "") + f" {keys[arrow.target]}"
 
 
 def _style(box: Box) -> str:
+    """Return the colours of a box as Mermaid styles."""
     if box.kind in ("state", "start"):
         fill, edge, ink = box.colour, darken(box.colour), ink_on(box.colour)
         return f"fill:{hex_colour(fill)},stroke:{hex_colour(edge)},color:{hex_colour(ink)}"
@@ -59,6 +62,7 @@ def _style(box: Box) -> str:
 
 
 def _link_styles(chart: Chart, first: int) -> Iterator[str]:
+    """Yield the style line of each arrow. `first`: the number of the chart's first arrow in the text."""
     for k, (arrow, colour) in enumerate(zip(chart.arrows, line_colours(chart), strict=True), first):
         thick = f",stroke-width:{THICK}px" if arrow.interrupt else ""
         yield f"  linkStyle {k} stroke:{hex_colour(colour)}{thick}"

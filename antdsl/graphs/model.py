@@ -62,10 +62,12 @@ class PlacedBox:
 
     @property
     def left(self) -> float:
+        """Return the x coordinate of the left edge, px."""
         return self.centre[0] - self.width / 2
 
     @property
     def top(self) -> float:
+        """Return the y coordinate of the top edge, px."""
         return self.centre[1] - self.height / 2
 
 

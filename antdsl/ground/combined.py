@@ -21,9 +21,9 @@ from antdsl.numerics.vectors import turned
 
 Rows = NDArray[np.intp]
 
-_SUNK_VOXELS = 0.05  # voxels that a mesh's ground may lie under a solid's surface and still be walked on
-_MAX_SURFACE_CHANGES = 4  # from mesh to solid and back in one step
-_EYE_HEIGHT_PER_BODY = 0.02  # of a body: how far above its way an agent looks for a mesh across it
+_SUNK_VOXELS = 0.05  # depth in voxels below a solid's surface up to which mesh ground is still open
+_MAX_SURFACE_CHANGES = 4  # most changes between meshes and solids in one step
+_EYE_HEIGHT_PER_BODY = 0.02  # in body lengths: height above the path at which an agent searches for meshes
 
 
 @dataclass(slots=True)
@@ -39,7 +39,7 @@ class _WalkState:
     left: Floats
     distance: Floats
     blocked: NDArray[np.bool_]
-    straight: bool  # ways on meshes end at open borders
+    straight: bool  # paths on meshes end at open borders
 
 
 @dataclass(slots=True)
@@ -221,6 +221,7 @@ class CombinedGround:
         return np.sort(np.concatenate(again))
 
     def _walk_on_meshes(self, walk: _WalkState, rows: Rows, body: Floats, threads: int, last: bool) -> Rows:
+        """Walk `rows` over meshes, up to the first solid; return those with distance left."""
         meshes = self.meshes
         assert meshes is not None
         previous_footing = walk.footing.take_on_meshes(rows)
@@ -288,7 +289,7 @@ class CombinedGround:
             ok = landed.is_in_reach
             if self.meshes is not None:
                 ok &= ~self.meshes.trace_hits(above, landed.points - above, threads)[0]
-            shut = rows[of[~ok]]  # no place that can be reached: stay where the step began
+            shut = rows[of[~ok]]  # no reachable position: return to the start of the step
             walk.blocked[shut], walk.left[shut] = True, 0.0
             walk.place[shut] = self.position(walk.footing.take(shut))
             on, of, part = rows[of[ok]], of[ok], part[ok]
@@ -307,6 +308,7 @@ class CombinedGround:
     def _walk_on_solid(
         self, walk: _WalkState, rows: Rows, k: int, volume: Volume, body: Floats, threads: int, last: bool
     ) -> Rows:
+        """Walk `rows` over solid number `k`, up to the first mesh; return those with distance left."""
         previous_footing = walk.footing
         start = np.stack([previous_footing.x[rows], previous_footing.y[rows], previous_footing.z[rows]]).T
         wish, ahead, up = (take_rows(v, rows) for v in (walk.left, walk.heading, walk.up))
@@ -327,7 +329,7 @@ class CombinedGround:
         if not down.size or self.meshes is None:
             return again
         onto = footing.take(is_hit)
-        normal = self.meshes.upright_normals(onto, start[is_hit] - moved.position[is_hit])  # the side that they come from
+        normal = self.meshes.upright_normals(onto, start[is_hit] - moved.position[is_hit])  # the side from which the agents come
         tilted, direction = moved.up[is_hit], moved.direction[is_hit]
         walk.heading[down] = unit_tangent(turned(moved.heading[is_hit].T, tilted.T, normal.T, direction.T).T, normal)
         walk.direction[down] = turned(direction.T, tilted.T, normal.T, direction.T).T
@@ -379,7 +381,9 @@ class CombinedGround:
     # ---- footings
 
     def _mesh_rows(self, footing: Footing) -> Rows:
+        """Return the rows of footings on meshes."""
         return np.flatnonzero((footing.mesh >= 0) & (footing.mesh < self._count))
 
     def _solid_rows(self, footing: Footing, k: int) -> Rows:
+        """Return the rows of footings on solid number `k`."""
         return np.flatnonzero(footing.mesh == self._count + k)

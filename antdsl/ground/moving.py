@@ -37,7 +37,7 @@ class MovingGround(MeshGround):
         self._ends = {name: _box_corners(self._vertices[rows]) for name, rows in self._corners.items()}
         self._still_scenes: dict[tuple[int, ...], tuple[RayScene, Index]] = {}
         self._clearances = _MovingClearances(self)  # type: ignore[assignment]
-        # What moves may come over feet by as much as it likes: what shows its back is below an agent, however far above.
+        # A moving mesh may rise above feet by any height. So a face with its back to an agent always counts as below.
         self._scale = replace(self._scale, under=np.inf)
 
     def copy(self) -> MovingGround:
@@ -111,6 +111,7 @@ class MovingGround(MeshGround):
         return self._scenes[chosen]
 
     def _ray_scene_of(self, chosen: tuple[int, ...], lasting: bool = True) -> tuple[RayScene, Index]:
+        """Return a ray scene of the surfaces `chosen`, and the ground's face number of each of its faces."""
         live = np.flatnonzero(self._table.live & np.isin(self._mesh, chosen))
         return RayScene(self._vertices, self._faces[live], lasting=lasting), live
 
@@ -134,6 +135,7 @@ class _RayScenePair:
         self._one, self._two, self._faces = one, two, faces
 
     def cast(self, origin: Floats, direction: Floats, threads: int = 1) -> RayHitArrays:
+        """Return the first hits in both scenes, as `RayScene.cast`."""
         a, b = (scene.cast(origin, direction, threads) for scene in (self._one, self._two))
         second = b.hit & (b.t < a.t)
         face = np.where(second, b.face + np.int32(self._faces), a.face)
@@ -144,6 +146,7 @@ class _RayScenePair:
     def cast_within(
         self, origin: Floats, step: Floats, threads: int = 1
     ) -> tuple[Index, Floats, NDArray[np.int32], NDArray[np.int32]]:
+        """Return the hits within a step in both scenes, as `RayScene.cast_within`."""
         n = len(origin)
         part, mesh, face = np.full(n, np.inf), np.full(n, -1, np.int32), np.full(n, -1, np.int32)
         for scene, first_face in ((self._one, 0), (self._two, self._faces)):
@@ -157,10 +160,12 @@ class _RayScenePair:
     def trace_normals(
         self, origin: Floats, displacement: Floats, normals: Floats, named: Index, threads: int = 1
     ) -> tuple[Index, Floats, Floats]:
+        """Return the hits and their normals in both scenes, as `RayScene.trace_normals`."""
         which, part, _, face = self.cast_within(origin, displacement, threads)
         return which, part, normals.take(named.take(face), axis=1)
 
     def closest(self, points: Floats, threads: int = 1) -> tuple[NDArray[np.int32], NDArray[np.int32], Floats, Floats]:
+        """Return the nearest surface points in both scenes, as `RayScene.closest`."""
         a, b = (scene.closest(points, threads) for scene in (self._one, self._two))
         second = b[3] < a[3]
         face = np.where(second, b[1] + np.int32(self._faces), a[1])
@@ -187,6 +192,7 @@ class _MovingClearances:
         self._parts: FaceParts | None = None
 
     def reset(self) -> None:
+        """Discard the distances after meshes have moved."""
         self._parts = None
 
     def parts_within(self, reach: float) -> FaceParts:
@@ -196,6 +202,7 @@ class _MovingClearances:
         return self._parts
 
     def _build_parts(self, reach: float) -> FaceParts:
+        """Return the clearances of static meshes; faces near moving meshes get the clearance 0."""
         ground = self._ground
         still = self._still.parts_within(reach)
         count, first = np.zeros(len(ground._faces), np.int32), np.zeros(len(ground._faces), np.int64)

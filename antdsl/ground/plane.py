@@ -32,11 +32,13 @@ class PlaneGround:
         return None
 
     def _flatten(self, vectors: Floats) -> Floats:
+        """Return vectors projected onto the plane."""
         along = self._height(vectors)
         flat: Floats = vectors - along[:, None] * self._up
         return flat
 
     def _height(self, vectors: Floats) -> Floats:
+        """Return the signed distance of positions from the plane."""
         along: Floats = (vectors[:, 0] * self._up[0] + vectors[:, 1] * self._up[1]) + vectors[:, 2] * self._up[2]
         return along
 

@@ -27,7 +27,7 @@ _FACE_COLUMNS = ("mesh", "face", "b1", "b2", "over")
 _POSITION_COLUMNS = ("x", "y", "z")
 _MESH_DEFAULTS: dict[str, ColumnArray | float] = dict.fromkeys(
     _POSITION_COLUMNS, 0.0
-)  # of who stands on a mesh of a ground with solids
+)  # of agents on a mesh of a ground that has solids
 
 
 def rows_of(array: NDArray[Any], rows: Rows) -> NDArray[Any]:

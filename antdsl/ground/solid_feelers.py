@@ -21,11 +21,11 @@ from antdsl.numerics.vectors import VectorComponents
 
 Floats = NDArray[np.float64]
 
-_MAX_MARCH_STEPS = 96  # steps of one ray, in addition to those through open air, after which it counts as free
-_MIN_MARCH_VOXELS = 0.5  # voxels: a ray goes on at least so far
-_ALLOWED_DEPTH_VOXELS = 0.02  # voxels under the surface that a ray along it may dip without having hit it
+_MAX_MARCH_STEPS = 96  # most steps of a ray near the surface, after which it counts as free
+_MIN_MARCH_VOXELS = 0.5  # smallest step of a ray, in voxels
+_ALLOWED_DEPTH_VOXELS = 0.02  # depth in voxels that a ray along the surface may have without a hit
 _ENTRY_BISECTIONS = 8
-_SAMPLE_BLOCK_NODES = 4  # edge, in nodes, of the blocks of which one place each says where the surface is, for those far from it
+_SAMPLE_BLOCK_NODES = 4  # edge, in nodes, of the blocks that give one sample of the surface each, for distant queries
 
 
 class SolidFeelers:
@@ -33,7 +33,7 @@ class SolidFeelers:
 
     def __init__(self, volume: Volume) -> None:
         self.volume = volume
-        self._far: tuple[float, Any, Floats] | None = None  # of the volume dug so far: a tree of places on the surface
+        self._far: tuple[float, Any, Floats] | None = None  # volume dug so far, tree of surface points, the points
 
     def clearance(self, x: NDArray[Any], y: NDArray[Any], z: NDArray[Any], threads: int = 1) -> NDArray[np.float32]:
         """Return a distance (mm, float32[n]) from each point within which there is no surface; 0 near a surface."""
@@ -63,7 +63,7 @@ class SolidFeelers:
         far = np.broadcast_to(np.asarray(reach, np.float64), (n,))
         voxel, through = self.volume.voxel, -_ALLOWED_DEPTH_VOXELS * self.volume.voxel
         first, last = self._box_interval(origin, direction)
-        far = np.minimum(far, last)  # or a reach without measure would march on for ever
+        far = np.minimum(far, last)  # otherwise an infinite reach would march for ever
         progress = np.where(first > _MAX_MARCH_STEPS * self.volume.band[1], first, 0.0)
         free, shut = np.zeros(n), np.full(n, np.inf)
         rows = np.flatnonzero((far > 0) & (first <= far))

@@ -12,14 +12,14 @@ from antdsl.numerics.vector_rows import length
 
 Floats = NDArray[np.float64]
 
-_STEP_SAMPLES = 8  # of a step at which it is looked whether it leads into a solid
-_REFINEMENTS = 5  # after each the part where it does is cut into as many again
+_STEP_SAMPLES = 8  # samples of a step that are tested for an entry into a solid
+_REFINEMENTS = 5  # number of refinements: the interval with the entry is sampled again
 
 
 def entry_fraction(volume: Volume, start: Floats, end: Floats) -> Floats:
-    """Return the part of each path from `start` to `end`, which lies in the solid, before the path first enters the solid.
+    """Return the share of each path from `start` to `end` before it first enters the solid. `end` lies in the solid.
 
-    It ends at the last sample in air. The result is 0 if `start` is not in air."""
+    The share ends at the last sample in air. It is 0 if `start` is not in air."""
     free, long = np.zeros(len(start)), 1.0
     for _ in range(_REFINEMENTS):
         parts = free + long * (np.arange(_STEP_SAMPLES) / _STEP_SAMPLES)[:, None]

@@ -10,10 +10,10 @@ import numpy as np
 from antdsl.ground.protocol import Floats, Footing, GroundMove, MeshSurfaces
 from antdsl.numerics.vectors import dot, stacked_cross
 
-EYE_HEIGHT_PER_BODY = 0.5  # of a body: how far above its feet an agent looks from
-RAY_LENGTH_PER_BODY = 1.5  # bodies: how long both rays are
-FORWARD_SHARE, UPWARD_SHARE = np.sqrt(0.75), 0.5  # of the second ray, which goes ahead and 30 degrees up
-_MIN_VECTOR_LENGTH = 1e-9  # below it a vector has no direction
+EYE_HEIGHT_PER_BODY = 0.5  # in body lengths: height of the ray origin above the feet
+RAY_LENGTH_PER_BODY = 1.5  # length of both rays, in body lengths
+FORWARD_SHARE, UPWARD_SHARE = np.sqrt(0.75), 0.5  # direction of the second ray: ahead and 30 degrees up
+_MIN_VECTOR_LENGTH = 1e-9  # a shorter vector has no direction
 
 
 def move_by_rays(

@@ -44,6 +44,7 @@ def grammar_text() -> str:
 
 
 def write(folder: Path) -> None:
+    """Write the grammar to all its files below a folder."""
     for name in GRAMMAR_FILES:
         (folder / name).parent.mkdir(parents=True, exist_ok=True)
         (folder / name).write_text(grammar_text(), encoding="utf-8")

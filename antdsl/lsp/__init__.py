@@ -10,7 +10,7 @@ from antdsl.diagnostics import Report
 
 
 def ready() -> Report:
-    """Empty where the server can be started; else one error that names the extra."""
+    """Return an empty report if the server can start. Otherwise return one error that names the missing extra."""
     report = Report()
     if find_spec("pygls") is None:
         message = "the language server needs the extra `[lsp]`, which is not installed"

@@ -27,6 +27,7 @@ MEMBER_WORDS: Mapping[type, str] = {nodes.ParamDecl: "param", nodes.Let: "let", 
 
 
 def flat(text: str) -> str:
+    """Return a text with each run of whitespace replaced by one space."""
     return " ".join(text.split())
 
 
@@ -42,7 +43,7 @@ def markdown(form: str, *lines: str, notation: str = "ant") -> str:
 
 
 def signature(node: nodes.Behaviour) -> str:
-    """`seek(target: place) -> push`."""
+    """Return the signature of a behaviour, such as `seek(target: place) -> push`."""
     parts = []
     for argument in node.arguments:
         default = f" = {flat(argument.default.span.text)}" if argument.default is not None else ""
@@ -51,15 +52,18 @@ def signature(node: nodes.Behaviour) -> str:
 
 
 def _event(key: NameKey) -> str | None:
+    """Return the help for an event."""
     known = {"spawn": "happens once, at birth", "collision": "its body begins to touch another's"}
     return markdown(f"on {key[1]}", known.get(key[1], "an event: seen once, in the step after it was raised"))
 
 
 def _element(key: NameKey) -> str | None:
+    """Return the help for the variable of a set query."""
     return markdown(key[-1], "one element of the set at a time")
 
 
 def _describe_built_in(key: NameKey) -> str | None:
+    """Return the help for an attribute that every animal has; None for another word."""
     row = vocabulary.BUILTIN_ATTRIBUTE_BY_NAME.get(key[1])
     if row is None:
         return None
@@ -78,11 +82,13 @@ def builtin_form(name: str, row: BuiltinRow) -> str:
 
 
 def _builtin(key: NameKey) -> str | None:
+    """Return the help for a word that is called: a function, a reducer or an aggregate."""
     said = [rule(key) for rule in (_called, _reducer, _describe_form)]
     return "\n\n".join(each for each in said if each) or None
 
 
 def _called(key: NameKey) -> str | None:
+    """Return the help for a built-in function; None for another word."""
     rows = vocabulary.BUILTINS_BY_NAME.get(key[1], ())
     if not rows:
         return None
@@ -90,16 +96,19 @@ def _called(key: NameKey) -> str | None:
 
 
 def _reducer(key: NameKey) -> str | None:
+    """Return the help for a reducer of a set, such as `sum`; None for another word."""
     help = vocabulary.REDUCER_HELP.get(key[1])
     return None if help is None else markdown(f"{key[1]}(n in SET: …)\n{samples.SET_QUERY_SAMPLES[key[1]]}", help)
 
 
 def _describe_form(key: NameKey) -> str | None:
+    """Return the help for an aggregate of a spec; None for another word."""
     row = tables.WHOLES.get(key[1])
     return None if row is None else markdown(f"{key[1]}(…)\n{row.sample}", row.help)
 
 
 def _builtin_argument(key: NameKey) -> str | None:
+    """Return the help for an argument of a built-in function; None for another word."""
     for row in vocabulary.BUILTINS_BY_NAME.get(key[1], ()):
         for arg in row.args:
             if arg.name == key[2]:
@@ -109,6 +118,7 @@ def _builtin_argument(key: NameKey) -> str | None:
 
 
 def _word(key: NameKey) -> str | None:
+    """Return the help for a word that is a value or a property of a state; None for another word."""
     word = key[1]
     row = tables.WORDS_OF_STATES.get(word) or tables.VALUES.get(word)
     type = vocabulary.RUN_VALUE_TYPES.get(word) or vocabulary.SENSE_TYPE_BY_NAME.get(word)
@@ -130,6 +140,8 @@ def _unit(key: NameKey) -> str | None:
 
 
 def _make_typed_word_rule(table: Any, what: str, form: str) -> HelpRule:
+    """Return a rule for the words of a table of types. `what`: the explanation. `form`: a sample with a placeholder."""
+
     def rule(key: NameKey) -> str | None:
         return markdown(f"{key[1]}: {table[key[1]]}\n{form.format(key[1])}", what) if key[1] in table else None
 
@@ -137,6 +149,8 @@ def _make_typed_word_rule(table: Any, what: str, form: str) -> HelpRule:
 
 
 def _make_word_rule(table: Mapping[str, tables.Word | KindOfThing], what: str, notation: str = "ant") -> HelpRule:
+    """Return a rule for the words of a table of help texts. `what`: the explanation of all words."""
+
     def rule(key: NameKey) -> str | None:
         row = table.get(key[1])
         return None if row is None else markdown(row.sample, row.help, what, notation=notation)
@@ -156,6 +170,7 @@ def describe_keyword(word: str, begins: bool) -> str | None:
 
 
 def _type_word(key: NameKey) -> str | None:
+    """Return the help for a type; None for another word."""
     known = vocabulary.TYPE_BY_WORD.get(key[1])
     if known is None:
         return None
@@ -166,10 +181,12 @@ def _type_word(key: NameKey) -> str | None:
 
 
 def _steered(key: NameKey) -> str | None:
+    """Return the help for `state` in a layer."""
     return markdown("state", "what the states of the animal steer")
 
 
 def _colour(key: NameKey) -> str | None:
+    """Return the help for a colour."""
     red, green, blue = COLOUR_BY_NAME[key[1]]
     return markdown(f'state rest "At rest" {key[1]} {{ … }}', f"a colour for states: {red}, {green}, {blue} of 255")
 
@@ -212,7 +229,7 @@ _WORD_MEANINGS: tuple[tuple[str, Collection[str], HelpRule], ...] = (
 
 
 def words() -> set[str]:
-    """Return all words that `about` knows. Of units, compound ones are left out."""
+    """Return all words that `explain_word` knows, except compound units."""
     own = {word for _, node in _library() for word in (node.name.text, *(argument.name.text for argument in node.arguments))}
     arguments = {arg.name for rows in vocabulary.BUILTINS_BY_NAME.values() for row in rows for arg in row.args}
     meant = {word for _, table, _ in _WORD_MEANINGS for word in table}
@@ -251,7 +268,7 @@ _PARAGRAPH_BREAK = "\n\n"
 
 
 def _arguments(word: str) -> Iterator[str]:
-    """What takes an argument of that name."""
+    """Yield the help for each call that takes an argument of this name."""
     for called, rows in vocabulary.BUILTINS_BY_NAME.items():
         for row in rows:
             if any(arg.name == word for arg in row.args):
@@ -264,6 +281,7 @@ def _arguments(word: str) -> Iterator[str]:
 
 
 def _library() -> Iterator[tuple[str, nodes.Behaviour]]:
+    """Yield the behaviours of all libraries, each with the name of its library."""
     for name in library_names():
         file = find_library(name)
         if file is not None:

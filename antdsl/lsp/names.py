@@ -125,8 +125,12 @@ def _element_key(names: ProgramNames, declared: Span) -> NameKey:
 
 @dataclass(slots=True)
 class _OccurrenceIndexer:
-    """One walk over a file. `meant`: the meaning of a word at a position that is neither declared there nor bound, and whether
-    the word is a declaration."""
+    """Collects all names of one file.
+
+    `bound`: the meanings that the checker found, by span.
+    `meant`: the meanings of words that are neither declared nor bound, and whether each is a declaration; None for no name.
+    `found`: the result.
+    """
 
     names: ProgramNames
     bound: dict[Span, dict[NameKey, None]]
@@ -134,6 +138,7 @@ class _OccurrenceIndexer:
     found: list[NameOccurrence] = field(default_factory=list)
 
     def visit(self, item: nodes.TopItem) -> None:
+        """Add all names in a top-level item."""
         for part, _ in written_nodes(item):
             if isinstance(part, nodes.Name):
                 self.name(part, item)
@@ -144,6 +149,7 @@ class _OccurrenceIndexer:
                 _MARKERS_BY_NODE_TYPE[type(part)](self, part)
 
     def name(self, name: nodes.Name, item: nodes.TopItem) -> None:
+        """Add a name with its meaning: its declaration, its bindings, or the meaning of its position."""
         span = Span(name.span.source, name.span.start, name.span.start + len(name.text))  # without the colon of an argument
         declared = self.names.declaration_keys.get(name.span)
         if declared is not None:
@@ -165,11 +171,13 @@ class _OccurrenceIndexer:
         return key
 
     def mark_by_position(self, names: nodes.Name | tuple[nodes.Name, ...] | None, kind: str) -> None:
+        """Record the meaning of names at their positions, unless one is known."""
         for name in names if isinstance(names, tuple) else (names,):
             if name is not None:
                 self.meant.setdefault(name.span, ((kind, name.text), False))
 
     def text(self, text: object, kind: str = "file") -> None:
+        """Add the path of a file that the program names."""
         if isinstance(text, nodes.Text):
             self.found.append(NameOccurrence(text.span, (kind, str(real_path(self.names.path.parent.joinpath(text.text))))))
 
@@ -203,6 +211,7 @@ class _OccurrenceIndexer:
         self.element(node.variable)
 
     def element(self, variable: nodes.Name | None) -> None:
+        """Record a variable as a declaration."""
         if variable is not None:
             self.meant[variable.span] = (_element_key(self.names, variable.span), True)
 
@@ -213,16 +222,19 @@ class _OccurrenceIndexer:
         self.element(node.variable)
 
     def reference(self, node: nodes.NameRef) -> None:
+        """Record the meaning of a plain name in an expression."""
         name = node.name.text
         self.mark_by_position(
             node.name, "given" if name in BUILTIN_ATTRIBUTE_BY_NAME else "word" if name in _LANGUAGE_WORDS else "?"
         )
 
     def member(self, node: nodes.Member) -> None:
+        """Record the meaning of a name after a dot."""
         motion = isinstance(node.owner, nodes.NameRef) and node.owner.name.text == "motion" and node.name.text in MOTION_MEASURES
         self.mark_by_position(node.name, "motion" if motion else "word" if node.name.text in STATE_WORDS else "?member")
 
     def call(self, node: nodes.Call) -> None:
+        """Record the meanings of a called function's name and of its argument names."""
         function = node.function
         called = function.name.text if isinstance(function, (nodes.NameRef, nodes.Member)) else ""
         if isinstance(function, (nodes.NameRef, nodes.Member)):
@@ -231,6 +243,7 @@ class _OccurrenceIndexer:
         self.arguments(called, node)
 
     def ask(self, node: nodes.Ask) -> None:
+        """Record the meanings of the names in a statement with a verb, such as `deposit`."""
         row = EFFECT_BY_OPERATION.get(node.verb)
         if row is not None and row.target:
             kind = row.target if row.target in ("field", "event", "species") else "thing"
@@ -240,6 +253,7 @@ class _OccurrenceIndexer:
         self.arguments(node.verb, node)
 
     def arguments(self, called: str, node: nodes.Call | nodes.Ask) -> None:
+        """Record the names of arguments. `called`: the function or verb."""
         for each in node.arguments:
             if isinstance(each, nodes.Argument) and each.name is not None:
                 self.meant[each.name.span] = (("builtin-argument", called, each.name.text), False)

@@ -32,6 +32,7 @@ _COMPLETION_KINDS = {
 
 
 def range_of(range: TextRange) -> lsp.Range:
+    """Convert lines and columns to the protocol's range."""
     (line, column), (end_line, end_column) = range
     return lsp.Range(lsp.Position(line, column), lsp.Position(end_line, end_column))
 
@@ -59,6 +60,7 @@ def diagnostic(workspace: Workspace, document: OpenDocument, complaint: Diagnost
 
 
 def item(proposal: CompletionItem, snippets: bool) -> lsp.CompletionItem:
+    """Convert a proposal. `snippets`: whether the editor supports snippets."""
     snippet = proposal.snippet and snippets
     insert = proposal.insert if proposal.insert and (snippet or not proposal.snippet) else None
     return lsp.CompletionItem(
@@ -72,6 +74,7 @@ def item(proposal: CompletionItem, snippets: bool) -> lsp.CompletionItem:
 
 
 def symbol(document: OpenDocument, entry: OutlineSymbol) -> lsp.DocumentSymbol:
+    """Convert a symbol of the outline, with the symbols inside it."""
     name = document.range(entry.name_span)
     full_range = document.range(entry.span)
     return lsp.DocumentSymbol(
@@ -85,11 +88,13 @@ def symbol(document: OpenDocument, entry: OutlineSymbol) -> lsp.DocumentSymbol:
 
 
 def fold(region: FoldedRange) -> lsp.FoldingRange:
+    """Convert a range of lines that can be folded."""
     kind = lsp.FoldingRangeKind.Comment if region.comment else lsp.FoldingRangeKind.Region
     return lsp.FoldingRange(region.first, region.last, kind=kind)
 
 
 def hint(document: OpenDocument, inlay: InlayHint) -> lsp.InlayHint:
+    """Convert an inlay hint."""
     start, end = document.range(inlay.span)
     line, column = start if inlay.is_before else end
     return lsp.InlayHint(
@@ -102,14 +107,17 @@ def hint(document: OpenDocument, inlay: InlayHint) -> lsp.InlayHint:
 
 
 def text_edits(document: OpenDocument, edits: list[TextEdit]) -> list[lsp.TextEdit]:
+    """Convert edits of a document."""
     return [lsp.TextEdit(range_of(document.text.range(each.start, each.end)), each.text) for each in edits]
 
 
 def changes(edits: dict[Path, list[lsp.TextEdit]], uris: dict[Path, str]) -> lsp.WorkspaceEdit:
+    """Return edits of several files as one change. `uris`: the URIs of open documents."""
     return lsp.WorkspaceEdit(changes={uris.get(path, uri_of(path)): each for path, each in edits.items()})
 
 
 def action(workspace: Workspace, document: OpenDocument, fix: QuickFix, uri: str) -> lsp.CodeAction:
+    """Convert a correction to a code action of the document `uri`."""
     return lsp.CodeAction(
         fix.title,
         kind=lsp.CodeActionKind.QuickFix,

@@ -1,4 +1,4 @@
-"""Sample lines for calls and queries of sets: for hover, and `--explain`."""
+"""Sample lines for calls and for queries of sets. Editors display them as hover text, and `check --explain` prints them."""
 
 from __future__ import annotations
 

@@ -61,7 +61,7 @@ def _open_keys(line: str) -> list[str]:
 
 
 def complete_scene(workspace: Workspace, document: OpenDocument, offset: int) -> list[CompletionItem]:
-    """The proposals at an offset of a scene."""
+    """Return the proposals at an offset of a scene."""
     path, line = path_at(document.text.text, offset)
     value = re.search(r"([A-Za-z_.][A-Za-z_0-9.]*):\s*[A-Za-z_0-9./]*$", line)
     if "#" in line:
@@ -73,6 +73,7 @@ def complete_scene(workspace: Workspace, document: OpenDocument, offset: int) ->
 
 
 def _crowd_programs(workspace: Workspace, document: OpenDocument) -> Iterator[OpenDocument]:
+    """Yield the programs of a scene."""
     for path in workspace.linked_files(document.path):
         other = workspace.document(path)
         if other is not None and other.is_program:
@@ -80,6 +81,7 @@ def _crowd_programs(workspace: Workspace, document: OpenDocument) -> Iterator[Op
 
 
 def _keys(workspace: Workspace, document: OpenDocument, path: tuple[str, ...], line: str) -> Iterator[CompletionItem]:
+    """Yield the keys that fit at a position. `path`: the keys above it. `line`: its line up to the position."""
     if not path and not line.lstrip().startswith("-"):
         yield from _fields(model.SceneModel)
     elif path[:1] == ("world",):
@@ -109,12 +111,14 @@ def _keys(workspace: Workspace, document: OpenDocument, path: tuple[str, ...], l
 
 
 def _fields(part: type[model.Part]) -> Iterator[CompletionItem]:
+    """Yield the keys of a part of the scene's schema."""
     for name, field in part.model_fields.items():
         key = field.alias or name
         yield CompletionItem(key, "property", "must be given" if field.is_required() else "", scene_key_help(key), f"{key}: ")
 
 
 def _world(workspace: Workspace, document: OpenDocument, path: tuple[str, ...]) -> Iterator[CompletionItem]:
+    """Yield keys below `world`: names of things, or keys of one thing."""
     things = {name: item for each in _crowd_programs(workspace, document) for name, item in each.names.things.items()}
     if len(path) == 1:
         for name, item in things.items():
@@ -135,6 +139,7 @@ def _world(workspace: Workspace, document: OpenDocument, path: tuple[str, ...]) 
 
 
 def _settings(workspace: Workspace, document: OpenDocument) -> Iterator[CompletionItem]:
+    """Yield params and field settings that `set` may change, with their values."""
     for program in _crowd_programs(workspace, document):
         for species, table in program.names.species.items():
             for name, member in table.own.items():
@@ -152,6 +157,7 @@ def _settings(workspace: Workspace, document: OpenDocument) -> Iterator[Completi
 
 
 def _values(workspace: Workspace, document: OpenDocument, key: str, path: tuple[str, ...]) -> Iterator[CompletionItem]:
+    """Yield possible values of a key. `path`: the keys above it."""
     things: dict[str, Any] = {n: i for each in _crowd_programs(workspace, document) for n, i in each.names.things.items()}
     if key == "species":
         for each in _crowd_programs(workspace, document):

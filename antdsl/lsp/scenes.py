@@ -34,11 +34,12 @@ class SceneIndex:
     items: dict[str, Span] = field(default_factory=dict)  # names that this scene gives to single items
 
     def add_occurrence(self, span: Span, key: NameKey, declares: bool = False) -> None:
+        """Add a name at a span."""
         self.occurrences.append(NameOccurrence(span, key, declares))
 
 
 def scene_index(path: Path, text: str) -> SceneIndex:
-    """What a scene names. Nothing is checked here."""
+    """Return the names in a scene's text, in text order. Does not check them."""
     document, _ = read_document(Source(str(path), text))
     index = SceneIndex(path, document)
     if document is None:
@@ -53,10 +54,12 @@ def scene_index(path: Path, text: str) -> SceneIndex:
 
 
 def _mapping(node: DocumentNode | None) -> list[tuple[str, Span, DocumentNode]]:
+    """Return the keys of a mapping with their spans and values; [] for any other node."""
     return [(key, node.keys[key], value) for key, value in node.entries.items()] if isinstance(node, MappingNode) else []
 
 
 def _file(index: SceneIndex, node: DocumentNode) -> None:
+    """Record a file that the scene names. A value with `:` is no file."""
     if isinstance(node, ScalarNode) and ":" not in node.text:
         path = real_path(index.path.parent.joinpath(node.text))
         index.add_occurrence(node.span, ("file", str(path)))
@@ -65,6 +68,7 @@ def _file(index: SceneIndex, node: DocumentNode) -> None:
 
 
 def _world(index: SceneIndex, node: DocumentNode) -> None:
+    """Record the names below `world`: things, items, attributes and files."""
     things = {name for name, _, _ in _mapping(node)}
     for thing, span, value in _mapping(node):
         index.add_occurrence(span, ("thing", thing))
@@ -82,6 +86,7 @@ def _world(index: SceneIndex, node: DocumentNode) -> None:
 
 
 def _item(index: SceneIndex, thing: str, node: DocumentNode, things: set[str]) -> None:
+    """Record the attributes of an item, and the thing that it is on."""
     _attributes(index, thing, node)
     for word, _, inner in _mapping(node):
         if word == "on":
@@ -89,6 +94,7 @@ def _item(index: SceneIndex, thing: str, node: DocumentNode, things: set[str]) -
 
 
 def _attributes(index: SceneIndex, thing: str, node: DocumentNode) -> None:
+    """Record the keys of an item that are attributes of the program."""
     known = {*ItemThing.model_fields, *ITEM_ATTRIBUTE_TYPES}
     for word, span, _ in _mapping(node):
         if word not in known:
@@ -96,7 +102,7 @@ def _attributes(index: SceneIndex, thing: str, node: DocumentNode) -> None:
 
 
 def _add_named_thing(index: SceneIndex, key: str, node: DocumentNode, things: set[str]) -> None:
-    """Record a value that may name a thing of the world or an item; `?scene` where only the base scene can decide."""
+    """Record a value that may name a thing of the world or an item. Its kind is `?scene` if it depends on the base scene."""
     if isinstance(node, ScalarNode):
         if node.text in things:
             index.add_occurrence(node.span, ("thing", node.text))
@@ -107,6 +113,7 @@ def _add_named_thing(index: SceneIndex, key: str, node: DocumentNode, things: se
 
 
 def _crowd(index: SceneIndex, node: DocumentNode) -> None:
+    """Record the species, files and things that crowd lines name."""
     world = index.document.entries.get("world") if index.document is not None else None
     things = {name for name, _, _ in _mapping(world)}
     for line in node.items if isinstance(node, SequenceNode) else ():
@@ -124,6 +131,7 @@ def _crowd(index: SceneIndex, node: DocumentNode) -> None:
 
 
 def _set(index: SceneIndex, node: DocumentNode) -> None:
+    """Record the params and field settings that `set` changes."""
     for name, span, _ in _mapping(node):
         owner, dot, word = name.partition(".")
         if not dot or span.end - span.start != len(name):
@@ -136,6 +144,7 @@ def _set(index: SceneIndex, node: DocumentNode) -> None:
 
 
 def _fields(index: SceneIndex, node: DocumentNode) -> None:
+    """Record the fields that the scene names, and the things around which they start."""
     for name, span, value in _mapping(node):
         index.add_occurrence(span, ("field", name))
         for key, _, inner in _mapping(value):

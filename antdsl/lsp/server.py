@@ -35,8 +35,8 @@ _log = logging.getLogger(__name__)
 
 
 class AntLanguageServer(LanguageServer):
-    """The pygls server with our documents. `uris` has the URI of each open document as the editor sent it, since editors expect
-    that URI in answers."""
+    """The pygls server with the documents of the session. `uris`: the URI of each open document as the editor sent it, because
+    editors expect that URI in answers."""
 
     def __init__(self) -> None:
         super().__init__("antdsl", __version__)
@@ -55,13 +55,16 @@ class AntLanguageServer(LanguageServer):
         return file_path
 
     def document(self, uri: str) -> OpenDocument | None:
+        """Return the document behind a URI; None if it cannot be read."""
         return self.files.document(self.path(uri))
 
     def location(self, target: navigation.NameLocation) -> lsp.Location:
+        """Return a location in the protocol's form."""
         path = target.document.path
         return lsp.Location(self.uris.get(path, uri_of(path)), protocol.range_of(target.range))
 
     def supports_snippets(self) -> bool:
+        """Return whether the editor accepts snippets in completions."""
         capabilities = self.client_capabilities.text_document
         completion = capabilities.completion if capabilities is not None else None
         item = completion.completion_item if completion is not None else None
@@ -77,6 +80,7 @@ class AntLanguageServer(LanguageServer):
         asyncio.get_running_loop().call_soon(self._check_pending)
 
     def _check_pending(self) -> None:
+        """Check all pending files, then the scenes that use them."""
         waiting, self.waiting = self.waiting, set()
         for path in sorted(waiting):
             self.tell(path)
@@ -84,7 +88,7 @@ class AntLanguageServer(LanguageServer):
             self.tell(path)
 
     def tell(self, path: Path) -> None:
-        """Publish what is wrong in an open document."""
+        """Publish the findings in an open document."""
         document = self.files.open.get(path)
         if document is None or path not in self.uris:
             return
@@ -184,6 +188,7 @@ def _recheck_open_documents(ls: AntLanguageServer) -> None:
 
 
 def _answer_at(ls: AntLanguageServer, params: Any, answer: Callable[[OpenDocument, int], T]) -> T | None:
+    """Return the answer of a function for a document and an offset; None if there is no document."""
     document = ls.document(params.text_document.uri)
     if document is None:
         return None
@@ -338,9 +343,9 @@ def _format(ls: AntLanguageServer, params: lsp.DocumentFormattingParams) -> list
 
 
 class _MessageOutput(io.RawIOBase):
-    """Messages to the editor. After the first failed write, no more are written: an error message about it would fail too.
+    """The stream of messages to the editor. Nothing is written after the first failed write.
 
-    `problem` is the reason; None where all messages were written, or where the editor is gone."""
+    `problem`: the reason of that failure; None if all messages were written, or if the editor has ended."""
 
     def __init__(self, handle: int) -> None:
         self._handle: int | None = handle

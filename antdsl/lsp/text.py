@@ -65,12 +65,14 @@ class DocumentText:
         return start + len(text)
 
     def place(self, offset: int) -> LineColumn:
+        """Return line and column of an offset, both counted from 0. Offsets outside the text are clamped."""
         offset = max(0, min(offset, len(self.text)))
         line = bisect_right(self.starts, offset) - 1
         prefix = self.text[self.starts[line] : offset]
         return line, len(prefix) if prefix.isascii() else self.units(prefix)
 
     def range(self, start: int, end: int) -> TextRange:
+        """Return the lines and columns from one offset to another."""
         return self.place(start), self.place(max(start, end))
 
     def units(self, text: str) -> int:
@@ -78,6 +80,7 @@ class DocumentText:
         return len(text) if text.isascii() else sum(map(self._units, text))
 
     def _units(self, character: str) -> int:
+        """Return how many columns a character takes in the editor."""
         if self.encoding == "utf-8":
             return len(character.encode("utf-8", "surrogatepass"))
         return 2 if self.encoding == "utf-16" and character > "\uffff" else 1
@@ -106,4 +109,5 @@ def path_of(uri: str) -> Path | None:
 
 
 def uri_of(path: Path) -> str:
+    """Return the URI of a file."""
     return path.as_uri()

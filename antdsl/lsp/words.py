@@ -195,7 +195,7 @@ _WALK = "crowd: [{species: forager, from: forager.ant, count: 1, walk: {directio
 
 
 def _crowd(part: str) -> str:
-    """A crowd with one more part in its line."""
+    """Return a sample of a crowd with one more part in its line."""
     return f"crowd: [{{species: forager, from: forager.ant, count: 50, {part}}}]"
 
 
@@ -255,5 +255,5 @@ SCENE_KEYS = {
 
 
 def scene_key_help(key: str) -> str:
-    """What a key of a scene is for; "" for another word."""
+    """Return the purpose of a scene's key; "" for another word."""
     return SCENE_KEYS[key].help if key in SCENE_KEYS else ""

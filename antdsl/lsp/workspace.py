@@ -54,8 +54,12 @@ class Index:
 
 @dataclass(eq=False)
 class OpenDocument:
-    """A file in its current state, in the editor or on disk. `stamp` is None for an open buffer. `resolve` returns the bindings
-    of the file and all files that it uses."""
+    """A file in its current state, in the editor or on disk.
+
+    `resolve`: returns the bindings of the file and all files that it uses.
+    `stamp`: identifies the state of the file on disk; None for an open buffer.
+    `earlier`: the names of the scene before an edit, for the time in which its text is not YAML.
+    """
 
     path: Path
     text: DocumentText
@@ -68,14 +72,17 @@ class OpenDocument:
 
     @property
     def is_program(self) -> bool:
+        """Return whether the file is a program; otherwise it is a scene."""
         return self.path.suffix == PROGRAM_SUFFIX
 
     @cached_property
     def parsed(self) -> tuple[nodes.File, Report]:
+        """Return the parsed program and its syntax errors."""
         return self.parts.parse(Source(str(self.path), self.text.text))
 
     @cached_property
     def names(self) -> ProgramNames:
+        """Return the names that the program declares."""
         return names_of(self.path, self.parsed[0])
 
     @cached_property
@@ -96,10 +103,12 @@ class OpenDocument:
 
     @property
     def occurrences(self) -> list[NameOccurrence]:
+        """Return all names in the document, in text order."""
         return self.index.occurrences
 
     @cached_property
     def scene(self) -> SceneIndex:
+        """Return the names of the scene. While its text is invalid YAML, its files and items are those of the last valid text."""
         index = scene_index(self.path, self.text.text)
         if index.document is None and self.earlier is not None:
             index.files, index.items, index.fps = self.earlier.files, self.earlier.items, self.earlier.fps
@@ -110,12 +119,15 @@ class OpenDocument:
         return self._full_span(span).start
 
     def end(self, span: Span) -> int:
+        """Return the end offset of a span in this document's text."""
         return self._full_span(span).end
 
     def _full_span(self, span: Span) -> Span:
+        """Return a span of a parsed part as a span of the complete file."""
         return self.parsed[0].file_span(span) if self.is_program else span
 
     def range(self, span: Span) -> TextRange:
+        """Return the lines and columns of a span."""
         return self.text.range(self.start(span), self.end(span))
 
     def at(self, offset: int) -> list[NameOccurrence]:
@@ -171,6 +183,7 @@ class Workspace:
         return document
 
     def change(self, path: Path, text: DocumentText, version: int | None) -> OpenDocument:
+        """Replace the text of an open buffer after an edit."""
         previous_document = self.open.get(path)
         earlier = previous_document.scene if previous_document is not None and not previous_document.is_program else None
         parts = previous_document.parts if previous_document is not None else IncrementalParser()
@@ -178,6 +191,7 @@ class Workspace:
         return document
 
     def close(self, path: Path) -> None:
+        """Remove an open buffer. The file on disk counts again."""
         self.open.pop(path, None)
         self._checked.pop(path, None)
         self._good.pop(path, None)
@@ -259,6 +273,7 @@ class Workspace:
         return [Path(os.path.realpath(path)) for path in behaviours_folder().glob("*.ant")]
 
     def _check_program(self, document: OpenDocument) -> DocumentCheck:
+        """Check a program with all files that it uses."""
         # a text that had to be read as a whole has nothing in common with the one before, which may come back
         has_parts = document.path in self.open and document.parsed[0].parts
         memo = self._memos.setdefault(document.path, CheckMemo()) if has_parts else None
@@ -266,6 +281,7 @@ class Workspace:
         return DocumentCheck(program, None, report)
 
     def _check_scene(self, document: OpenDocument) -> DocumentCheck:
+        """Check a scene with its programs."""
         texts = {each.path: each.text.text.encode("utf-8", "surrogatepass") for each in (document, *self.open.values())}
         texts = {path: data for path, data in texts.items() if path.suffix != PROGRAM_SUFFIX}
         scene, program, report = check_scene_text(document.path, texts, parsed=self.parsed(document.path))

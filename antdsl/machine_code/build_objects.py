@@ -21,9 +21,9 @@ from antdsl.child_processes import isolate
 from antdsl.machine_code import library, machine, shipped
 from antdsl.whole import write_atomically
 
-_MAX_PROCESSES = 8  # processes: each takes 200 MB, and two seconds to import what it compiles
+_MAX_PROCESSES = 8  # each process takes 200 MB, and 2 s to import the kernels
 _QualifiedName = tuple[str, str]  # a module, and a name in it
-_CompileTask = tuple[_QualifiedName, tuple[str, ...]]  # what is compiled, and for which targets
+_CompileTask = tuple[_QualifiedName, tuple[str, ...]]  # an entry, and the names of its targets
 
 
 def build(folder: Path, entries: Sequence[library.LibraryEntry], targets: Iterable[str], processes: int = 1) -> int:
@@ -55,6 +55,7 @@ def build(folder: Path, entries: Sequence[library.LibraryEntry], targets: Iterab
 
 
 def _entry_key(entry: library.LibraryEntry) -> _QualifiedName:
+    """Return the module and name of an entry."""
     return entry.__module__, entry.__name__
 
 
@@ -70,6 +71,7 @@ def _compile_tasks(tasks: list[_CompileTask], entries: Sequence[library.LibraryE
 
 
 def _compile_task(task: _CompileTask) -> list[bytes]:
+    """Compile one entry for its targets, in a process of the pool."""
     place, names = task
     return _object_codes(_library()[place], names)
 
@@ -81,6 +83,7 @@ def _library() -> dict[_QualifiedName, library.LibraryEntry]:
 
 
 def _object_codes(entry: library.LibraryEntry, names: tuple[str, ...]) -> list[bytes]:
+    """Return the object code of an entry for each of the named targets."""
     return [machine.object_code(entry.text(shipped.TARGET_BY_NAME[name]), shipped.TARGET_BY_NAME[name]) for name in names]
 
 

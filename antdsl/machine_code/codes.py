@@ -9,7 +9,7 @@ from threading import Lock
 
 from antdsl.machine_code import machine, object_cache, shipped
 
-_MOST_FUNCTIONS = 256  # functions with code in memory
+_MOST_FUNCTIONS = 256  # maximum number of functions with code in memory
 _code_by_key: OrderedDict[str, machine.LoadedCode] = OrderedDict()
 _code_lock = Lock()
 
@@ -69,7 +69,7 @@ def messages() -> list[str]:
 
 
 def forget() -> None:
-    """Release all unused code in memory, as in a new process. The folders keep their contents."""
+    """Release all unused code in memory, as at the start of a process. Stored files are unchanged."""
     with _code_lock:
         _code_by_key.clear()
     _objects.cache_clear()

@@ -10,7 +10,7 @@ from antdsl.machine_code.kinds import I32, I64, PTR
 from antdsl.machine_code.module import LlvmModule
 
 ENTRY_ARGUMENTS = "ptr %t, i64 %begin, i64 %end"
-_DEFAULT_MXCSR = 0x1F80  # of MXCSR: nothing is flushed, to nearest, no operation traps
+_DEFAULT_MXCSR = 0x1F80  # no flush to zero, rounding to nearest, no traps
 
 
 def inner_text(module: LlvmModule, name: str, body: str, line_table: str = "") -> str:
@@ -30,6 +30,7 @@ def outer_text(module: LlvmModule, name: str) -> str:
 
 
 def _x86(module: LlvmModule) -> tuple[str, str]:
+    """Return the text that sets the float mode of x86, and the text that restores it."""
     module.declare("llvm.x86.sse.stmxcsr", "void", [PTR])
     module.declare("llvm.x86.sse.ldmxcsr", "void", [PTR])
     prologue = (
@@ -40,6 +41,7 @@ def _x86(module: LlvmModule) -> tuple[str, str]:
 
 
 def _arm(module: LlvmModule) -> tuple[str, str]:
+    """Return the text that sets the float mode of ARM, and the text that restores it."""
     module.declare("llvm.aarch64.get.fpcr", I64, [])
     module.declare("llvm.aarch64.set.fpcr", "void", [I64])
     prologue = f"  %saved = call {I64} @llvm.aarch64.get.fpcr()\n  call void @llvm.aarch64.set.fpcr({I64} 0)\n"

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-LANE_COUNT = 8  # agents, or turns of a loop, in SIMD lanes
+LANE_COUNT = 8  # agents, or iterations of a loop, per vector
 F32, F64, BOOL, I8, I32, I64, PTR = "float", "double", "i1", "i8", "i32", "i64", "ptr"
 KIND_BY_DTYPE: Mapping[Any, str] = {
     np.dtype(np.float32): F32, np.dtype(np.float64): F64, np.dtype(np.bool_): BOOL, np.dtype(np.int32): I32,
@@ -19,7 +19,7 @@ BITS_BY_KIND = {BOOL: 1, I8: 8, I32: 32, I64: 64}
 
 
 def literal(value: Any, kind: str) -> str:
-    """Return a number in LLVM's language; a float as its bits."""
+    """Return a number as a literal of LLVM's language; a float is written by its bits."""
     if kind in FLOAT_KINDS:
         number = float(np.float32(value)) if kind == F32 else float(value)
         return f"0x{struct.unpack('>Q', struct.pack('>d', number))[0]:016X}"

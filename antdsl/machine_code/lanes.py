@@ -21,8 +21,8 @@ from antdsl.machine_code.kernels.vectors import Vectors
 from antdsl.machine_code.kinds import BOOL, F32, F64, I8, I32, I64, LANE_COUNT, PTR, literal
 from antdsl.machine_code.module import LlvmModule
 
-_INTEGER_COMPARISONS = {"lt": "slt", "le": "sle", "gt": "sgt", "ge": "sge", "eq": "eq", "ne": "ne"}  # rows of whole numbers
-_ROUNDING_MAGIC = 6755399441055744.0  # 1.5 * 2**52: in a sum with it a whole number stands in the last bits
+_INTEGER_COMPARISONS = {"lt": "slt", "le": "sle", "gt": "sgt", "ge": "sge", "eq": "eq", "ne": "ne"}  # LLVM's names for integers
+_ROUNDING_MAGIC = 6755399441055744.0  # 1.5 * 2**52: a sum with it has the rounded integer in its last bits
 
 
 def _operator(word: str, *, swapped: bool = False) -> Callable[[Lanes, Any], Lanes]:
@@ -73,13 +73,13 @@ class Lanes(Number):
 
 
 class LaneBuilder(Vectors[Lanes]):
-    """Writer of one function. Blocks nest: the values of an inner block are not known outside it, so `known` is a stack."""
+    """Writer of one function of eight lanes. Blocks nest; `known` is a stack, because values are only valid in their block."""
 
     def __init__(self, module: LlvmModule) -> None:
         super().__init__("plan", "plan")
         self.module = module
         self.known: list[dict[Any, Any]] = [{}]
-        self._begun: list[Instruction] = []  # where the function begins
+        self._begun: list[Instruction] = []  # instructions at the start of the function
 
     def named_number(self, kind: str, name: str, lanes: int = 1, known: Any = None) -> Lanes:
         return Lanes(self, kind, name, lanes, known)
@@ -99,7 +99,7 @@ class LaneBuilder(Vectors[Lanes]):
         verify([definition], self.module.made)
         self.module.functions[name] = outer + function_text(definition, self.module.declared)
         self.module.made[full_name] = replace(definition, slots=[], blocks=[])
-        self.blocks, self._begun, self.known = [], [], []  # they refer to this
+        self.blocks, self._begun, self.known = [], [], []  # these objects refer to this builder
 
     @contextmanager
     def inside(self, condition: Lanes) -> Iterator[None]:
@@ -132,7 +132,7 @@ class LaneBuilder(Vectors[Lanes]):
         self.begin(end)
 
     def get_or_make(self, key: Any, make: Callable[[], Any]) -> Any:
-        """Return the value of a key that this block or an enclosing one has made before; otherwise make it now."""
+        """Return the value of a key from this or an enclosing block. If there is none, make and store it."""
         for names in reversed(self.known):
             if key in names:
                 return names[key]
@@ -271,7 +271,7 @@ class LaneBuilder(Vectors[Lanes]):
         return self.op("element", PTR, base, index, x=kind)
 
     def field(self, base: Number, offset: int) -> Lanes:
-        """Return the address `offset` bytes after another one."""
+        """Return the address that is `offset` bytes after `base`."""
         return self.address(base, offset, I8)
 
     def read(self, base: Number, index: Lanes | int, kind: str) -> Lanes:
@@ -378,7 +378,7 @@ def _binary(word: str) -> Callable[[LaneBuilder, Any, Any], Lanes]:
     return lambda e, a, b: e.binary(word, a, b)
 
 
-# What NumPy's functions do to lanes: the same bits, NaN and signs of zero too.
+# The code of NumPy functions on lanes. Results have the same bits as in NumPy, including NaN and signs of zero.
 _EMITTER_BY_UFUNC: Mapping[Any, Callable[..., Any]] = {
     np.add: _binary("add"), np.subtract: _binary("sub"), np.multiply: _binary("mul"), np.true_divide: _binary("div"),
     np.less: _binary("lt"), np.less_equal: _binary("le"), np.greater: _binary("gt"), np.greater_equal: _binary("ge"),
@@ -393,5 +393,5 @@ _EMITTER_BY_UFUNC: Mapping[Any, Callable[..., Any]] = {
     np.isfinite: lambda e, a: e.op("fabs", a.kind, a) < np.inf,
     np.where: lambda e, condition, then, other: e.where(condition, then, other),
     np.ndim: lambda e, a: 1,
-    np.all: lambda e, a: False,  # of lanes it is not known while their text is written
+    np.all: lambda e, a: False,  # lane values are unknown at compile time
 }  # fmt: skip

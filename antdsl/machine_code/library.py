@@ -21,8 +21,8 @@ _DECORATOR_PATTERN: Final = re.compile(rb"^@(kernel|library_text)\b", re.MULTILI
 
 
 class LibraryEntry(Protocol):
-    """A kernel or a text of the package. `text_key` returns the text, or a name that identifies it. Both may depend on the
-    target. A text is empty for a processor that cannot run it."""
+    """A kernel or a text of the package. `text_key` returns the text, or a key that identifies it. Text and key may depend on
+    the target. The text is empty for a processor that cannot run it."""
 
     __module__: str
     __name__: str

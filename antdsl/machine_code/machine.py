@@ -13,18 +13,18 @@ from functools import cache
 from threading import Lock
 from typing import Any
 
-_LLVM_LOCK = Lock()  # LLVM's context is shared by all of this process
-if hasattr(os, "register_at_fork"):  # a process that was forked amid LLVM's work would find its locks held for ever
+_LLVM_LOCK = Lock()  # LLVM has one context per process
+if hasattr(os, "register_at_fork"):  # in a child forked during LLVM's work, its locks would stay held
     os.register_at_fork(before=_LLVM_LOCK.acquire, after_in_parent=_LLVM_LOCK.release, after_in_child=_LLVM_LOCK.release)
 _NUMBER_PATTERN = re.compile("[0-9]+")
-_OLDEST_LLVMLITE_VERSION = (0, 45)  # of llvmlite, which reads what is written here
-ALL_PASSES_COMMENT = "whole"  # text that begins with this as a remark is gone over by all passes of LLVM
-_DISABLED_FUSED_FEATURES = ("fma", "fma4", "avx512f")  # what no instruction may come from, so that none can be fused
-# Of processors with registers of 512 bits those since 2019: from there on their use slows nothing down. They imply `fma`, which
-# nothing that is written here asks for.
+_OLDEST_LLVMLITE_VERSION = (0, 45)  # the oldest llvmlite that can parse these texts
+ALL_PASSES_COMMENT = "whole"  # a text that begins with this comment gets all passes of LLVM
+_DISABLED_FUSED_FEATURES = ("fma", "fma4", "avx512f")  # features with fused instructions
+# A feature of processors with 512-bit registers since 2019, on which their use does not reduce the clock rate. It implies `fma`,
+# but no text of antdsl requests fused operations.
 _DISABLED_WIDE_FEATURE = "avx512vbmi2"
-# A number that can be written to. llvmlite sets a page aside for such numbers where an object file has one. LLVM puts addresses
-# of functions of C there, of which llvmlite takes no account.
+# A module with one writable number. llvmlite reserves a page for writable numbers if an object file has any. LLVM also stores
+# addresses of C functions there, for which llvmlite reserves no space.
 _PROBE_MODULE_TEXT = '\n@"a number" = global i64 1\n'
 
 
@@ -61,6 +61,7 @@ class MachineCodeUnavailable(RuntimeError):
 
 @cache
 def _llvm() -> Any:
+    """Return llvmlite's binding after its initialisation for this machine."""
     import llvmlite.binding as llvm
 
     llvm.initialize_native_target()
@@ -153,6 +154,7 @@ def _optimised_module(text: str, target: Target) -> tuple[Any, Any]:
 
 
 def _target_machine(target: Target) -> Any:
+    """Return LLVM's code generator for a target."""
     llvm = _llvm()
     if target.triple != llvm.get_default_triple():
         llvm.initialize_all_targets()

@@ -39,7 +39,7 @@ def padded_empty(count: int, dtype: np.dtype[Any]) -> NDArray[Any]:
 
 
 def has_padding(array: NDArray[Any]) -> bool:
-    """Return whether an array is the start of another one with eight more rows."""
+    """Return whether an array is the start of a larger array, which has eight more rows."""
     padded = array.base
     if not isinstance(padded, np.ndarray) or padded.ndim != 1 or padded.dtype != array.dtype or not array.flags.c_contiguous:
         return False

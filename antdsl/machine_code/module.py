@@ -17,11 +17,12 @@ class LlvmModule:
 
     def __init__(self, target: Target) -> None:
         self.target = target
-        self.declared: dict[str, str] = {}  # by names with an @
+        self.declared: dict[str, str] = {}  # by name, with @
         self.functions: dict[str, str] = {}
-        self.made: dict[str, IrFunction] = {}  # what is known of those that are written, without their instructions
+        self.made: dict[str, IrFunction] = {}  # signatures of written functions, without instructions
 
     def declare(self, name: str, result: str, arguments: list[str]) -> None:
+        """Add the declaration of an LLVM function, unless it exists."""
         self.declared.setdefault(f"@{name}", f"declare {result} @{name}({', '.join(arguments)})")
 
     def text(self) -> str:

@@ -38,9 +38,9 @@ _KEY_PATTERN = re.compile("[0-9a-f]{64}")
 _TEMPORARY_FILE_PATTERN = re.compile(
     rf"\.[0-9a-f]{{40}}\.[0-9a-f]{{12}}{re.escape(PART_SUFFIX)}"
 )  # by a run that ended while it wrote
-_ABANDONED_AFTER_SECONDS: Final = 3600.0  # s since such a file was written to; before, another run may be at it
-IR_VERSION: Final = "3"  # of texts: another number where one means something else, or `machine.py` is not all that compiles it
-ABI_VERSION: Final = "1"  # of calls: another number where code finds its arguments, or what it calls, in another place
+_ABANDONED_AFTER_SECONDS: Final = 3600.0  # temporary files older than this are removed
+IR_VERSION: Final = "3"  # change it if the meaning of texts, or their compilation outside `machine.py`, changes
+ABI_VERSION: Final = "1"  # change it if the location of arguments or of called functions changes
 
 
 class StoreKind(NamedTuple):
@@ -55,11 +55,11 @@ class StoreKind(NamedTuple):
     variable: str
     ending: str
     name: str
-    verb: str  # that goes with the name: is, are
-    used: str  # what is done with it, and only where it is signed
-    unit: str  # what one result is of
-    again: str  # what each run does without a store
-    fallback: str  # what is done where a file is not used
+    verb: str  # verb for the name: is, are
+    used: str  # how signed content is used
+    unit: str  # noun for the subject of one result
+    again: str  # what each run does without a cache
+    fallback: str  # what happens if a file is not used
 
 
 CODE_STORE: Final = StoreKind(
@@ -83,7 +83,7 @@ def key(text: str, target: Target, *, versions: tuple[str, ...]) -> str:
     hashed = blake2b(digest_size=32)
     for part in (text, target.triple, target.cpu, target.features, *versions):
         data = part.encode("utf-8", "surrogatepass")
-        hashed.update(len(data).to_bytes(8, "little"))  # or the end of one part might be the beginning of the next
+        hashed.update(len(data).to_bytes(8, "little"))  # so that parts cannot be shifted into each other
         hashed.update(data)
     return hashed.hexdigest()
 
@@ -98,7 +98,7 @@ def code_versions() -> tuple[str, ...]:
 
     try:
         passes = blake2b(read_bounded(machine.__file__, MIB), digest_size=16).hexdigest()
-    except OSError:  # shipped without its sources
+    except OSError:  # an installation without sources
         passes = ""
     return IR_VERSION, ABI_VERSION, passes, ".".join(map(str, llvm.llvm_version_info))
 
@@ -194,13 +194,13 @@ class ObjectCache:
         path = folder / (signer.name(key) + self._kind.ending)
         try:
             handle = open_regular(path, follow=False)
-            with suppress(OSError):  # a disk that is only read
+            with suppress(OSError):  # a read-only disk
                 os.utime(handle if os.utime in os.supports_fd else path)
             data = read_handle(handle, signing.SIGNATURE_BYTES + self._largest)
         except FileNotFoundError:
             return None
         except OSError as problem:
-            if os.path.lexists(path):  # or else it is the folder that cannot be read, which `put` reports
+            if os.path.lexists(path):  # an unreadable folder is reported by `put`
                 self._refuse(path, _describe_problem(problem))
             return None
         signature, code = data[: signing.SIGNATURE_BYTES], data[signing.SIGNATURE_BYTES :]
@@ -293,7 +293,7 @@ def _describe_problem(problem: OSError | ValueError) -> str:
         return f"it is {problem.kind}"
     if isinstance(problem, OSError):
         return problem.strerror or "the system denies access"
-    return "no folder can have this name"  # one with a zero character
+    return "no folder can have this name"  # a path with a zero character
 
 
 def _quote(path: Path) -> str:

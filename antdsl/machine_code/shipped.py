@@ -25,8 +25,8 @@ _MAX_FILE_BYTES: Final = 64 * MIB  # of one file
 _FILE_MAGIC: Final = b"antdsl objects 1"
 _HEADER_STRUCT: Final = struct.Struct(f"<{len(_FILE_MAGIC)}s32sQ")  # magic, hash of the index, number of entries
 _ENTRY_STRUCT: Final = struct.Struct("<32sQQ32s")  # key, position behind the index, size, hash
-# What code for these levels of x86-64 may use (x86-64 psABI, section 3.1.1), without `fma`, and with products without carry,
-# which all processors of the levels have. `machine` says why registers of 512 bits need `avx512vbmi2`.
+# Features that code for these levels of x86-64 may use (x86-64 psABI, section 3.1.1), without `fma`. Carry-less products are
+# added, which all processors of these levels have. `machine` explains why 512-bit registers require `avx512vbmi2`.
 _X86_V3_FEATURES: Final = (
     "64bit", "cmov", "cx8", "fxsr", "mmx", "sse", "sse2", "cx16", "popcnt", "sahf", "sse3", "sse4.1", "sse4.2", "ssse3", "crc32",
     "avx", "avx2", "bmi", "bmi2", "f16c", "lzcnt", "movbe", "xsave", "pclmul",
@@ -44,10 +44,11 @@ _X86_V4_FEATURES: Final = (
 
 
 def _features(present: tuple[str, ...], absent: tuple[str, ...]) -> str:
+    """Return features in LLVM's form: the present ones with `+`, the absent ones with `-`."""
     return ",".join([*(f"+{name}" for name in present), *(f"-{name}" for name in absent)])
 
 
-# By name, the widest first. What is absent are fused operations, as `machine.named` has it.
+# By name, the widest registers first. Fused operations are disabled, as in `machine.format_features`.
 TARGET_BY_NAME: Final[Mapping[str, Target]] = {
     "x86-64-v4": Target("x86_64-unknown-linux-gnu", "x86-64-v4", _features(_X86_V4_FEATURES, ("fma4",))),
     "x86-64-v3": Target("x86_64-unknown-linux-gnu", "x86-64-v3", _features(_X86_V3_FEATURES, ("fma", "fma4", "avx512f"))),
@@ -70,6 +71,7 @@ def target_name(host: Target) -> str | None:
 
 
 def _present_features(target: Target) -> set[str]:
+    """Return the names of the enabled features of a target."""
     return {word[1:] for word in target.features.split(",") if word.startswith("+")}
 
 
@@ -97,7 +99,7 @@ def messages() -> list[str]:
 
 
 def forget() -> None:
-    """Close the files, so that they are opened again when needed."""
+    """Close the object files of the installation. They are opened again when needed."""
     global _damaged_file
     _damaged_file = None
     _open_objects.cache_clear()

@@ -22,8 +22,8 @@ from antdsl.whole import create_complete
 
 SIGNATURE_BYTES = 32
 _KEY_BYTES = 32
-_MAX_KEY_ATTEMPTS = 50  # of reading or creating the key
-_RETRY_PAUSE_SECONDS = 0.01  # s between two of them, while another process creates it
+_MAX_KEY_ATTEMPTS = 50  # attempts to read or create the key
+_RETRY_PAUSE_SECONDS = 0.01  # pause between attempts, while another process creates the key
 _MACHINE_ID_FILES = ("/etc/machine-id", "/var/lib/dbus/machine-id", "/etc/hostid")
 
 
@@ -79,6 +79,7 @@ def signer(*, create: bool) -> Signer | None:
 
 
 def _read_key(path: Path) -> bytes:
+    """Return the bytes of the key file. Raises OSError if it is not private or has another length."""
     secret = read_private(path, _KEY_BYTES)
     if len(secret) != _KEY_BYTES:
         raise OSError(0, "its length is wrong")
@@ -86,6 +87,7 @@ def _read_key(path: Path) -> bytes:
 
 
 def _has_two_names(path: Path) -> bool:
+    """Return whether a file has two names, as while another process creates it."""
     with suppress(OSError):
         return os.lstat(path).st_nlink == 2
     return False

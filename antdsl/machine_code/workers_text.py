@@ -20,18 +20,18 @@ from antdsl.machine_code.kernels.direct.argument_text import MAX_JOB_PARTS, MAX_
 from antdsl.machine_code.library import library_text, read_language
 
 CACHE_LINE_WORDS = 8  # words of a cache line: values that several threads write to have separate lines
-# Places in a pool's words. `left` and `done` of a job; `waits`: whether the one who asks sleeps.
+# Indices of a pool's words: `left` and `done` of a job; `waits`: whether the caller sleeps.
 PARTS_LEFT_WORD, DONE_COUNT_WORD, CALLER_WAITS_WORD = 0, CACHE_LINE_WORDS, 2 * CACHE_LINE_WORDS
-# The job: its code, its table or list, the words of a table, its parts, and the numbers of which each part takes some.
+# The job: its code, its table or list, the length of a table, the number of parts, and the number of rows.
 JOB_CODE_WORD, JOB_TABLE_WORD, TABLE_LENGTH_WORD, PART_COUNT_WORD, ROW_COUNT_WORD = range(
     3 * CACHE_LINE_WORDS, 3 * CACHE_LINE_WORDS + 5
 )
-# What stays: how many workers, turns before one sleeps, the lock of who asks, functions that take and release a lock; and `END`,
-# whether workers are to go.
+# Constants of the pool: number of workers, polls before a worker sleeps, the caller's lock, functions that acquire and release a
+# lock; and `END`: whether workers return.
 WORKER_COUNT_WORD, SPIN_TURNS_WORD, CALLER_LOCK_WORD, ACQUIRE_FUNCTION_WORD, RELEASE_FUNCTION_WORD, SHOULD_END_WORD = range(
     4 * CACHE_LINE_WORDS, 4 * CACHE_LINE_WORDS + 6
 )
-FIRST_SLEEP_WORD = PART_RESULTS_WORD + MAX_JOB_PARTS * RESULT_WORDS  # for each worker whether it sleeps, and its lock
+FIRST_SLEEP_WORD = PART_RESULTS_WORD + MAX_JOB_PARTS * RESULT_WORDS  # for each worker: whether it sleeps, and its lock
 PART_ALIGNMENT = 16  # parts of a kernel begin at multiples of it: at whole registers, and lines of what they write
 
 
@@ -39,8 +39,8 @@ PART_ALIGNMENT = 16  # parts of a kernel begin at multiples of it: at whole regi
 def code() -> machine.LoadedCode:
     """Return the code of the workers' functions.
 
-    - `run(pool, code, table, words, parts)` does a job together with the workers: a kernel's code for the numbers from 0 to the
-      last word of its table. The last two words of the table are the begin and end of a part.
+    - `run(pool, code, table, words, parts)` does a job together with the workers. It runs a kernel's code for the numbers from 0
+      to the last word of its table. The last two words of the table are the begin and end of a part.
     - Other jobs are prepared in advance: their table has three words for each part, the arguments of its call.
     - `all(pool, 0, 0)` does a prepared job.
     - `start(pool, 0, 0)` lets the workers begin with a prepared job.

@@ -25,13 +25,13 @@ from antdsl.machine_code.library import library_text
 from antdsl.machine_code.memory import address
 from antdsl.machine_code.module import LlvmModule
 
-MIN_BYTES_FOR_KERNEL = 1_024  # bytes; of fewer the call takes as long as it saves
+MIN_BYTES_FOR_KERNEL = 1_024  # bytes; for fewer, the call costs as much as it saves
 _BLOCK_BYTES = 16  # bytes of a factor
-_REGISTERS_PER_STEP = 4  # read at once
+_REGISTERS_PER_STEP = 4  # registers read at once
 _ALL_32_BITS = 0xFFFFFFFF
 _CRC_POLYNOMIAL = 0x104C11DB7
 _BYTE_DTYPE = np.dtype(np.uint8)
-# Words of a call's table; the first is what is given back
+# Words of a call's table; the first also holds the result
 _DATA_WORD, _LENGTH_WORD, _PREVIOUS_CRC_WORD = RESULT_WORDS, RESULT_WORDS + 1, RESULT_WORDS + 2
 _CallTable = ctypes.c_int64 * (_PREVIOUS_CRC_WORD + 1)
 # As LLVM names them; the wide ones are used where `machine` does
@@ -60,7 +60,7 @@ def _fold() -> Callable[[NDArray[np.uint8], int], int] | None:
     if not has_carryless_products(target):
         return None
     code = text.code()
-    function = code.function("fold")  # what is called lies in `code`
+    function = code.function("fold")  # the function is valid as long as `code` exists
 
     def fold(data: NDArray[np.uint8], previous_crc: int) -> int:
         table = _CallTable(*[0] * _DATA_WORD, address(data), len(data), previous_crc)

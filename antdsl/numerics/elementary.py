@@ -36,6 +36,7 @@ FloatValue = Any  # a float32 array, or one np.float32
 
 
 def _series(x: FloatValue, coefficients: tuple[float, ...]) -> FloatValue:
+    """Return the value of a polynomial (Horner's method); coefficients begin with the constant term."""
     value = x * 0.0 + coefficients[-1]
     for c in coefficients[-2::-1]:  # in place for arrays
         value *= x
@@ -92,7 +93,8 @@ def wide_cos(x: FloatValue) -> FloatValue:
 
 
 def _exp_wide(wide: FloatValue) -> FloatValue:
-    wide = np.minimum(np.maximum(wide, -200.0), 200.0)  # both hand NaN on; beyond them float32 is 0 or infinite anyway
+    """Return e to the power of a float64."""
+    wide = np.minimum(np.maximum(wide, -200.0), 200.0)  # both propagate NaN; beyond these limits float32 is 0 or infinite
     power = np.rint(wide * LOG2_E)
     rest = (wide - power * LN2_HIGH) - power * LN2_LOW
     exponent = np.where(power == power, power, 0.0).astype(np.int32)

@@ -27,12 +27,13 @@ EXP_COEFFICIENTS = tuple(1.0 / factorial(k) for k in range(12))
 LOG_COEFFICIENTS = tuple(2.0 / (2 * k + 1) for k in range(10))
 ATAN_COEFFICIENTS = tuple((-1.0) ** k / (2 * k + 1) for k in range(15))
 _F = np.float32
-# Of float64: bits of the fraction, those of the exponent, and its offset
+# Of float64: fraction bits, exponent bits, and exponent offset
 _FRACTION_BITS, _EXPONENT_MASK, _EXPONENT_BIAS = 52, 0x7FF, 1023
 
 
 @inlined
 def _series(x: F64, coefficients: Any) -> F64:
+    """Return the value of a polynomial (Horner's method); coefficients begin with the constant term."""
     value = x * 0.0 + coefficients[-1]
     for c in coefficients[-2::-1]:
         value *= x
@@ -129,7 +130,7 @@ def logarithms(x: Array1[F32], output: Array1[F32]) -> BOOL:
     if not _all_between(x, 0.0, np.inf):
         return False
     for k in independent(0, x.size):
-        bits = as_bits(np.float64(x[k]))  # of a float32 above 0: as float64 none has a fraction alone
+        bits = as_bits(np.float64(x[k]))  # of a positive float32; as float64 it is never denormal
         power = np.float64(((bits >> _FRACTION_BITS) & _EXPONENT_MASK) - (_EXPONENT_BIAS - 1))
         mantissa = as_float((bits & ((1 << _FRACTION_BITS) - 1)) | ((_EXPONENT_BIAS - 1) << _FRACTION_BITS))
         if mantissa < SQRT_HALF:

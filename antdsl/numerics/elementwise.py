@@ -26,6 +26,7 @@ def greatest(a: NumPyValue, b: NumPyValue) -> NumPyValue:
 
 
 def where(condition: NumPyValue, then: NumPyValue, other: NumPyValue) -> NumPyValue:
+    """Return `then` where the condition is true, else `other`."""
     if np.ndim(condition) == 0 and np.ndim(then) == 0 and np.ndim(other) == 0:
         return then if condition else other
     return np.where(condition, then, other)
@@ -37,10 +38,11 @@ def number(a: NumPyValue) -> NumPyValue:
 
 
 def finite(a: NumPyValue) -> NumPyValue:
+    """Return the numbers, with 0 in place of NaN and infinity."""
     return where(np.isfinite(a), a, FLOAT32_ZERO)
 
 
-# Those that take `out=`: a value's array may be used again when it is done with.
+# Functions with `out=`: the array of a value that is no longer needed can be reused.
 UFUNC_BY_NAME: Mapping[str, np.ufunc] = {
     "add": np.add,
     "sub": np.subtract,

@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 MAX_TERM_EXPONENT = 44  # a term is at most 2**(quantum + 44)
-_FLOAT64_BITS = 53  # digits of float64: sums stay exact below 2**(quantum + 53)
-LOW_WORD_BITS = 22  # digits of the lower of two words, for sums that might not: both hold more terms than memory does
+_FLOAT64_BITS = 53  # bits of float64: sums are exact below 2**(quantum + 53)
+LOW_WORD_BITS = 22  # bits of the lower of two words, for larger sums; both words suffice for any number of terms
 
 
 def quantise(terms: NDArray[np.float32], quantum: int) -> NDArray[np.float64]:
@@ -39,7 +39,7 @@ def sum_by_index(index: NDArray[np.integer[Any]], terms: NDArray[np.float32], qu
 def _sums_in_two_words(
     index: NDArray[np.integer[Any]], wide: NDArray[np.float64], quantum: int, length: int
 ) -> NDArray[np.float32]:
-    """Return the same sums for larger totals. Each term is split in a multiple of 2**(quantum + 22) and a remainder; both parts
+    """Return the sums of `sum_by_index` for larger totals. A term is split into a multiple of 2**(quantum + 22) and a rest; both
     are summed exactly. Their total is rounded once."""
     magic = np.ldexp(1.5, quantum + LOW_WORD_BITS + 52)
     high = (wide + magic) - magic

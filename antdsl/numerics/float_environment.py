@@ -11,9 +11,9 @@ from contextlib import contextmanager
 from functools import cache
 from typing import Any
 
-# Read at run time: a constant would be folded beforehand
+# Read at run time: constant expressions would be evaluated at compile time
 _ONE_AT_RUN_TIME, _HALF_AT_RUN_TIME, _HALF_ULP, _LEAST_NORMAL = 1.0, 0.5, 2.0**-53, 2.0**-1022
-_ENVIRONMENT_BYTES = 256  # bytes; more than any C library keeps of it
+_ENVIRONMENT_BYTES = 256  # more bytes than any C library needs
 
 
 def is_standard() -> bool:

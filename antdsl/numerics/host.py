@@ -17,7 +17,7 @@ _CPUINFO_FILE = Path("/proc/cpuinfo")  # Linux
 _PROCESS_FOLDER = Path("/proc/self")  # Linux
 _MEMINFO_FILE = Path("/proc/meminfo")
 CGROUPS_FOLDER, PROCESS_CGROUP_FILE = Path("/sys/fs/cgroup"), Path("/proc/self/cgroup")
-PARTS_PER_THREAD = 4  # parts of machine code for each of several threads: who comes late, or has slow ones, takes fewer
+PARTS_PER_THREAD = 4  # parts per thread; a thread that starts late or has slow parts takes fewer
 
 
 @cache
@@ -47,11 +47,13 @@ def core_limits(own: str, groups: Path) -> Iterator[float]:
 
 
 def _quota_v1(folder: Path) -> tuple[int, int]:
+    """Return quota and period (µs) of a control group of version 1; a quota of -1 means no limit."""
     quota, period = (int((folder / f"cpu.cfs_{name}_us").read_text()) for name in ("quota", "period"))
     return quota, period  # a quota of -1 is none
 
 
 def _quota_v2(folder: Path) -> tuple[int, int]:
+    """Return quota and period (µs) of a control group of version 2."""
     quota, period = (folder / "cpu.max").read_text().split()  # a quota of `max` is none
     return int(quota), int(period)
 
@@ -106,6 +108,7 @@ def memory_left(own: str, groups: Path) -> Iterator[int]:
 
 
 def _reclaimable_bytes(folder: Path) -> int:
+    """Return the bytes of cached files of a control group."""
     words = dict(line.split() for line in (folder / "memory.stat").read_text().splitlines())
     return sum(int(words.get(name, 0)) for name in ("active_file", "inactive_file"))
 
@@ -145,7 +148,7 @@ def _kilobytes(path: Path) -> dict[str, int]:
 @cache
 def processor_name() -> str:
     """Return the processor's name as the system reports it."""
-    import platform  # it imports much, and commands that need no name start without it
+    import platform  # imported late, because the import is slow
 
     try:
         lines = _CPUINFO_FILE.read_text(encoding="utf-8", errors="replace").splitlines()

@@ -168,11 +168,13 @@ def nearest_weights(edge1: Vec3, edge2: Vec3, v: Vec3) -> tuple[F64, F64, F64]:
 
 @inlined
 def divide(a: Vec3, s: F64) -> Vec3:
+    """Return a vector divided by a number."""
     return a[0] / s, a[1] / s, a[2] / s
 
 
 @inlined
 def unit(v: Vec3) -> Vec3:
+    """Return a vector scaled to length 1; zero stays zero."""
     return divide(v, max(np.sqrt(dot(v, v)), 1e-300))
 
 

@@ -9,8 +9,8 @@ Floats = NDArray[np.float64]
 Index = NDArray[np.int64]
 CellOffset = tuple[int, int, int]
 
-_CELL_WIDTH_FACTOR = 1.001  # widths of a cell, in distances that are looked for: rounding puts none farther than a cell away
-_CELLS_PER_CHUNK = 1 << 20  # cells that are looked up
+_CELL_WIDTH_FACTOR = 1.001  # cell width relative to the reach: in spite of rounding, no pair is more than one cell apart
+_CELLS_PER_CHUNK = 1 << 20  # cells per chunk
 _NEIGHBOUR_OFFSETS: list[CellOffset] = [(x, y, z) for x in (-1, 0, 1) for y in (-1, 0, 1) for z in (-1, 0, 1)]
 _FORWARD_OFFSETS = _NEIGHBOUR_OFFSETS[len(_NEIGHBOUR_OFFSETS) // 2 :]  # each pair of cells once
 
@@ -27,6 +27,7 @@ def pairs_between(points: Floats, others: Floats, reach: float) -> tuple[Index, 
 
 
 def _pairs(points: Floats, others: Floats, reach: float, cells: list[CellOffset]) -> tuple[Index, Index]:
+    """Return pairs of points and others at most `reach` apart, from the cells at the offsets `cells`."""
     empty = np.empty(0, np.int64)
     if not (len(points) and len(others)):
         return empty, empty
@@ -36,7 +37,7 @@ def _pairs(points: Floats, others: Floats, reach: float, cells: list[CellOffset]
     )
     _, ny, nz = np.maximum(point_cells.max(axis=0), other_cells.max(axis=0)) + 3
     pairs = [(empty, empty)]
-    with np.errstate(over="ignore"):  # cells that are far from each other may share a number: distances are measured
+    with np.errstate(over="ignore"):  # distant cells may share a number, so distances are measured
         point_keys, key = ((each[:, 0] * ny + each[:, 1]) * nz + each[:, 2] for each in (point_cells, other_cells))
         own, order = np.argsort(point_keys, kind="stable"), np.argsort(key, kind="stable")
         point_keys, key = point_keys[own], key[order]
@@ -53,7 +54,7 @@ def _pairs(points: Floats, others: Floats, reach: float, cells: list[CellOffset]
         away = points[one] - others[other]
         square = (away[:, 0] * away[:, 0] + away[:, 1] * away[:, 1]) + away[:, 2] * away[:, 2]
         near = square <= reach * reach
-        if cells is _FORWARD_OFFSETS:  # pairs in one cell come both ways
+        if cells is _FORWARD_OFFSETS:  # pairs within a cell occur in both orders
             near &= (one < other) | (np.repeat(first + hit // len(points), count) > 0)
         pairs.append((one[near], other[near]))
     ones, all_others = zip(*pairs, strict=True)

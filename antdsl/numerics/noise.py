@@ -17,11 +17,11 @@ UInt32Array = NDArray[np.uint32]
 _LCG_MULTIPLIER, _LCG_INCREMENT, _SHIFT_16, _SHIFT_27 = np.uint32(1664525), np.uint32(1013904223), np.uint32(16), np.uint32(27)
 _LATTICE_CORNERS = np.array(list(product((0, 1), repeat=4)), np.int64)[:, :, None]  # (16, 4, 1): the last dimension changes first
 _SIGN_COMBINATIONS = np.array(list(product((-1.0, 1.0), repeat=3)))
-# (32, 4): no part along one dimension, one step either way along the three others
+# (32, 4): 0 along one dimension, 1 or -1 along the three others
 _LATTICE_GRADIENTS = np.concatenate([np.insert(_SIGN_COMBINATIONS, still, 0.0, axis=1) for still in range(4)])
-# The greatest sum is 1.53658: at each corner the three greatest parts of the way there, weighted by the fade.
+# The greatest sum is 1.53658: at each corner the three largest offsets, weighted by the fade.
 _NOISE_SCALE = 0.65
-MAX_LATTICE_COORDINATE = 2.0**51  # of lattice points: beyond, a float64 no longer tells places within a cell apart
+MAX_LATTICE_COORDINATE = 2.0**51  # beyond this lattice coordinate, float64 does not resolve positions within a cell
 
 
 def noise(points: Floats, seed: NDArray[np.int64]) -> Floats:
@@ -32,13 +32,13 @@ def noise(points: Floats, seed: NDArray[np.int64]) -> Floats:
     inside = points - cell
     lattice = cell.astype(np.int64) + _shift(seed)
     corner = (lattice + _LATTICE_CORNERS).astype(np.uint32)  # (16, 4, n)
-    # the last word, mixed most, by its upper bits: the lower ones of the first tell cells beside each other apart too little
+    # the upper bits of the last word, which is mixed most; the lower bits of the first differ too little between cells
     gradient = _LATTICE_GRADIENTS[pcg4d(corner.transpose(1, 0, 2))[3] >> _SHIFT_27]  # (16, n, 4)
     offset = inside - _LATTICE_CORNERS
     value: Floats = (gradient[..., 0] * offset[:, 0] + gradient[..., 1] * offset[:, 1]) + (
         gradient[..., 2] * offset[:, 2] + gradient[..., 3] * offset[:, 3]
     )
-    for share in fade(inside)[::-1]:  # time first, as it changes first among the corners
+    for share in fade(inside)[::-1]:  # time first, because it changes first among the corners
         value = value[0::2] + share * (value[1::2] - value[0::2])
     return np.where(sound, value[0] * _NOISE_SCALE, np.nan)
 
@@ -62,6 +62,7 @@ def pcg4d(words: UInt32Array) -> UInt32Array:
 
 
 def _mix_words(words: UInt32Array) -> UInt32Array:
+    """Return the four words of each column after one round of multiplications and additions."""
     x, y, z, w = words
     x = x + y * w
     y = y + z * x

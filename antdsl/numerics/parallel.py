@@ -14,8 +14,8 @@ from antdsl.machine_code.kernels import I64, inlined
 from antdsl.numerics.host import cores
 
 T = TypeVar("T")
-MIN_AGENTS_PER_THREAD = 1_024  # agents from which a thread pays
-MIN_LIGHT_ITEMS_PER_THREAD = 4_096  # the same, of work that is a few operations each
+MIN_AGENTS_PER_THREAD = 1_024  # number of agents from which another thread is worthwhile
+MIN_LIGHT_ITEMS_PER_THREAD = 4_096  # the same, for work of a few operations per item
 
 
 def contiguous(*arrays: NDArray[Any]) -> tuple[NDArray[Any], ...]:

@@ -23,7 +23,7 @@ PHILOX_ROUNDS = 10
 UNIT_FLOAT_STEP = np.float32(2.0**-24)
 ID_SPREAD_MULTIPLIER = np.uint64(
     0x9E3779B1
-)  # moves the high half of an id to other counters; odd, so no two ids of one half meet
+)  # spreads the high half of an id over counters; odd, so that different high halves give different results
 RandomKernel = Callable[..., Any]
 SharedCounters = tuple[U64, U64, U64, U64, U64]  # first, third and last word of the counters, and the two of the key
 CounterWords = tuple[tuple[int, int, int], tuple[int, int]]

@@ -18,9 +18,9 @@ from antdsl.machine_code.module import LlvmModule
 from antdsl.numerics import parallel
 from antdsl.numerics.host import PARTS_PER_THREAD
 
-ArrayPairs = Sequence[tuple[NDArray[Any], NDArray[Any]]]  # to which array, and of which
-_KERNEL_ROW_BYTES = (1, 4, 8)  # bytes of a row that have a loop of their own when rows are picked
-_HEADER_WORDS, _WORDS_PER_ARRAY = 2, 3  # words of a table before those of the arrays, and of each array
+ArrayPairs = Sequence[tuple[NDArray[Any], NDArray[Any]]]  # target and source of each copy
+_KERNEL_ROW_BYTES = (1, 4, 8)  # row sizes in bytes with a separate loop for selected rows
+_HEADER_WORDS, _WORDS_PER_ARRAY = 2, 3  # words in a table's header, and words per array
 
 
 class RowCopier:
@@ -48,7 +48,7 @@ def copy_rows(pairs: ArrayPairs, rows: NDArray[np.intp], threads: int) -> None:
     """Copy selected rows of contiguous arrays [n, ..] to arrays [k, ..] of the same type."""
     if not pairs:
         return
-    rows = np.ascontiguousarray(rows)  # which lasts as long as its address is in use
+    rows = np.ascontiguousarray(rows)  # keeps the array alive while its address is in use
     table = _table(pairs, rows)
     parallel.call_rows(_function(), _parts(table, len(rows), threads), threads)
 
@@ -73,6 +73,7 @@ def _parts(table: NDArray[np.int64], count: int, threads: int) -> NDArray[np.int
 
 @cache
 def _function() -> Callable[[int, int, int], None]:
+    """Return the compiled function that copies rows."""
     function: Callable[[int, int, int], None] = text.code().function("rows")
     return function
 

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from antdsl.machine_code.kernels import I64, U64, Array1, Array2, independent, inlined, kernel
 from antdsl.numerics import parallel
 
-_DIGIT_BITS = 16  # NumPy sorts numbers of this width by counting
+_DIGIT_BITS = 16  # NumPy uses a radix sort for numbers of this width
 
 
 def stable_order(keys: NDArray[np.integer[Any]]) -> NDArray[np.intp]:
@@ -84,6 +84,6 @@ def compact_indices(flags: Array1[Any], count: I64) -> I64:
     hits = 0
     for k in range(count):
         flag = flags[k]
-        flags[hits] = k  # written whatever it is: no branch that is hard to foretell
+        flags[hits] = k  # always written, to avoid an unpredictable branch
         hits += flag
     return hits

@@ -26,7 +26,7 @@ from antdsl.numerics import stages
 
 Tables = dict[str, NDArray[Any]]
 
-MIN_STORED_SIZE: Final = 10_000  # faces of a mesh, or cells, from which on tables are stored: those of fewer take no time
+MIN_STORED_SIZE: Final = 10_000  # number of faces or cells from which tables are stored; smaller tables are fast to compute
 TABLE_STORE: Final = object_cache.StoreKind(
     "tables",
     "ANTDSL_TABLE_CACHE",
@@ -42,10 +42,10 @@ _MAX_STORE_BYTES: Final = 1024 * MIB
 _MAX_TABLE_BYTES: Final = 256 * MIB
 # Packages that compute tables
 _HASHED_PACKAGES: Final = "machine_code", "numerics", "scene/geometry", "casting", "ground", "fields"
-_ALIGNMENT_BYTES: Final = 64  # bytes: where arrays begin
+_ALIGNMENT_BYTES: Final = 64  # alignment of arrays, in bytes
 _ALLOWED_DTYPES: Final = frozenset(["|b1", "|i1", "<i4", "<i8", "<f4", "<f8"])
 
-_computed_tables = 0  # tables, by this process
+_computed_tables = 0  # number of tables computed by this process
 
 
 def get_or_compute(
@@ -88,6 +88,7 @@ _open_store_once = cache(store)
 
 
 def _key(name: str, inputs: Sequence[NDArray[Any] | float | str]) -> str:
+    """Return the key of a table: a hash of its name, its inputs and the sources."""
     hashed = blake2b(digest_size=32)
     for part in (name, antdsl.__version__, np.__version__, _sources(), *inputs):
         if isinstance(part, np.ndarray):
@@ -113,6 +114,7 @@ def _sources() -> str:
 
 
 def _modules() -> Iterator[Path]:
+    """Yield the source files of the packages that compute tables."""
     package = Path(antdsl.__file__).parent
     for folder in _HASHED_PACKAGES:
         yield from sorted((package / folder).rglob("*.py"))

@@ -39,6 +39,7 @@ def sub(a: VectorComponents, b: VectorComponents) -> VectorArrays:
 
 
 def scale(a: VectorComponents, s: Array | float | np.floating[Any]) -> VectorArrays:
+    """Return vectors multiplied by one number, or by one number each."""
     return a[0] * s, a[1] * s, a[2] * s
 
 
@@ -47,6 +48,7 @@ def length(a: VectorComponents) -> Array:
 
 
 def choose(condition: Array, a: VectorArrays, b: VectorArrays) -> VectorArrays:
+    """Return the vectors `a` where the condition is true, else `b`."""
     return np.where(condition, a[0], b[0]), np.where(condition, a[1], b[1]), np.where(condition, a[2], b[2])
 
 
@@ -56,6 +58,7 @@ def copy(a: VectorArrays) -> VectorArrays:
 
 
 def take(a: VectorComponents, rows: NDArray[np.integer[Any]] | NDArray[np.bool_] | slice) -> VectorArrays:
+    """Return selected vectors: copies, or views for a slice."""
     return a[0][rows], a[1][rows], a[2][rows]
 
 

@@ -29,11 +29,11 @@ from antdsl.numerics.host import PARTS_PER_THREAD
 
 T = TypeVar("T")
 _LOCK_FUNCTIONS = ("PyThread_allocate_lock", "PyThread_acquire_lock", "PyThread_release_lock")
-# Seconds that a thread without work spins before it sleeps. Waking a thread takes 30 to 100 us, which a step of 15,000 agents
-# would spend up to 50 times. What one thread does alone between two jobs of a step is mostly shorter than this.
+# Seconds that a thread without work spins before it blocks. Waking a thread takes 30 to 100 us, which a step of 15,000 agents
+# would need up to 50 times. The serial work between two jobs of a step is mostly shorter than this.
 _SPIN_SECONDS = 1e-3
 _TIMED_SPIN_TURNS = 1_000  # turns that are timed
-_CACHE_LINE_BYTES = 64  # bytes of a line of the processor's memory
+_CACHE_LINE_BYTES = 64  # bytes of a cache line
 _ENTRY_SIGNATURE = (None, ctypes.c_void_p, ctypes.c_int64, ctypes.c_int64)
 
 
@@ -47,7 +47,7 @@ class WorkerPool:
         self.asks: dict[None, object] = {}
         self.address = -(-address(buffer) // _CACHE_LINE_BYTES) * _CACHE_LINE_BYTES
         self._words: NDArray[np.int64] = buffer[(self.address - address(buffer)) // 8 :]
-        self._start = ctypes.PYFUNCTYPE(*_ENTRY_SIGNATURE)(code.place("start"))  # which keeps the interpreter's lock
+        self._start = ctypes.PYFUNCTYPE(*_ENTRY_SIGNATURE)(code.place("start"))  # this call holds the interpreter's lock
         self._all, self._finish, self._end, loop = (code.function(name) for name in ("all", "finish", "end", "worker"))
         self._work: Callable[[int], object] = int
         self._failed: list[BaseException] = []
@@ -60,12 +60,13 @@ class WorkerPool:
         ]
         for k in range(count):
             self._words[words.FIRST_SLEEP_WORD + words.CACHE_LINE_WORDS * k + 1] = locks[k]
-        ctypes.pythonapi.Py_IncRef(ctypes.py_object(self))  # its threads may be at work until the process is gone
+        ctypes.pythonapi.Py_IncRef(ctypes.py_object(self))  # its threads may work until the process ends
         self._threads = [Thread(target=self._run_worker, args=(loop, k), name=f"kernels {k}", daemon=True) for k in range(count)]
         for each in self._threads:
             each.start()
 
     def _run_worker(self, loop: Callable[[int, int, int], None], number: int) -> None:
+        """Wait for work in machine code until the pool ends."""
         set_standard()
         loop(self.address, number, 0)
 
@@ -115,11 +116,13 @@ class WorkerPool:
             each.join()
 
     def _job(self, function: Any, table: NDArray[np.int64], parts: int) -> None:
+        """Store a job for the workers: a function of machine code, and a table with one row per part."""
         code = ctypes.cast(function, ctypes.c_void_p).value or 0
         self._words[words.JOB_CODE_WORD : words.PART_COUNT_WORD + 1] = code, address(table), 0, parts
-        self._words[words.DONE_COUNT_WORD] = parts  # as long as it has not been started, there is nothing to wait for
+        self._words[words.DONE_COUNT_WORD] = parts  # until the job is started, there is nothing to wait for
 
     def _one(self, _: int, number: int, __: int) -> None:
+        """Call the current work with a number, and record its exception."""
         try:
             self._work(number)
         except BaseException as problem:
@@ -175,10 +178,10 @@ def _run_exclusively(pool: WorkerPool | ExecutorPool, together: Callable[[], T],
     """Return the result of `together` if no other caller uses the pool, else that of `alone`."""
     own = object()
     try:
-        if pool.asks.setdefault(None, own) is own:  # one call notes who asks: an interrupt comes before it or after it
+        if pool.asks.setdefault(None, own) is own:  # a single call registers the caller, so an interrupt comes before or after it
             return together()
     finally:
-        # No calls: an interrupt that comes once one is over would leave the pool taken for ever.
+        # No function calls here: an interrupt after one would leave the pool occupied for ever.
         if pool.asks == {None: own}:
             del pool.asks[None]
     return alone()
@@ -192,7 +195,7 @@ def _pull_parts(pool: WorkerPool | ExecutorPool, work: Callable[[int, int], T], 
     coming = iter(range(parts))
 
     def run_parts(_: int) -> None:
-        for k in coming:  # the next one that is free
+        for k in coming:  # the next part that no thread has taken
             try:
                 results[k] = work(count * k // parts, count * (k + 1) // parts)
             except BaseException as problem:
@@ -257,11 +260,13 @@ if hasattr(os, "register_at_fork"):
 
 @atexit.register
 def _end() -> None:
+    """End the threads of all pools at the end of the program."""
     for each in _pool_by_threads.values():
         each.end()
 
 
 def _symbol_address(name: str) -> int:
+    """Return the address of a function of CPython's C interface."""
     return ctypes.cast(getattr(ctypes.pythonapi, name), ctypes.c_void_p).value or 0
 
 

@@ -83,6 +83,7 @@ class CutPlane:
         )
 
     def _mesh(self, solid: Solid) -> Solid:
+        """Return a mesh without the faces of which all corners are cut away."""
         is_removed = self.is_cut_away(solid.vertices)
         is_visible = ~is_removed[solid.faces].all(axis=1)
         return solid if is_visible.all() else replace(solid, faces=solid.faces[is_visible])

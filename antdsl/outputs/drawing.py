@@ -96,6 +96,7 @@ class FrameDrawer:
         return with_strip(self._renderer.draw(picture, camera, show=request.show), picture, self._strip, request.show)
 
     def _camera(self, picture: Picture) -> Camera:
+        """Return the requested camera for a picture. Raises AgentMissing if the followed agent is not in it."""
         which, agents = self.wanted.camera, self.wanted.agents
         aspect = self._renderer.width / self._renderer.height
         if which in ("eye", "close"):

@@ -1,7 +1,6 @@
 """Edits a cache after the run and writes the result as a separate cache. The original is not changed.
 
-Orientations are smoothed over the frames before and after. A run cannot do this, because it does not know the next frame
-(R10)."""
+Orientations are smoothed over the frames before and after. A run cannot do this, because it does not know the next frame."""
 
 from __future__ import annotations
 

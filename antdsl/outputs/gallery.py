@@ -63,7 +63,7 @@ class PictureUnavailable(Exception):
 
 
 class Gallery:
-    """Builder of the pictures of one cache. A picture depends on its own frame, and positions are relative to `origin` (scene
+    """Builder of the pictures of one cache. A picture does not depend on earlier ones. Positions are relative to `origin` (scene
     units).
 
     `window`: the seconds before and after a frame for which pictures have the agents' paths; None for no paths.
@@ -140,7 +140,7 @@ class Gallery:
     def outline(self, frames: Sequence[int]) -> NDArray[np.float64]:
         """Return points (n, 3) that enclose the agents of the frames: a camera that shows the points shows all agents.
 
-        In many directions, the outermost agent counts, plus a margin of one reach of its body. Only some of the frames are
+        The points are the outermost agents in many directions, with a margin of the body's reach. Only some of the frames are
         examined."""
         turn = np.arange(_OUTLINE_DIRECTIONS) * (np.pi * (3.0 - np.sqrt(5.0)))  # a spiral that covers a ball evenly
         height = 1.0 - 2.0 * (np.arange(_OUTLINE_DIRECTIONS) + 0.5) / _OUTLINE_DIRECTIONS

@@ -64,6 +64,7 @@ class AgentPaths:
         return AgentPathLines(positions, self._before)
 
     def _agents_at(self, frame: int) -> dict[str, NDArray[Any]] | None:
+        """Return the agents of a frame from the cache of recently read frames. Return None if the frame does not exist."""
         if frame not in self._there:
             return None
         if frame not in self._kept:

@@ -1,5 +1,6 @@
-"""The environment in which a cache was made: a hash of antdsl's sources, versions of the numerical packages, the platform, the
-command."""
+"""The environment in which a cache was made.
+
+It consists of a hash of antdsl's sources, versions of the numerical packages, the platform and the command."""
 
 from __future__ import annotations
 
@@ -38,10 +39,10 @@ def command(scene: str, frames: FrameRange, seed: int, inputs: Mapping[str, str]
 
 
 def resume_command(folder: Path) -> str:
-    """Return the command that completes a cache or makes its damaged frames again, as far as the manifest contains what is
-    needed.
+    """Return the command that completes a cache or makes its damaged frames again.
 
-    Every word of the manifest is quoted, since the manifest may come from a stranger."""
+    Words in capitals stand for values that the manifest lacks: the folders of granted roots, and the scene of an unreadable
+    manifest. Every word of the manifest is quoted, since the manifest may come from a stranger."""
     try:
         manifest = read_manifest(folder)
     except ManifestError:

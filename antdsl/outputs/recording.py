@@ -68,6 +68,7 @@ class Recording:
 
     @property
     def complete(self) -> bool:
+        """Return whether the last frame of the shot was passed to the writer."""
         return self.frame == self.shot.frames.last
 
     def add_time(self, what: str, since: float) -> None:
@@ -274,6 +275,7 @@ def _is_checkpoint(recording: Recording, frame: int) -> bool:
 
 
 def _write(recording: Recording, writer: CacheWriter) -> None:
+    """Pass the current frame to the writer, with a checkpoint if one is due, and add the time."""
     world = recording.world
     began = time.perf_counter()
     writer.put_frame(world)
@@ -284,6 +286,7 @@ def _write(recording: Recording, writer: CacheWriter) -> None:
 
 
 def _camera(shot: Shot, origin: NDArray[np.float64]) -> CameraEntry | Literal["fit"] | None:
+    """Return the manifest's entry for the scene's camera, `fit`, or None without a camera."""
     camera = shot.scene.model.camera
     if shot.setting.camera is not None:
         return _file_camera(shot.setting.camera, origin, 1.0 / shot.setting.unit_mm)

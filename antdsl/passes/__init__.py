@@ -14,12 +14,12 @@ from antdsl.plan.ir import Plan
 from antdsl.plan.verify import verify
 
 PASSES: tuple[Callable[[Plan], Plan], ...] = (
-    fold,  # first: a known condition takes whole regions away
-    drop_unused,  # before regions are joined: an empty region between two others keeps them apart
+    fold,  # first: a constant condition removes complete regions
+    drop_unused,  # before `merge`: an empty region between two others prevents merging
     merge,  # needs shared conditions
-    hoist,  # needs the final regions to know what is invariant over all pairs of a set; rebuilds nodes, once
-    narrow,  # after merge, which could not join the halves again
-    keep_senses,  # last: regions and nodes are final
+    hoist,  # needs the merged regions; rebuilds all nodes once
+    narrow,  # after `merge`, which could not join the two halves
+    keep_senses,  # last, when regions and nodes are final
 )
 
 

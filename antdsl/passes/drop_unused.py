@@ -7,7 +7,7 @@ from dataclasses import replace
 from antdsl.plan.ir import Block, Claim, If, Plan, PlanStatement, SpeciesPlan, Store
 from antdsl.plan.traverse import PHASES, blocks, operands, registers_read, required_nodes, statements
 
-RESULT_TEMPS = frozenset(f"{name}.{axis}" for name in ("push", "~face") for axis in "xyz")  # the runtime reads the results
+RESULT_TEMPS = frozenset(f"{name}.{axis}" for name in ("push", "~face") for axis in "xyz")  # read by the runtime
 
 
 def drop_unused(plan: Plan) -> Plan:

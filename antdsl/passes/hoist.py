@@ -23,7 +23,7 @@ def hoist(plan: Plan, watched: dict[PlanNode, PlanNode] | None = None) -> Plan:
 
 
 def _make(b: PlanBuilder, op: str, args: tuple[PlanNode, ...], attrs: tuple[Any, ...]) -> PlanNode | None:
-    if op == "reduce.sum" and args[2].op == "neg":  # exact: rounding to a multiple is the same on both sides of zero
+    if op == "reduce.sum" and args[2].op == "neg":  # exact: rounding to a multiple is symmetric about zero
         return b("neg", b("reduce.sum", *args[:2], args[2].args[0], attrs=attrs))
     if op == "div" and _is_pair_rate(args[0]) and not _is_pair_rate(args[1]):
         return _product(b, (args[0], b("div", b.number(1), args[1])))

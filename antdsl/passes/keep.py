@@ -9,7 +9,7 @@ from antdsl.plan.traverse import find_shared_senses
 
 
 def keep_senses(plan: Plan) -> Plan:
-    """Return the plan with `lazy` of each species computed again, because other passes change which regions use a sense."""
+    """Return the plan with `lazy` of each species recomputed. Other passes change which regions use a sense."""
     return replace(
         plan, species={n: replace(s, lazy=find_shared_senses(s.decide, s.act, s.blend)) for n, s in plan.species.items()}
     )

@@ -27,7 +27,7 @@ def operand_problem(op: str, args: tuple[PlanNode, ...], attrs: tuple[Any, ...])
     return wrong
 
 
-# Operations with numbers of attributes and kinds of operands that were found fitting
+# Operand kinds and attribute counts that `_operand_problem` has already accepted, by operation.
 _CHECKED_SHAPES: set[tuple[Any, ...]] = set()
 
 
@@ -106,15 +106,19 @@ class PlanBuilder:
         return node
 
     def number(self, x: float) -> PlanNode:
+        """Return an F32 constant."""
         return self("const", attrs=(f32(float(x)),))
 
     def truth(self, x: bool) -> PlanNode:
+        """Return a BOOL constant."""
         return self.true if x else self.false
 
     def row(self, x: int) -> PlanNode:
+        """Return an I32 constant: a state's index or an item's row."""
         return self("const.i32", attrs=(int(x),))
 
     def agent(self, x: int) -> PlanNode:
+        """Return an I64 constant: an agent's id."""
         return self("const.i64", attrs=(int(x),))
 
     def zero(self, kind: ValueKind, value: float | int | bool = 0) -> PlanNode:

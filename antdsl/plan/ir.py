@@ -5,7 +5,7 @@ A `PlanNode` is pure and interned by its builder: the same operation of the same
 A statement acts on the agents of its region: all agents of the species for which each enclosing `If` holds. Base units: mm, s, g,
 rad. Positions are float32, relative to the origin of the scene."""
 
-# A table reads best with one row a line, and its kinds with one letter each.
+# One row per line and one letter per kind keep the table readable.
 
 from __future__ import annotations
 
@@ -21,6 +21,8 @@ from antdsl.source import Span
 
 
 class ValueKind(Enum):
+    """The type of a node's value."""
+
     F32 = "f32"
     BOOL = "bool"
     I32 = "i32"  # a state's index, an item's row (-1 is none)
@@ -28,10 +30,12 @@ class ValueKind(Enum):
     TUPLE = "tuple"  # several results; taken apart by `get`
     SET = "set"
 
-    __hash__ = object.__hash__  # an Enum's own is slow, and a reload asks for it tens of thousands of times
+    __hash__ = object.__hash__  # Enum's own hash is slow, and a reload calls it tens of thousands of times
 
 
 class UpdateRate(IntEnum):
+    """How often a node is computed; a higher rate means more often."""
+
     CONST = 0
     RUN = 1
     STEP = 2
@@ -81,7 +85,7 @@ def _sense(row: SenseRow) -> Operation:
 
 
 OPERATION_BY_NAME: dict[str, Operation] = {
-    # constants and what the run gives
+    # constants and values of the run
     "const": Operation("", ("value",), F, _CONST, "a float32"),
     "const.bool": Operation("", ("value",), BOOL, _CONST, "true or false"),
     "const.i32": Operation("", ("value",), INDEX, _CONST, "a state's index or an item's row"),
@@ -152,7 +156,7 @@ OPERATION_BY_NAME: dict[str, Operation] = {
     "pair.y": Operation("", (), F, _PAIR, "other's y - own y"),
     "pair.z": Operation("", (), F, _PAIR, "other's z - own z"),
     "pair.distance": Operation("", (), F, _PAIR, "sqrt((x*x + y*y) + z*z)"),
-    # reductions: set, condition (BOOL), body where there is one. Sums are exact: decision 23 of the language reference
+    # reductions: set, condition (BOOL) and, for some, body. Sums are exact: decision 23 of the language reference
     "reduce.sum": Operation("sbf", ("quantum",), F, _AGENT, "exact sum of terms rounded to multiples of 2**quantum; 0 for none"),
     "reduce.min": Operation("sbf", (), F, _AGENT, "inf for none"),
     "reduce.max": Operation("sbf", (), F, _AGENT, "-inf for none"),
@@ -172,7 +176,7 @@ TUPLE_KINDS_BY_OPERATION: dict[str, tuple[ValueKind, ...]] = {
     if len(row.kinds) > 1
 }
 
-# Worth storing for a step, and computed only for agents that need it.
+# Their results are stored for the step, and computed only for agents that need them.
 _REDUCE_OPERATIONS = tuple(name for name in OPERATION_BY_NAME if name.startswith("reduce."))
 SENSE_OPERATIONS = frozenset((*senses.SENSE_BY_OPERATION, *_REDUCE_OPERATIONS, "draw.agent"))
 
@@ -335,12 +339,12 @@ class SpeciesPlan:
     blend: Block
     handles: tuple[str, ...]  # events
     layers: tuple[LayerPlan, ...]
-    lazy: tuple[PlanNode, ...] = ()  # worth keeping for the whole step once computed: senses used in more than one region
-    rests: Mapping[str, PlanNode] = field(default_factory=dict)  # of values per pair what they begin with and return to, rate RUN
-    clips: tuple[ClipPlan, ...] = ()  # what its states play: registers of clips count these
-    wears: tuple[str, ...] = ()  # layers of its body that states show: registers `wear#LAYER`
-    channels: tuple[str, ...] = ()  # of its body, that states set: `channel#NAME`, and `channel#NAME.said` whether they do
-    looks: tuple[str, ...] = ()  # transform groups that states turn to something: `look#GROUP.x`, `.y`, `.z`
+    lazy: tuple[PlanNode, ...] = ()  # senses of which the result is stored for the rest of the step
+    rests: Mapping[str, PlanNode] = field(default_factory=dict)  # initial and rest value of each pair value; rate RUN
+    clips: tuple[ClipPlan, ...] = ()  # clips that its states play; clip registers hold their index
+    wears: tuple[str, ...] = ()  # layers of the body that states show: registers `wear#LAYER`
+    channels: tuple[str, ...] = ()  # channels that states set: the value `channel#NAME`, and whether one does, `.said`
+    looks: tuple[str, ...] = ()  # transform groups that states turn towards a point: `look#GROUP.x`, `.y`, `.z`
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -376,6 +380,8 @@ class ParamPlan:
 
 @dataclass(frozen=True, slots=True, eq=False, weakref_slot=True)
 class Plan:
+    """The plan of a complete program: declarations by name, and all nodes, operands first."""
+
     species: dict[str, SpeciesPlan]
     fields: dict[str, FieldPlan]
     items: dict[str, ItemsPlan]

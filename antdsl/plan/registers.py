@@ -1,9 +1,9 @@
 """Registers of agents: the registers of pair values, sizes in bytes, and the times at which a block reads registers.
 
 A pair value has slots. Each slot has the id of another agent and the value that is stored about it.
-A `load` is evaluated at its first use. A load may be used both before and after a store to its register, in regions that do not
-share values. Then it is read before the statement that contains both uses; `early_loads` returns these loads with their
-places."""
+A `load` is evaluated at its first use. A load may have uses before and after a store to its register, in regions that do not
+share values. Such a load is evaluated before the statement that contains both uses. `early_loads` returns these loads by
+place."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from antdsl.plan.ir import SpeciesPlan, ValueKind
 from antdsl.plan.traverse import operands, placed, required_nodes
 
 _BYTES_BY_KIND = {ValueKind.F32: 4, ValueKind.BOOL: 1, ValueKind.I32: 4, ValueKind.I64: 8}
-_ID_BYTES = 8  # its id
+_ID_BYTES = 8  # bytes of the other agent's id in a slot
 
 
 def written(statement: ir.PlanStatement) -> str | None:
@@ -59,8 +59,7 @@ def statement_numbers(species: ir.SpeciesPlan) -> dict[ir.PlanStatement, int]:
 
 
 def cacheable_senses(species: ir.SpeciesPlan) -> tuple[ir.PlanNode, ...]:
-    """Return the nodes in `lazy` with a value that holds for the complete step, because no register that they read is written
-    during it."""
+    """Return the shared senses that keep one value for the complete step: no statement writes a register that they read."""
     return tuple(node for node in species.lazy if all(part.op != "load" for part in required_nodes((node,))))
 
 

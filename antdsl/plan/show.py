@@ -29,7 +29,7 @@ _INFIX_SYMBOLS = {
     "and": "and", "or": "or",
 }  # fmt: skip
 _LEAF_OPERATIONS = frozenset(name for name, row in OPERATION_BY_NAME.items() if not row.args and name not in SENSE_OPERATIONS)
-_MAX_EXPRESSION_CHARACTERS = 100  # characters of an expression before its parts get names
+_MAX_EXPRESSION_CHARACTERS = 100  # longer expressions are split: their parts get names
 
 
 def show(plan: Plan) -> str:
@@ -41,6 +41,7 @@ def show(plan: Plan) -> str:
 
 
 def _head(plan: Plan) -> str:
+    """Return text about the declarations of a plan: params, items, fields and things."""
     lines = []
     for param in plan.params.values():
         lines.append(f"param {param.name} = {_ExpressionFormatter().text(param.default)}")
@@ -60,6 +61,7 @@ def _head(plan: Plan) -> str:
 
 
 def _species(species: SpeciesPlan) -> list[str]:
+    """Return the lines of one species."""
     lines = [f"species {species.name}"]
     for role in ("attribute", "pair", "memory", "temp"):
         mine = [r for r in species.registers.values() if r.role == role]
@@ -114,11 +116,13 @@ class _ExpressionFormatter:
         self.names: dict[PlanNode, str] = {}
 
     def text(self, node: PlanNode) -> str:
+        """Return the name of a node, or its expression if it has no name."""
         if node in self.names:
             return self.names[node]
         return self.expression_text(node)
 
     def expression_text(self, node: PlanNode) -> str:
+        """Return the expression of a node, even if the node has a name."""
         inner = [self.text(a) for a in node.args]
         op, attrs = node.op, node.attrs
         if op in _INFIX_SYMBOLS:
@@ -187,6 +191,7 @@ class _PhaseFormatter(_ExpressionFormatter):
         return named
 
     def lines(self, block: Block, indent: str) -> list[str]:
+        """Return the lines of a block, with names defined before their first use."""
         result: list[str] = []
         for statement in block.statements:
             result += [indent + line for line in self._definition_lines(statement)]

@@ -104,7 +104,7 @@ def _not(b: PlanBuilder, args: tuple[PlanNode, ...], v: list[ConstantValue]) -> 
     inner = args[0]
     if inner.op == "not":
         return inner.args[0]
-    if inner.op in ("eq", "ne"):  # each other's opposite for NaN too; the orderings are not
+    if inner.op in ("eq", "ne"):  # opposites for NaN too, unlike `lt` and `ge`
         return b("ne" if inner.op == "eq" else "eq", *inner.args)
     return None
 

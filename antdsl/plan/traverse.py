@@ -54,6 +54,7 @@ def placed(block: Block, path: tuple[int, ...] = ()) -> Iterator[tuple[tuple[int
 
 
 def blocks(species: SpeciesPlan) -> tuple[tuple[str, Block], ...]:
+    """Return the blocks of a species with their phase, in the order of PHASES."""
     return tuple((phase, getattr(species, phase)) for phase in PHASES)
 
 
@@ -70,6 +71,7 @@ def required_nodes(roots: Iterable[PlanNode]) -> list[PlanNode]:
 
 
 def field_nodes(field: FieldPlan) -> tuple[PlanNode, ...]:
+    """Return the nodes of a field's settings."""
     return tuple(n for n in (field.cell, field.keep, field.diffuse, field.limit) if n is not None)
 
 
@@ -102,7 +104,7 @@ def find_shared_senses(*phases: Block) -> tuple[PlanNode, ...]:
     shared_senses: list[PlanNode] = []
     waiting = set(users)
     while waiting:
-        sense = max(waiting, key=lambda node: node.number)  # all that use it have greater numbers and have been here
+        sense = max(waiting, key=lambda node: node.number)  # its users have greater numbers, so they were handled before
         waiting.remove(sense)
         alone = len(users[sense]) == 1
         if not alone:
@@ -114,7 +116,7 @@ def find_shared_senses(*phases: Block) -> tuple[PlanNode, ...]:
 
 
 def nearest_senses(roots: Iterable[PlanNode]) -> set[PlanNode]:
-    """Return the senses that the nodes use without another sense in between."""
+    """Return the senses that the nodes use directly or through operations, but not through another sense."""
     senses: set[PlanNode] = set()
     visited: set[PlanNode] = set()
     stack = list(roots)

@@ -26,7 +26,7 @@ from antdsl.program.tables.senses import SENSE_BY_OPERATION
 from antdsl.program.tables.things import KIND_BY_WORD, replacements
 
 _READ_OPERATIONS = ("snap", "load")
-_REDUCES_ITEMS = {"reduce.agent": False, "reduce.nth_agent": False, "reduce.item": True, "reduce.nth_item": True}  # of items
+_REDUCES_ITEMS = {"reduce.agent": False, "reduce.nth_agent": False, "reduce.item": True, "reduce.nth_item": True}  # over items
 _BUILTIN_ITEM_VALUES = {"position", "velocity", "heading", "up"}
 
 
@@ -218,8 +218,8 @@ def _check_request(plan: Plan, species: SpeciesPlan, statement: Request) -> Iter
 
 
 class _LoadState:
-    """The state of a check of loads, by register. `version`: the version of the last load. `stale`: the registers with a store
-    after it."""
+    """The state of the check of loads. `version`: the version of the last load, by register. `stale`: the registers with a store
+    after their last load."""
 
     def __init__(self) -> None:
         self.version: dict[str, int] = {}

@@ -20,8 +20,9 @@ OTHERS = [column for column in _PACKET if not column.light]
 
 
 def light_frame(population: Population, previous: Arrays | None = None) -> Arrays:
-    """Return the arrays that are stored of each frame, with the states of each machine. `previous`: the arrays of the previous
-    frame; an array that equals its predecessor is the same object."""
+    """Return the arrays that are stored for each frame, with the states of each machine.
+
+    `previous`: the arrays of the previous frame. An array that equals its predecessor is the same object."""
     rows = population.in_id_order()
     states = {f"state/{m.name}": population.now[f"{m.name}.state"][rows].astype(np.uint8) for m in population.plan.machines}
     return reuse_arrays(packet_arrays(population, _LIGHT) | states, previous or {})

@@ -1,5 +1,6 @@
-"""The future positions of agents: the next seconds of a session, simulated in a separate world that is discarded. The session's
-world is copied once, when this simulation begins, and never changed."""
+"""The future positions of agents in the next seconds of a session, simulated in a separate world.
+
+The session's world is copied once, when this simulation begins, and never changed."""
 
 from __future__ import annotations
 
@@ -34,8 +35,9 @@ class Ahead:
             self.version += 1
 
     def lacks(self, session: Session) -> bool:
-        """Return whether more frames must be simulated. Drop frames that belong to another run than the session's, and frames
-        before the current one."""
+        """Return whether more frames must be simulated.
+
+        This also drops frames of another run than the session's, and frames before the current one."""
         stretch = session.timeline.at(session.frame)
         of = (stretch, tuple(stretch.changes))
         if of != self._of or session.frame not in self.frames:

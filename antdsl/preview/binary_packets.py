@@ -16,8 +16,9 @@ _ALLOWED_DTYPES = frozenset(("f4", "i4", "u4", "u1", "i1", "u2", "i2"))
 
 
 def pack(slot: str, arrays: Mapping[str, NDArray[Any]], **header: Any) -> bytes:
-    """Return a packet of a slot. The header holds the name, type, count and offset of each array. The elements must have 1, 2 or
-    4 bytes; for other arrays, raises TypeError."""
+    """Return a packet of a slot. The header holds the name, type, count and offset of each array.
+
+    Raises TypeError for an array with elements of other sizes than 1, 2 or 4 bytes."""
     listed: list[tuple[str, str, int, int]] = []
     little = {name: np.ascontiguousarray(array) for name, array in arrays.items()}
     types = {name: f"{array.dtype.kind}{array.dtype.itemsize}" for name, array in little.items()}

@@ -63,8 +63,9 @@ class Compiler:
         return new_world, migration, Report()
 
     def files(self) -> RequestedPaths:
-        """Return all files of the last shot, and those of later attempts, which may not exist yet. Each has the root below which
-        no link is followed."""
+        """Return all files of the last shot and of later attempts; some may not exist yet.
+
+        Each has the root below which no link is followed."""
         roots_by_path: RequestedPaths = {self.scene: None, **self._files, **self._tried}
         for path in map(Path, self._parsed):
             roots_by_path.setdefault(path, path.parent)

@@ -1,5 +1,6 @@
-"""The thread that owns a session. Between two steps it carries out requests of pages, keeps the pace of the clock, loads saved
-files, and displays the state. No other thread accesses the session."""
+"""The thread that owns a session. No other thread accesses the session.
+
+Between two steps, it carries out requests of pages, waits for the clock, loads saved files, and sends the state to pages."""
 
 from __future__ import annotations
 
@@ -98,9 +99,11 @@ class Live:
     # --- for all threads ---------------------------------------------------------------------------------------------
 
     def start(self) -> None:
+        """Start the thread."""
         self._thread.start()
 
     def stop(self) -> None:
+        """Stop the thread, and return when it has ended."""
         with self._changed:
             self._over = True
             self._changed.notify()
@@ -116,6 +119,7 @@ class Live:
         self._enqueue("join", client)
 
     def leave(self, client: Client) -> None:
+        """Send no more updates to a page."""
         self._enqueue("leave", client)
 
     def _enqueue(self, what: Ask | str, client: Client) -> None:
@@ -140,6 +144,7 @@ class Live:
 
     @property
     def is_open(self) -> bool:
+        """Return whether there is a session."""
         return self._session is not None
 
     def observer(self, kind: type[O]) -> O:
@@ -147,6 +152,7 @@ class Live:
         return next(each for each in self.observers if isinstance(each, kind))
 
     def tell_all(self, message: dict[str, Any]) -> None:
+        """Send a message to all pages."""
         for client in self.clients:
             client.tell(message)
 
@@ -166,8 +172,9 @@ class Live:
         self.light = nearest if frame != self.session.frame else None
 
     def go_to(self, frame: int) -> None:
-        """Bring the session to a frame. This may take many steps, between which requests are handled. Meanwhile the stored agents
-        of the frame are displayed."""
+        """Bring the session to a frame. Requests are handled between the steps that this takes.
+
+        Meanwhile the stored agents of the frame are displayed."""
         self.show_stored_frame(frame)
         self._target = frame
         session = self.session
@@ -179,6 +186,7 @@ class Live:
         self.speed, self._due = times, monotonic()
 
     def play(self) -> None:
+        """Play from the current frame on."""
         self.session.playing, self.stop_at, self._due = True, None, monotonic()
 
     def pause(self, why: PauseReason | None = None) -> None:
@@ -260,7 +268,7 @@ class Live:
         self._sleep()
 
     def _advance(self, session: Session) -> None:
-        """Advance by one part: a part of a seek, a requested step, or the next step of play."""
+        """Run one unit of work: a step of a seek, a requested step, or the next step of play."""
         if self._target is not None:
             end = monotonic() + _MAX_SEEK_SECONDS
             while session.frame != self._target and monotonic() < end:
@@ -277,8 +285,8 @@ class Live:
             self._due = now if self.speed == 0 else max(self._due + session.world.dt / self.speed, now - _MAX_CATCH_UP_SECONDS)
 
     def _look_ahead(self, session: Session) -> None:
-        """Simulate future frames while a page displays them and no other request waits. During play, simulate one for each played
-        frame, and more in the time that is left before the next frame."""
+        """Simulate future frames while a page displays them and no other request waits. During play, simulate one per played
+        frame, and more until the next frame is due."""
         version = self.ahead.version
         if not self.screen.needs_look_ahead(session):
             self.ahead.clear()
@@ -320,8 +328,7 @@ class Live:
             self._handle(what, client)
 
     def _is_superseded(self, ask: Ask, client: Client) -> bool:
-        """Return whether a later request makes this one unnecessary. This happens while a slider moves or agents are selected in
-        quick succession."""
+        """Return whether a later request replaces this one, as while a slider moves or agents are selected quickly."""
         following, sender = self._queue[0] if self._queue else (None, None)
         if isinstance(ask, Set):
             return isinstance(following, Set) and following.name == ask.name and sender is client

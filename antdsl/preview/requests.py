@@ -27,14 +27,20 @@ class _Model(BaseModel):
 
 
 class Play(_Model):
+    """Play from the current frame on."""
+
     op: Literal["play"]
 
 
 class Pause(_Model):
+    """Pause, and drop pending steps."""
+
     op: Literal["pause"]
 
 
 class Step(_Model):
+    """Simulate `count` frames as fast as possible."""
+
     op: Literal["step"]
     count: int = Field(1, ge=1, le=1000)
 
@@ -56,6 +62,8 @@ class Seek(_Model):
 
 
 class Set(_Model):
+    """Set a param, or a setting of a field, to a number with its unit."""
+
     op: Literal["set"]
     name: Name
     value: Words
@@ -71,25 +79,35 @@ class Layer(_Model):
 
 
 class Field_(_Model):
+    """Switch a field on or off."""
+
     op: Literal["field"]
     name: Name
     on: bool
 
 
 class Reload(_Model):
+    """Load the current files."""
+
     op: Literal["reload"]
 
 
 class Restart(_Model):
+    """Simulate again from the first frame."""
+
     op: Literal["restart"]
 
 
 class Column(_Model):
+    """An attribute of a species, by name."""
+
     species: Name
     name: Name
 
 
 class AgentRef(_Model):
+    """One agent: its species and its id."""
+
     species: Name
     agent: Agent
 
@@ -113,6 +131,8 @@ class Look(_Model):
 
 
 class Explain(_Model):
+    """Request why an agent acted as it did in the step to a frame."""
+
     op: Literal["explain"]
     species: Name
     agent: Agent
@@ -120,6 +140,8 @@ class Explain(_Model):
 
 
 class StateBreak(_Model):
+    """A breakpoint on entering a state."""
+
     kind: Literal["state"]
     species: Name
     machine: Name
@@ -134,11 +156,15 @@ class ConditionBreak(_Model):
 
 
 class SpecBreak(_Model):
+    """A breakpoint on a failing spec."""
+
     kind: Literal["spec"]
     spec: Name
 
 
 class FaultBreak(_Model):
+    """A breakpoint on a fault of any agent."""
+
     kind: Literal["fault"]
 
 
@@ -154,6 +180,8 @@ class Breaks(_Model):
 
 
 class Profile(_Model):
+    """Start or stop the messages with the costs of steps."""
+
     op: Literal["profile"]
     on: bool
 

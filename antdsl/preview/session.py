@@ -36,9 +36,9 @@ class Outcome:
     """The result of an edit.
 
     `report`: if it has errors, nothing has changed.
-    `line`: what persists, what moved, and what was reset.
+    `line`: a summary of what persists, moves and is reset.
     `text`: the text to write into a file for the same permanent effect.
-    `did`: what was edited.
+    `did`: a description of the edit.
     """
 
     report: Report = field(default_factory=Report)
@@ -48,6 +48,7 @@ class Outcome:
 
     @property
     def ok(self) -> bool:
+        """Return whether the edit succeeded."""
         return self.report.ok
 
 
@@ -90,6 +91,7 @@ class Session:
 
     @property
     def shot(self) -> Shot:
+        """Return the shot that simulates the current frame."""
         return self._stretch.shot
 
     @property
@@ -99,10 +101,12 @@ class Session:
 
     @property
     def frame(self) -> int:
+        """Return the number of the current frame."""
         return self.world.frame
 
     @property
     def first(self) -> int:
+        """Return the first frame that is still stored."""
         return self.timeline.stretches[0].first
 
     @property
@@ -112,12 +116,14 @@ class Session:
 
     @property
     def hash(self) -> str:
+        """Return the state hash of the current frame."""
         return state_hash(self.world)
 
     @property
     def edited(self) -> bool:
-        """Return whether the session differs from a fresh run: whether a change was made during the run and not undone at the
-        same frame."""
+        """Return whether the session differs from a fresh run.
+
+        It does after a change during the run that was not undone at the same frame."""
         return any(not stretch.fresh or stretch.changes for stretch in self.timeline.stretches)
 
     @property
@@ -127,7 +133,7 @@ class Session:
         return replace(self._stretch.choices, params={**self._stretch.choices.params, **changed})
 
     def step(self) -> None:
-        """Go on by one frame: through the recorded history first, then by simulation. A fault only stops `playing`."""
+        """Advance by one frame: through the recorded history first, then by simulation. A fault only stops `playing`."""
         self._step()
         later = self.timeline.next_stretch(self._stretch)
         if later is not None and later.first == self.frame:
@@ -198,7 +204,7 @@ class Session:
     # --- edits ---------------------------------------------------------------------------------------------------------
 
     def reload(self) -> Outcome:
-        """Go on from the current frame with the current files. If they have errors, the last valid program continues."""
+        """Continue from the current frame with the current files. If they have errors, the last valid program continues."""
         outcome = self._recompile(self.choices, self._stretch.off)
         if outcome.ok or not (self.choices.params or self._stretch.off):
             return outcome
@@ -209,8 +215,7 @@ class Session:
         return replace(outcome, line=" · ".join([outcome.line, *dropped])) if outcome.ok else outcome
 
     def precompile(self) -> None:
-        """Compile the current files before they settle, so that a reload finds the result. There is no other effect, whatever the
-        files contain."""
+        """Compile the current files while they may still change, so that a reload finds the result. There is no other effect."""
         instead = self.compiler.instead
         self.compiler.instead, _ = texts_without_layers(self._stretch.off)
         self.compiler.precompile(self.choices)
@@ -245,8 +250,9 @@ class Session:
         return self._recompile(replace(self.choices, params=params if on else {**params, **off}), self._stretch.off, text, did)
 
     def layer(self, species: str, layer: str, on: bool) -> Outcome:
-        """Switch a layer of a species off or on again. The layer is identified by its text. `text` of the result is its lines,
-        commented out."""
+        """Switch a layer of a species off or on again. The layer is identified by its text.
+
+        `text` of the result is the layer's lines, commented out."""
         key, off = (species, layer), dict(self._stretch.off)
         if on:
             if off.pop(key, None) is None:
@@ -261,8 +267,9 @@ class Session:
         return self._recompile(self.choices, off, text, f"layer `{_short_text(layer)}` is off")
 
     def restart(self) -> Outcome:
-        """Simulate the current files from the first frame, with the settings made by hand. This run has the hashes of `antdsl
-        run` once the files contain the lines for these settings."""
+        """Simulate the current files from the first frame, with the settings made by hand.
+
+        Its state hashes equal those of `antdsl run` with these settings in the files."""
         return self._start_over(self.choices, self._stretch.off)
 
     def _start_over(self, choices: RunChoices, off: DisabledLayers) -> Outcome:
@@ -291,7 +298,7 @@ class Session:
         return shot, report, missing_layers
 
     def _recompile(self, choices: RunChoices, off: DisabledLayers, text: str = "", did: str | None = None) -> Outcome:
-        """Go on with the current files and other choices. `did`: what was edited; None if only the files may have changed."""
+        """Continue with the current files and other choices. `did`: describes the edit; None for changed files."""
         shot, report, missing_layers = self._compile(choices, off)
         if shot is None or not report.ok:
             return Outcome(report)

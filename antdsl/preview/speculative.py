@@ -1,4 +1,4 @@
-"""A shot that was compiled ahead of time, and the differences between the files of two shots: which files, and which lines."""
+"""A shot that was compiled ahead of time, and the changed files and lines between two shots."""
 
 from __future__ import annotations
 
@@ -82,8 +82,9 @@ def _is_same_text(source: Source) -> bool:
 
 
 def changed_files_text(old: Shot, new: Shot) -> str:
-    """Return the files in which two shots differ, with lines, such as `forager.ant line 34, scene.yaml lines 9–12`. Return "" if
-    none differs."""
+    """Return the files in which two shots differ, with lines; "" if none differs.
+
+    An example is `forager.ant line 34, scene.yaml lines 9–12`."""
     old_texts, new_texts = _texts(old), _texts(new)
     differences = [
         _changed_lines_text(name, old_texts.get(name), text) for name, text in new_texts.items() if old_texts.get(name) != text

@@ -1,5 +1,6 @@
-"""The simulated history: stretches of time, each simulated by one program, with checkpoints to restore and light frames to
-display. A light frame has only a part of the arrays that pages display."""
+"""The simulated history: stretches of time, each simulated by one program.
+
+Stretches have checkpoints to restore, and light frames to display. A light frame lacks some of the arrays that pages display."""
 
 from __future__ import annotations
 
@@ -33,6 +34,7 @@ class LightFrames(dict[int, Mapping[str, Arrays]]):
         self._used: Counter[int] = Counter()
 
     def put(self, frame: int, lights: Mapping[str, Arrays]) -> None:
+        """Store the arrays of a frame by species, and count their bytes."""
         self.drop(frame)
         self[frame] = lights
         for array in chain.from_iterable(light.values() for light in lights.values()):
@@ -40,6 +42,7 @@ class LightFrames(dict[int, Mapping[str, Arrays]]):
             self._used[id(array)] += 1
 
     def drop(self, frame: int) -> None:
+        """Remove a frame. Arrays that other frames share still count."""
         for array in chain.from_iterable(light.values() for light in self.pop(frame, {}).values()):
             self._used[id(array)] -= 1
             if not self._used[id(array)]:
@@ -64,11 +67,13 @@ class Poses(dict[int, Mapping[str, SpeciesPoses]]):
         self.nbytes = 0
 
     def put(self, frame: int, poses: Mapping[str, SpeciesPoses]) -> None:
+        """Store the poses of a frame by species, and count their bytes."""
         self.drop(frame)
         self[frame] = poses
         self.nbytes += sum(_byte_count(each.arrays) for each in poses.values())
 
     def drop(self, frame: int) -> None:
+        """Remove the poses of a frame."""
         self.nbytes -= sum(_byte_count(each.arrays) for each in self.pop(frame, {}).values())
 
 
@@ -106,7 +111,7 @@ class SimulationStretch:
 
     def replace(self, previous: SimulationStretch, old: World, world: World) -> None:
         """Replace the stretch `previous` at the frame of the world `old` by this stretch. `world` was made from `old`. This
-        stretch still counts as a fresh run if an edit was undone at the frame of the edit and nothing was lost."""
+        stretch still counts as a fresh run if an edit was undone at its own frame and no state was lost."""
         if previous.first == old.frame and previous._unedited is not None:
             self._unedited = previous._unedited
         elif previous.fresh and not previous.changes:
@@ -185,6 +190,7 @@ class Timeline:
         return next(stretch for stretch in reversed(self.stretches) if stretch.first <= frame)
 
     def next_stretch(self, stretch: SimulationStretch) -> SimulationStretch | None:
+        """Return the stretch after another one, or None."""
         number = self.stretches.index(stretch) + 1
         return self.stretches[number] if number < len(self.stretches) else None
 
@@ -216,7 +222,7 @@ class Timeline:
             self.curves.setdefault(frame, {})  # it may be older than all that there are
 
     def restarted(self, line: str) -> Timeline:
-        """Return an empty timeline. The old history becomes a branch of it, if it has more than one frame."""
+        """Return an empty timeline. The old history becomes its branch if it has more than one frame."""
         timeline = Timeline(self.every, self.budget)
         timeline.branches = self.branches
         if len(self.curves) > 1:

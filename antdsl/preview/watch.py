@@ -1,5 +1,5 @@
-"""Detects changed contents of files by polling. So it works on every disk and with every way in which editors save files. A
-change is reported once the file has stopped changing."""
+"""Detects changed contents of files by polling. So it works on every disk, however editors save
+files. A change is reported once the file has stopped changing."""
 
 from __future__ import annotations
 

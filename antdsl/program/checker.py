@@ -67,7 +67,7 @@ def check(
         memo.mark_used(() if sound else (*OF_SOUND, "named"))
         memo.drop_unused()
         if any(each.wanting for each in loader.known.values()):
-            memo.known.clear()  # parts did not report what a missing `use` would bring
+            memo.known.clear()  # cached parts lack the findings that a missing `use` has suppressed
     repeated_spans = {first: tuple(dict.fromkeys(others)) for first, *others in declared.unknown.values() if others}
     program = replace(program, bindings=NameBindings(tuple(declared.bound)))
     return program, drop_consequences(*_map_to_files(loader, add_all_places(report, repeated_spans), recovered))

@@ -14,17 +14,17 @@ from antdsl.program.tables.things import KIND_BY_WORD
 from antdsl.source import Source, Span
 
 _WORD_PATTERN = re.compile(r"[a-z_][a-z_0-9]*")
-# Complaints about a name that is missing: dropped where a line that was not understood could be its declaration.
+# Findings about missing names. They are dropped if an unparsed line could be the declaration.
 _MISSING_NAME_CODES = frozenset(
     ("unknown-name", "unknown-state", "unknown-field", "unknown-species", "unknown-behaviour", "unknown-module")
 )
-# Findings that something is left out: dropped where a misspelling of that very word is reported.
+# Findings about missing parts. They are dropped if a misspelling of the missing word is reported.
 _MISSING_PART_CODES = frozenset(("missing-setting", "missing-start", "state-not-in-layers"))
 _FIRST_WORD_PATTERN = re.compile("`([a-z_]+)[^`]*`")
-# A line that has come no further than the word that declares something.
+# A line that ends after the word that begins a declaration.
 _NAMELESS_DECLARATION = re.compile(rf"\s*(state|field|param|let|latch|fuzzy|{'|'.join(KIND_BY_WORD)})\s*")
-_DECLARATION_WORDS = 3  # words of a line among which the name that it declares stands
-_MAX_LISTED_LOCATIONS = 12  # of the places where one thing is missing
+_DECLARATION_WORDS = 3  # the declared name is among the first words of a line
+_MAX_LISTED_LOCATIONS = 12  # locations listed in one finding
 
 
 @dataclass(slots=True)
@@ -33,7 +33,7 @@ class _UnreadLines:
 
     lines: set[int] = field(default_factory=set)
     first_words: set[str] = field(default_factory=set)
-    missing: set[str] = field(default_factory=set)  # codes of what follows where a line declares something without its name
+    missing: set[str] = field(default_factory=set)  # codes of findings that follow from a declaration without a name
 
 
 def drop_consequences(report: Report, recovered: Iterable[Span]) -> Report:
@@ -83,8 +83,8 @@ def _repeat_labels(others: Sequence[Span]) -> list[Label]:
 
 
 def _is_misspelt_declaration(diagnostic: Diagnostic, twice: set[tuple[Source, str]]) -> bool:
-    """Return whether a missing name probably belongs to a duplicate declaration: two declarations of its kind have the same name,
-    and one was meant to have the missing one."""
+    """Return whether a duplicate declaration probably explains a missing name. If two declarations of one kind have the same
+    name, one of them was probably meant to have the missing name."""
     if diagnostic.span is None or diagnostic.code not in _MISSING_NAME_CODES:
         return False
     return any(
@@ -111,6 +111,7 @@ def _note_unread_lines(doubt: _UnreadLines, span: Span) -> None:
 
 
 def _is_consequence(diagnostic: Diagnostic, doubts: dict[Source, _UnreadLines], meant: set[tuple[Source, str | None]]) -> bool:
+    """Return whether a finding follows from an unparsed line or from a misspelling that is reported."""
     if diagnostic.span is None:
         return False
     if diagnostic.code in _MISSING_PART_CODES and (word := _FIRST_WORD_PATTERN.search(diagnostic.help or "")):

@@ -15,7 +15,7 @@ from antdsl.program.tables.vocabulary import COST_BY_OPERATION
 from antdsl.program.traverse import parts
 from antdsl.program.types.folding import constant_behind
 
-ASSUMED_SET_MEMBERS = 8  # a set is gone over for so many
+ASSUMED_SET_MEMBERS = 8  # elements of a set that the estimate assumes
 _TAKE_COST = UseCost(40, "takes {thing}")
 
 
@@ -36,10 +36,11 @@ class StateCost:
 
     name: str
     uses: tuple[CostEntry, ...]
-    sums: int  # operations on numbers, those inside sets times MEMBERS
+    sums: int  # operations on numbers; those inside sets count ASSUMED_SET_MEMBERS times
 
     @property
     def weight(self) -> float:
+        """Return the total weight of the state: its uses and its operations on numbers."""
         return self.sums + sum(use.weight for use in self.uses)
 
 
@@ -78,7 +79,7 @@ def _count_uses(program: model.Program, root: object) -> tuple[tuple[CostEntry, 
     for part in parts(root):
         sums += _operations(part) * (ASSUMED_SET_MEMBERS if id(part) in inside else 1)
         for use in _cost_entries(part):
-            # an equal sense is computed once; draws are each their own
+            # equal senses are computed once, each draw separately
             previous = weights.get((use.kind, use.words), 0.0)
             weights[use.kind, use.words] = previous + use.weight if use.kind == "draws" else use.weight
     return tuple(CostEntry(kind, words, weight) for (kind, words), weight in weights.items()), sums
@@ -96,7 +97,7 @@ def _member_parts(part: model.ReduceExpr | model.SetExpr) -> Iterator[object]:
     return parts(body) if body is not None else iter(())
 
 
-_PAIR_VALUE_OPERATIONS = 100  # operations that it takes to find a place for a value per pair
+_PAIR_VALUE_OPERATIONS = 100  # operations to find the slot of a pair value
 
 
 def _operations(part: object) -> int:

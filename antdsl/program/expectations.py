@@ -84,7 +84,7 @@ class Expectation:
     condition: Expr
     time: Expr | None
     readings: tuple[ExpectationReading, ...]
-    at_end: bool  # it asks for the motion, which is known when the run is over
+    at_end: bool  # it uses a motion measure, which is known only after the run
     span: Span
     held: Expr | None = None
     since: Expr | None = None

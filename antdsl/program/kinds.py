@@ -27,8 +27,8 @@ class TypeKind(Enum):
     STATE = "state"  # `of` is "species.machine"
     ITEM = "item"  # one item or none; `of` names the items
     AGENT = "agent"  # one agent or none; `of` names the species
-    HIT = "hit"  # what a ray met, or none
-    PLACE = "place"  # only while a behaviour is checked on its own: anything that has a position
+    HIT = "hit"  # the hit of a ray, or none
+    PLACE = "place"  # anything with a position; only while a behaviour is checked alone
     # Only as arguments, never stored:
     SET = "set"  # `of` names the items or species, or "hit"
     FIELD = "field"
@@ -39,10 +39,12 @@ class TypeKind(Enum):
     SPECIES = "species"
     ITEMS = "items"
     RANGE = "range"
-    BAD = "bad"  # complained about already; fits everywhere
+    BAD = "bad"  # error already reported; compatible with every type
 
 
 class ValueType(NamedTuple):
+    """The type of a value. `of`: the species, items or machine that it refers to, if any."""
+
     kind: TypeKind
     dim: Dimension = Dimension()
     of: str | None = None

@@ -14,21 +14,21 @@ if TYPE_CHECKING:
     from antdsl.program.names.scope import Declarations
 
 T = TypeVar("T")
-_PartKey = tuple[tuple[Any, ...], int]  # what a part is and depends on, and a number for all that it can see of the others
+_PartKey = tuple[tuple[Any, ...], int]  # the inputs of a part, and the number of the declarations that it can see
 
 
 def cached_part(declared: Declarations, key: tuple[Any, ...], make: Callable[[], T]) -> T:
-    """Return the result of `make`, or its cached result from an earlier check.
+    """Return the cached result of an earlier check if there is one; otherwise compute it by `make`.
 
-    `key`: all inputs on which the result depends, except `declared.outside`."""
+    `key`: all inputs of `make`, except `declared.outside`."""
     return make() if declared.memo is None else declared.memo.cached_part(declared, (key, declared.outside), make)
 
 
 def update_outside(declared: Declarations, outside: Hashable) -> int:
     """Set `declared.outside` to a number that stands for the value `outside`, and return it. Equal values have equal numbers.
 
-    `outside`: all declarations that a part can see of other parts. It may be large, so it is compared once and not with the key
-    of each part."""
+    `outside`: all declarations that a part can see of other parts. It may be large, so the keys of parts contain
+    its number only."""
     declared.outside = 0 if declared.memo is None else declared.memo.number(outside)
     return declared.outside
 

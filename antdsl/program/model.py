@@ -40,6 +40,8 @@ if TYPE_CHECKING:
 
 @expression_class
 class Steer:
+    """A `steer` line: adds a push to the steering of the agent."""
+
     push: Expr
     span: Span
 
@@ -64,7 +66,7 @@ class Assign:
     per_second: bool
     span: Span
     of: Expr | None = None  # `likes[other]`: the other agent
-    over: SetExpr | None = None  # `likes[n in SET]`: the set, and what stands for each of it in the value
+    over: SetExpr | None = None  # `likes[n in SET]`: the set
     element: Binding | None = None
 
 
@@ -112,7 +114,7 @@ class Play:
     span: Span
     again: Expr | None = None
     add: bool = False
-    blend_clips: tuple[str, str, str, str] = ("", "", "", "")  # clips for who turns left or right, climbs, goes down
+    blend_clips: tuple[str, str, str, str] = ("", "", "", "")  # turning left, turning right, going up, going down
 
 
 @expression_class
@@ -162,7 +164,7 @@ class Take:
     span: Span
 
 
-FROM_ANY_KEY = "from any"  # in the keys of those changes: no state can have this name
+FROM_ANY_KEY = "from any"  # in the keys of these transitions; not a valid state name
 
 
 @expression_class
@@ -183,11 +185,13 @@ class Transition:
     choices: tuple[tuple[int, Expr], ...]
     actions: tuple[Statement, ...]
     span: Span
-    over: Expr | None = None  # the time in which the clip of the state before gives way
+    over: Expr | None = None  # duration of the cross-fade from the clip of the previous state
 
 
 @expression_class
 class State:
+    """A state of a machine: its transitions, its actions on entry and exit, and the statements of each step."""
+
     name: str
     index: int
     label: str
@@ -202,7 +206,9 @@ class State:
 
 @expression_class
 class Machine:
-    name: str  # `main` where the states stand straight in the species
+    """A state machine. `start`: the index of its start state."""
+
+    name: str  # `main` for states directly in the species
     start: int
     states: tuple[State, ...]
     span: Span
@@ -222,7 +228,7 @@ class AttributeDecl:
     span: Span
     relax_to: Expr | None = None
     relax_over: Expr | None = None
-    each: str | None = None  # species, for a value per pair
+    each: str | None = None  # species of the other agents of a pair value
     strongest: int = 0
 
 
@@ -267,6 +273,8 @@ class Layer:
 
 @expression_class
 class LayerStack:
+    """The layers of a species in the order of the source, and how they are combined."""
+
     mode: str  # budget, sum, first
     layers: tuple[Layer, ...]
     span: Span
@@ -286,6 +294,8 @@ class RestingPush:
 
 @expression_class
 class Species:
+    """A checked species with all of its members."""
+
     name: str
     help: str
     attributes: tuple[AttributeDecl, ...]
@@ -307,6 +317,8 @@ class Species:
 
 @expression_class
 class ItemAttribute:
+    """An attribute of items, with its default value."""
+
     name: str
     type: ValueType
     default: Constant

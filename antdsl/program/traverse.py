@@ -10,7 +10,7 @@ from antdsl.program.kinds import ChangeRate, Dimension, ValueType
 from antdsl.source import Source, Span
 from antdsl.syntax import nodes
 
-_CHILD_FIELDS: dict[type, tuple[str, ...]] = {}  # by type, the fields with something inside, the last one first
+_CHILD_FIELDS: dict[type, tuple[str, ...]] = {}  # by type, the fields to descend into, last first
 
 
 def parts(root: object) -> Iterator[object]:

@@ -16,6 +16,8 @@ def expression_class(cls: type) -> type:
 
 @expression_class
 class Expr:
+    """An expression of the checked program. `rate`: how often its value changes."""
+
     type: ValueType
     rate: ChangeRate
     span: Span

@@ -86,5 +86,6 @@ def _is_package_folder(path: str) -> bool:
 
 
 def _site_packages() -> list[str]:
+    """Return the folders of installed packages, those of the user last."""
     user = site.getusersitepackages() if hasattr(site, "getusersitepackages") else ""
     return [*site.getsitepackages(), *([user] if user else [])]

@@ -54,6 +54,7 @@ def remove_stale() -> None:
 
 
 def _remove_if_stale(folder: Path) -> None:
+    """Remove a private folder of this user if no process holds its lock."""
     if hasattr(os, "getuid") and folder.lstat().st_uid != os.getuid():
         return
     lock = _try_lock(folder / _LOCK_FILE_NAME, 0)

@@ -5,8 +5,8 @@ It imports only the standard library, so that all other code is loaded after the
 - rlimits: CPU time, address space, open files, no core dump, no byte written to a file.
 - Landlock (ABI 1 and later): files can be opened only below the given folders, and only for reading. From ABI 4 on no
   TCP, from ABI 6 on no signals and no abstract sockets beyond the sandbox.
-- seccomp (x86-64 and ARM64): no new process or program, no socket, no file opened for writing, no change of names,
-  owners or modes, no tracing, no signals to other processes, no `io_uring`, which would bypass the filter."""
+- seccomp (x86-64 and ARM64): no new process or program, no socket, no file opened for writing, no tracing. No change of
+  names, owners or modes, and no signals to other processes. No `io_uring`, because it would bypass the filter."""
 
 from __future__ import annotations
 
@@ -110,6 +110,7 @@ def restrict_files(folders: Sequence[str]) -> int:
 
 
 def _allow_path(libc: ctypes.CDLL, ruleset: int, path: str) -> None:
+    """Allow reading at and below a path in a Landlock rule set. A missing path is ignored."""
     try:
         handle = os.open(path, os.O_PATH | os.O_CLOEXEC)
     except OSError:
@@ -235,6 +236,7 @@ def _argument_offset(number: int) -> int:
 
 
 def _load_libc() -> ctypes.CDLL | None:
+    """Return the C library of this process, or None if the system has none."""
     try:
         return ctypes.CDLL(None, use_errno=True)
     except (OSError, TypeError):

@@ -135,6 +135,7 @@ def _matching_registers(
 
 
 def _register_meaning(register: ir.Register) -> tuple[object, ...]:
+    """Return the properties of a register that must be equal for its values to be retained."""
     return register.kind, register.role, register.of, register.holds
 
 
@@ -229,6 +230,7 @@ def _migrate_pairs(
 
 
 def _state_numbers(old_machine: ir.MachinePlan, new_machine: ir.MachinePlan) -> NDArray[np.int64]:
+    """Return the new number of each state of the old machine, int64 [states]; -1 for a removed state."""
     numbers = {state: k for k, state in enumerate(new_machine.states)}
     return np.array([numbers.get(state, -1) for state in old_machine.states], np.int64)
 
@@ -261,6 +263,7 @@ def params_at_birth(world: World) -> dict[str, float]:
 
 
 def _block(block: ir.Block, where: tuple[int, ...], hashes: dict[str, int], params: Mapping[str, float]) -> None:
+    """Add a hash of each register that a block sets. `where`: hashes of the conditions around the block."""
     for statement in block.statements:
         if isinstance(statement, ir.If):
             _block(statement.then, (*where, _value(statement.condition, hashes, params)), hashes, params)
@@ -271,6 +274,7 @@ def _block(block: ir.Block, where: tuple[int, ...], hashes: dict[str, int], para
 
 
 def _value(node: ir.PlanNode, hashes: Mapping[str, int], params: Mapping[str, float]) -> int:
+    """Return a hash of a value's operations and inputs."""
     node_hashes: dict[ir.PlanNode, int] = {}
     for each in required_nodes([node]):
         attrs: tuple[object, ...] = each.attrs

@@ -50,6 +50,7 @@ def align_with_ground(world: World, population: Population, moved: NDArray[np.bo
 
 
 def _migrate_footing(old: World, world: World, old_population: Population) -> Footing:
+    """Return the footings on the new ground: on the same face if the mesh has the same faces, otherwise nearest."""
     ground, place = world.ground, old_population.position
     if isinstance(ground, PlaneGround):
         return old_population.footing if isinstance(old.ground, PlaneGround) else ground.place(place, world.up)[0]

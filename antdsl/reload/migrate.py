@@ -42,6 +42,7 @@ class Migration:
 
     @property
     def agents(self) -> int:
+        """Return the number of agents that were retained."""
         return sum(migrated.agents for migrated in self.species)
 
 
@@ -233,6 +234,7 @@ def migration_line(migration: Migration) -> str:
 
 
 def _species(migrated: MigratedSpecies, of: str) -> list[str]:
+    """Return the changes of one species as phrases. `of`: text in front of names, empty for a single species."""
     parts = [
         f"{count:,} of removed state `{of}{_state_text(removed_state)}` "
         f"{'starts' if count == 1 else 'start'} again in `{of}{_state_text(start)}`"
@@ -275,6 +277,7 @@ def _agent_word(count: int) -> str:
 
 
 def _names_phrase(names: list[str], one: str, several: str) -> list[str]:
+    """Return a phrase about names, in the singular or plural; [] without names."""
     if not names:
         return []
     name_list = ", ".join(f"`{name}`" for name in names[:4]) + (f" and {len(names) - 4} more" if len(names) > 4 else "")

@@ -21,14 +21,14 @@ from antdsl.runtime.motion_measures import MotionMeasures
 from antdsl.runtime.moving.moving_geometry import pose_world
 from antdsl.runtime.world import Population, World, fixed_columns
 
-STATE_HASH = 2  # which way states are hashed; numbers of another way say nothing about a state
+STATE_HASH = 2  # version of the hash method; hashes of other versions are not comparable
 _HASHED = tuple(name for name, column in FIXED.items() if column.hashed)
 _STORED = ("ids", *(name for name, column in FIXED.items() if name != "ids" and column.checkpointed))
 Arrays = dict[str, NDArray[Any]]
 
 
 class CheckpointError(ValueError):
-    """The arrays do not match the plan; the message names the first array that does not match."""
+    """Error for arrays that do not match the plan. The message names the first such array."""
 
 
 def checkpoint(world: World) -> Arrays:
@@ -62,7 +62,7 @@ def restore(world: World, arrays: Mapping[str, NDArray[Any]]) -> None:
     try:
         _restore(world, arrays)
         for population in world.populations.values():
-            world.ground.position(population.footing)  # no face that is not there: compiled code would not look
+            world.ground.position(population.footing)  # rejects invalid faces, which compiled code would not check
     except CheckpointError:
         raise
     except (ValueError, TypeError, IndexError, KeyError, OverflowError) as why:  # arrays from an outside source
@@ -70,6 +70,7 @@ def restore(world: World, arrays: Mapping[str, NDArray[Any]]) -> None:
 
 
 def _restore(world: World, arrays: Mapping[str, NDArray[Any]]) -> None:
+    """Restore a state; arrays that do not match raise various errors."""
     world.frame = int(_take(arrays, "frame"))
     world.faults.count = int(_take(arrays, "faults"))
     for name in world.params:
@@ -124,6 +125,7 @@ def _restore_feet(world: World, arrays: Mapping[str, NDArray[Any]]) -> None:
 
 
 def _arrays(population: Population) -> Arrays:
+    """Return the arrays of a species that form its state, by name."""
     arrays: Arrays = {name: population.columns[name] for name in _STORED}
     arrays |= {f"footing.{name}": array for name, array in population.footing.columns.items()}
     arrays |= {f"event.{name}": flags for name, flags in population.events.items()}
@@ -132,6 +134,7 @@ def _arrays(population: Population) -> Arrays:
 
 
 def _restore_population(population: Population, arrays: Mapping[str, NDArray[Any]], prefix: str) -> None:
+    """Restore the agents of a species from arrays of which the names begin with `prefix`."""
     count = len(_take(arrays, f"{prefix}ids"))
     now = _arrays(population)
     taken = {}
@@ -155,6 +158,7 @@ def _restore_population(population: Population, arrays: Mapping[str, NDArray[Any
 
 
 def _take(arrays: Mapping[str, NDArray[Any]], name: str, shape: tuple[int, ...] | None = None) -> NDArray[Any]:
+    """Return a named array. Raises CheckpointError if it is missing or has another shape."""
     if name not in arrays:
         raise CheckpointError(f"`{name}` is missing")
     array = arrays[name]
@@ -164,7 +168,7 @@ def _take(arrays: Mapping[str, NDArray[Any]], name: str, shape: tuple[int, ...] 
 
 
 def state_hash(world: World) -> str:
-    """Return the first 128 bits of a SHA-256 hash of the state, in hexadecimal.
+    """Return a hash of the state: the first 128 bits of a SHA-256 hash, in hexadecimal.
 
     It includes the `row_hash` of each species, and items, fields, solids and flows."""
     digest, threads = sha256(), world.options.threads

@@ -98,7 +98,7 @@ def _settle_amount(
         for numbers in ([names.index(p.name) for p, _ in entries], [e.order for _, e in entries], np.arange(len(entries)))
     )
     turn = _claim_turns(species, ids, place)
-    for number in range(int(turn.max()) + 1):  # who asks twice in one step has changed its own register in between
+    for number in range(int(turn.max()) + 1):  # an agent's second claim sees its register after the first
         now = np.flatnonzero(valid & (turn == number))
         _serve(rest, now, (place, species, ids, draw, item), row, amount, unit, entries, source)
 
@@ -210,6 +210,7 @@ class _ServedClaims:
 
 
 def _draws(world: World, population: Population, entry: ClaimEntry) -> NDArray[np.uint64]:
+    """Return a random word for each claim, which decides the order of serving."""
     ids = population.ids[entry.rows]
     return randomness.word(world.setting.seed, world.frame, population.name, entry.statement.site, 0, ids)
 
@@ -257,7 +258,7 @@ def _serve_mixed(
 ) -> None:
     """Serve the claims on one item, from index `begin` on, in order, until the remainder does not suffice.
 
-    Some of these claims are for all that is left."""
+    Some of these claims are for the complete remainder."""
     first, change = 0, asks.change[begin : begin + len(item)]
     for stop in (*np.flatnonzero(asks.everything[begin : begin + len(item)]).tolist(), len(item)):
         _serve_in_turn(rest, item[first:stop], change[first:stop], got[first:stop])
@@ -333,6 +334,7 @@ def _settle_in_turn(
 
 @inlined
 def _serve_each(rest: Array1[F64], item: Array1[I64], change: Array1[F64], got: Array1[F64], count: I64) -> None:
+    """Serve sorted claims item by item; the claims of an item in order, until its remainder does not suffice."""
     k = 0
     while k < count:
         which, begin, taken, enough = item[k], k, 0.0, True

@@ -16,7 +16,7 @@ _UNKNOWN_CLIP = ClipData()
 def clip_table(world: World, population: Population, what: str) -> NDArray[np.float32]:
     """Return a property of each clip of the species' plan; the last entry is for an unknown clip.
 
-    `what`: `seconds`, `stride`, `loop` or `mark NAME`."""
+    `what`: the property `seconds`, `stride`, `loop` or `mark NAME`."""
     known = world.setting.clips.get(population.name, {})
     every = [known.get(each.name, _UNKNOWN_CLIP) for each in population.plan.clips]
     return np.array([_clip_number(each, what) for each in (*every, _UNKNOWN_CLIP)], np.float32)

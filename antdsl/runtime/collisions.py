@@ -19,8 +19,8 @@ from antdsl.senses.touching import Touching
 Ids = NDArray[np.int64]
 Rows = NDArray[np.intp]
 
-_CONTACT_BEGIN_GAP = 0.02  # of the sum of two radii: a gap below which a contact begins
-_CONTACT_END_GAP = 0.25  # of the same: a gap above which it is over
+_CONTACT_BEGIN_GAP = 0.02  # share of the sum of two radii: a contact begins below this gap
+_CONTACT_END_GAP = 0.25  # share of the sum of two radii: a contact ends above this gap
 
 
 def new_contacts(world: World, population: Population, of: str, rows: Rows, touched: Ids) -> tuple[Ids, Ids]:
@@ -57,6 +57,7 @@ def _touching(world: World) -> Mapping[tuple[str, str], Touching]:
 
 
 def _find_touching(crowd: CapsuleCrowd) -> dict[tuple[str, str], Touching]:
+    """Return the contacts of all agents, by both species. `touching` pairs are near enough to continue a contact."""
     contacts: dict[tuple[str, str], Touching] = {}
     if len(crowd) < 2:
         return contacts

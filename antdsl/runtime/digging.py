@@ -1,6 +1,6 @@
 """Digging: the balls that all agents dig in a step are removed from the solids together, before any agent moves.
 
-The resulting walls become cells of every field that lies on the solid."""
+The new walls become cells of every field on the solid."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from antdsl.runtime.world import Population, World
 
 Floats = NDArray[np.float64]
 
-_SURFACE_DISTANCE_VOXELS = 0.5  # voxels: a point of a ball that lies no farther from the surface is on a wall that it left
+_SURFACE_DISTANCE_VOXELS = 0.5  # ball points at most this far from the surface are on a new wall
 _MAX_POINTS_PER_EDGE = 16  # points along an edge of the cube that is projected onto a ball
 
 

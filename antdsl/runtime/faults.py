@@ -40,8 +40,7 @@ class Fault:
 
     @property
     def brief(self) -> str:
-        """Return the text of the fault with the file's name instead of its path, for readers that do not need its location on
-        this machine."""
+        """Return the text of the fault with the file's name instead of its path, which is private to this machine."""
         if self.span is None:
             return self._describe("")
         line, column = self.span.source.line_column(self.span.start)
@@ -64,7 +63,7 @@ class FaultLog:
 
 
 class FaultStop(RuntimeError):
-    """A step had a fault, and the run is to stop on faults. Raised after the step; `fault` is the first reported one."""
+    """Error for a step with a fault, if the run stops on faults. It is raised after the step; `fault` is its first fault."""
 
     def __init__(self, fault: Fault) -> None:
         super().__init__(str(fault))
@@ -72,7 +71,7 @@ class FaultStop(RuntimeError):
 
 
 class LimitStop(FaultStop):
-    """A step would exceed the limits. Raised in the middle of the step; the world cannot be used afterwards."""
+    """Error for a step that would exceed the limits. It is raised within the step; the world is unusable afterwards."""
 
 
 def gather(world: World) -> None:

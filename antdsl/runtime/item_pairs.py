@@ -21,13 +21,13 @@ ItemPairColumns = tuple[NDArray[Any], ...]  # row, item, x, y, z, distance
 PairColumns = tuple[Array1[I64], Array1[I64], Array1[F32], Array1[F32], Array1[F32], Array1[F32]]
 
 _PAIRS_PER_CHUNK = 1 << 16  # pairs of an agent and an item at once
-_MIN_ITEMS_TO_FILTER = 128  # above it those that are too far off along an axis are not measured
-# Of a radius, and mm: more than float32 rounds, and than squares of it lose
+_MIN_ITEMS_TO_FILTER = 128  # with more items, those too far away along an axis are not measured
+# Factor on a radius, and mm: they exceed the rounding of float32 and of its squares
 _RADIUS_SLACK_FACTOR, _MIN_DISTANCE_MM = 1 + 1e-5, 1e-15
 
 
 def items_within(items: Items, own: tuple[Floats, ...], radius: Any) -> ItemPairColumns:
-    """Return the items within a radius (mm, one number or float[n]) of positions (three float32[n])."""
+    """Return pairs of positions (three float32[n]) and items within a radius (mm, one number or float[n])."""
     reach = np.full(len(own[0]), radius, np.float32) if np.ndim(radius) == 0 else np.asarray(radius, np.float32)
     if len(items) > _MIN_ITEMS_TO_FILTER:
         return measure_near(items, own, reach)
@@ -35,6 +35,7 @@ def items_within(items: Items, own: tuple[Floats, ...], radius: Any) -> ItemPair
 
 
 def _visible_positions(items: Items) -> VectorArrays:
+    """Return positions of items, float32, as agents sense them."""
     x, y, z = (np.asarray(items.visible_values[axis], np.float32) for axis in AXES)
     return x, y, z
 

@@ -55,7 +55,7 @@ class DetailLevels:
         self.counts[1:] += self.now(world)
 
     def now(self, world: World) -> NDArray[np.int64]:
-        """Return how many agents are at each level."""
+        """Return the current number of agents at each of the levels, int64[3]."""
         each = [np.bincount(self._cached_levels(world, p)[1], minlength=len(DETAIL_LEVELS)) for p in world.populations.values()]
         return np.sum(each, axis=0, dtype=np.int64) if each else np.zeros(len(DETAIL_LEVELS), np.int64)
 
@@ -150,7 +150,7 @@ def _boxes_scene(low: NDArray[np.float32], high: NDArray[np.float32]) -> RayScen
 
 
 def is_in_boxes(place: NDArray[np.float32], low: NDArray[np.float32], high: NDArray[np.float32]) -> NDArray[np.bool_]:
-    """Return which points [n,3] lie in any of the boxes. A coarse grid excludes most points quickly."""
+    """Return which points [n,3] are in any box, bool[n]. A coarse grid excludes most points quickly."""
     is_inside = np.zeros(len(place), np.bool_)
     if not len(place) or not len(low):
         return is_inside

@@ -30,32 +30,32 @@ if TYPE_CHECKING:
 Counts = NDArray[np.int64]
 Floats = NDArray[np.float64]
 _HISTOGRAM_BINS = 1800  # of turns, 0.1 degree each; of overlaps, 1/1800 each
-_WINDOW_SECONDS = 2.0  # s over which a way is called straight or circling
-_MAX_CIRCLING_SHARE = 0.15  # net way of a whole window at most this share of the way walked
-_MIN_PATH_BODY_LENGTHS = 3.0  # body lengths walked in a window, to have a way at all
-_MIN_PUSH = 0.2  # a push that is meant
-_STANDING_SPEED_SHARE = 0.03  # of max_speed: standing
-_TOUCH_OVERLAP_SHARE = 0.01  # of the room that two take: closer than this they stand in each other
-_VISIBLE_OVERLAP_SHARE = 0.05  # of its width: farther in another than this an agent is seen to be
-_MAX_AGENTS_MEASURED_EACH_STEP = 2_000  # of k times as many, trunks are measured about every k steps
+_WINDOW_SECONDS = 2.0  # s: duration of a path that is classified as straight or circling
+_MAX_CIRCLING_SHARE = 0.15  # a path circles if its net displacement is at most this share of its length
+_MIN_PATH_BODY_LENGTHS = 3.0  # shorter paths are not classified
+_MIN_PUSH = 0.2  # a smaller push is no wish to move
+_STANDING_SPEED_SHARE = 0.03  # share of max_speed below which an agent stands
+_TOUCH_OVERLAP_SHARE = 0.01  # share of the sum of two radii: a smaller overlap is only a touch
+_VISIBLE_OVERLAP_SHARE = 0.05  # share of the trunk's width: deeper overlaps are visible
+_MAX_AGENTS_MEASURED_EACH_STEP = 2_000  # with k times as many, trunks are measured about every k steps
 _POSE_REGISTERS = tuple(f"{name}.{axis}" for name in ("position", "heading", "up") for axis in AXES)
 _MOTION_REGISTERS = tuple(f"{name}.{axis}" for name in ("velocity", "push") for axis in AXES)
 _MEASURED_REGISTERS = (*_POSE_REGISTERS, *_MOTION_REGISTERS, "max_speed", "size")
 _CURRENT_REGISTERS, _STEP_START_REGISTERS = itemgetter(*_MEASURED_REGISTERS), itemgetter(*_POSE_REGISTERS)
 _MOTION_THRESHOLDS = (np.float32(_MIN_PUSH), np.float32(_STANDING_SPEED_SHARE), np.float32(_MIN_PATH_BODY_LENGTHS))
-_AGENTS_PER_PART = 512  # agents per part: their numbers are computed before they are counted
-_BIN_LOOKUP_CELLS = 4096  # of half chords, each of which knows where the bins begin that it reaches
+_AGENTS_PER_PART = 512  # agents per part; values of a part are computed before they are counted
+_BIN_LOOKUP_CELLS = 4096  # cells of half chords; each has the first bin that it overlaps
 
 
 @dataclass(slots=True, eq=False)
 class PathWindow:
-    """Paths of the agents of one species since the window began, by id."""
+    """Paths of agents since a time: ids, `start` (n, 3) mm, length `path` (mm), `age` (steps), straightness (0 to 1)."""
 
     ids: Counts
     start: Floats
     path: Floats
     age: Counts
-    straight: Floats = field(init=False)  # room for what a step finds
+    straight: Floats = field(init=False)  # buffer for the result of a step
 
     def __post_init__(self) -> None:
         self.straight = np.empty(len(self.ids))
@@ -63,7 +63,7 @@ class PathWindow:
 
 @dataclass(slots=True, eq=False)
 class MotionMeasures:
-    """The counts of a run so far."""
+    """Measures of a run so far: histograms of turns, tilts and overlaps; counts of agents and paths; and maxima."""
 
     turns: Counts = field(default_factory=lambda: np.zeros(_HISTOGRAM_BINS + 1, np.int64))
     tilts: Counts = field(default_factory=lambda: np.zeros(_HISTOGRAM_BINS + 1, np.int64))
@@ -86,7 +86,7 @@ class MotionMeasures:
     windows: dict[str, PathWindow] = field(default_factory=dict)
 
     def reset(self) -> None:
-        """Restart the measures, for example after a preroll. The counts of overlaps at the start (`begin`) stay."""
+        """Restart the measures, for example after a preroll. The counts of `begin`, overlaps at the start, are retained."""
         fresh = MotionMeasures(placed=self.placed, overlapping=self.overlapping)
         for each in fields(self):
             setattr(self, each.name, getattr(fresh, each.name))
@@ -208,7 +208,7 @@ class MotionMeasures:
             looks.append(partial(find_heads_inside, world, population))
 
         def run_looks(begin: int, end: int) -> list[NDArray[Any]]:
-            with np.errstate(all="ignore"):  # which each thread has for itself
+            with np.errstate(all="ignore"):  # the error state is per thread
                 return [look() for look in looks[begin:end]]
 
         results = chain.from_iterable(parallel.in_parts(run_looks, len(looks), world.options.threads, 1))
@@ -286,14 +286,14 @@ def _half_chord(a: VectorColumns, b: VectorColumns, i: I64) -> F32:
 def _count_bin(half: F32, least: Array1[F32], first: Array1[I64], bins: Array2[I64], part: I64) -> None:
     """Count in the last bin with a least half chord of at most `half`. `first`: the bin at which the search starts, by cell."""
     k = first[np.int64(half * np.float32(4096.0))]
-    k += 1 if half >= least[k + 1] else 0  # seldom more, so that what follows is foretold
+    k += 1 if half >= least[k + 1] else 0  # rarely more, so the branch is well predicted
     while half >= least[k + 1]:
         k += 1
     bins[part, k] += 1
 
 
 class AgentColumns(NamedTuple):
-    """Poses of agents now and before the step, `fastest`: greatest speed (mm/s), and `size` (mm) of each."""
+    """Poses of agents now and before the step, their velocity and push, `fastest`: speed limit (mm/s), and `size` (mm)."""
 
     position: VectorColumns
     heading: VectorColumns

@@ -20,9 +20,9 @@ PairColumns = tuple[NDArray[np.intp], NDArray[np.intp], Floats, Floats, Floats, 
 _DISTANCE_SLACK_FACTOR = 1 + 1e-6  # by more than float32 rounds a distance
 _MIN_DISTANCE_MM = 1e-15  # mm, below which squares of float32 lose digits
 _MAX_DISTANCE_MM = 1e15  # mm, above which they overflow
-_FIRST_QUERY_NEIGHBOURS = 3  # how many of the nearest are looked at first
-_QUERY_GROWTH_FACTOR = 4  # times as many, where all of them are as near
-_MAX_EQUAL_DISTANCES = 64  # above which all are measured: so many are as far as float32 can tell
+_FIRST_QUERY_NEIGHBOURS = 3  # neighbours in the first query
+_QUERY_GROWTH_FACTOR = 4  # growth of the query if all results are equally near
+_MAX_EQUAL_DISTANCES = 64  # with more equal float32 distances, all pairs are measured
 _PAIRS_PER_CHUNK = 1 << 20  # pairs
 
 
@@ -120,6 +120,7 @@ def _cached_sites(world: World, other: Population) -> _AgentSites | None:
 
 
 def _build_sites(other: Population) -> _AgentSites | None:
+    """Return the distinct positions of a species; None as for `_cached_sites`."""
     from scipy.spatial import cKDTree
 
     x, y, z = (other.start[f"position.{axis}"] for axis in AXES)

@@ -23,7 +23,7 @@ from antdsl.senses.clear_velocity import Wishes, fill_clear_velocities, widest_g
 from antdsl.senses.nearest_others import Crowd, Requesters, fill_offsets, store_sensed
 from antdsl.senses.neighbours import CellGrid
 
-_COARSER = 4  # quarters of an octave
+_COARSER = 4  # quarters of an octave by which reused cells may be wider
 _EVERY_SPECIES = ""  # the name of the grid of all agents
 Floats = NDArray[np.float64]
 Rows = NDArray[np.intp]
@@ -59,7 +59,7 @@ def widest_gap(world: World, population: Population, rows: Rows, within: Floats,
 
 
 def request_nearest(world: World, population: Population, rows: Rows, within: Floats, most: Floats) -> tuple[Crowd, Requesters]:
-    """Return the arguments of a search for the nearest others of the given agents."""
+    """Return all agents as a crowd, and the given agents as requesters, for a search of neighbours."""
     widest = float(np.max(within, initial=0.0, where=np.isfinite(within)))
     grid = _find_grid(world, _EVERY_SPECIES, widest if widest > 0 else 1.0, partial(_CrowdGrid, world))
     assert isinstance(grid, _CrowdGrid)
@@ -114,7 +114,7 @@ def grid_for(world: World, other: Population, widest: float) -> CellGrid:
 
 
 def _find_grid(world: World, name: str, widest: float, sort: Callable[[float], CellGrid]) -> CellGrid:
-    """Return a grid of this step that suits the radius `widest` (mm). If there is none, sort a new one.
+    """Return a grid of this step that suits the radius `widest` (mm). If there is none, make one.
 
     A search with wider existing cells costs less than sorting again."""
     size = float(np.ceil(4 * np.log2(widest)))

@@ -28,8 +28,8 @@ Floats = NDArray[np.float32]
 Index = NDArray[np.integer[Any]]
 NO_AGENT = np.int64(-1)
 NO_ITEM = np.int32(-1)
-_DISTANCE_SLACK_FACTOR = 1 + 1e-6  # by more than float32 rounds a distance
-MAX_PAIRS_PER_CHUNK = 1 << 22  # of one chunk, where all agents are compared with all
+_DISTANCE_SLACK_FACTOR = 1 + 1e-6  # exceeds the float32 rounding of a distance
+MAX_PAIRS_PER_CHUNK = 1 << 22  # limit for a chunk that compares all agents with all
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -41,7 +41,7 @@ class PairRows:
     `dx`, `dy`, `dz`: other minus own position, float32 mm. `distance`: the length of that vector."""
 
     of: Population | Items
-    count: int  # asking rows
+    count: int  # requesting rows
     i: Index
     j: Index
     dx: Floats
@@ -111,7 +111,7 @@ def is_nearest_only(species: ir.SpeciesPlan, node: ir.PlanNode) -> bool:
 
 @lru_cache(256)
 def count_nearest(species: ir.SpeciesPlan, node: ir.PlanNode) -> int | None:
-    """Return how many nearest agents of a set determine all its results; None if the results need more than the nearest
+    """Return the number of nearest agents that determine all results of a set; None if results need more than the nearest
     agents."""
     every = required_nodes(n for _, block in blocks(species) for _, statement in statements(block) for n in operands(statement))
     reductions = [each for each in every if each.op.startswith("reduce.") and each.args[0] is node]
@@ -170,6 +170,7 @@ def _pairs_within(
     view: View | None,
     threads: int,
 ) -> PairRows:
+    """Return the pairs within a radius (mm) and in view, found with a cell grid."""
     widest = float(np.max(radius, initial=0.0)) if np.size(radius) else 0.0
     widest = widest if np.isfinite(widest) and widest > 0 else 1.0
     grid = grid_for(world, other, widest)
@@ -180,6 +181,7 @@ def _pairs_within(
 
 
 def _all_pairs(other: Population, own: tuple[Floats, ...], ids: NDArray[np.int64] | None) -> PairRows:
+    """Return the pairs of each requesting row with all agents of a species except itself."""
     n, m = len(own[0]), len(other)
     i, j = np.repeat(np.arange(n), m), np.tile(np.arange(m), n)
     if ids is not None:
@@ -201,6 +203,7 @@ def _select_rows(pairs: PairRows, condition: Any) -> tuple[Index, NDArray[np.int
 
 
 def _body_values(pairs: PairRows, body: Any, keep: NDArray[np.intp] | None) -> Floats:
+    """Return the values of a reduction's body for the selected pairs."""
     values: Floats = np.full(len(pairs.i), body) if np.ndim(body) == 0 else body
     return values if keep is None else values.take(keep)
 

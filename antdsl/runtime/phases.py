@@ -76,6 +76,7 @@ def blend(world: World) -> None:
 
 
 def _run_block(world: World, block: str) -> None:
+    """Run a block of every species."""
     for population in world.populations.values():
         rows = walks.deciding_rows(world, population)
         if len(population) if rows is None else len(rows):
@@ -85,7 +86,7 @@ def _run_block(world: World, block: str) -> None:
 def effects(world: World) -> None:
     """Apply gifts, events for the next step and deposits, before fields spread or agents move.
 
-    Their order does not matter, because none reads what another writes."""
+    Their order does not matter, because no effect reads values that another effect writes."""
     _settle_requests("effects", world)
     claims.settle_gifts(world)
 
@@ -156,6 +157,7 @@ def _order_by_position(population: Population, threads: int) -> NDArray[np.intp]
 
 
 def _count_transitions(world: World, population: Population) -> None:
+    """Add the transitions of this step to the counts of the world."""
     for machine in population.plan.machines:
         name = f"{machine.name}.state"
         if population.plan.registers[name].kind is not ValueKind.I32 or not len(population):
@@ -170,7 +172,7 @@ def _count_transitions(world: World, population: Population) -> None:
                 world.transitions[key] = world.transitions.get(key, 0) + int(numbers[pair])
 
 
-# What settles an effect, by its row's op; the phase that the row names calls it.
+# The function that settles an effect, by op; the effect's phase calls it.
 SETTLER_BY_EFFECT: dict[str, Callable[[World], None]] = {
     "deposit": lifecycle.deposit,
     "carve": digging.dig,
@@ -180,20 +182,20 @@ SETTLER_BY_EFFECT: dict[str, Callable[[World], None]] = {
 }
 
 PHASES: tuple[tuple[str, Callable[[World], None]], ...] = (
-    ("sense", sense),  # first: nothing sensed in the last step holds any more
+    ("sense", sense),  # first: senses of the last step are invalid
     ("decide", decide),
     ("claim", claim),  # before acting: only winners change state
     ("act", act),
     ("blend", blend),  # after acting: the new state steers at once
-    ("effects", effects),  # after every read of this step
-    ("fields", fields),  # what is there spreads and fades, then deposits land: what is laid at t is whole at t+1
-    ("solids", partial(_settle_requests, "solids")),  # before moving: who digs goes on into what it dug
+    ("effects", effects),  # after all reads of this step
+    ("fields", fields),  # spread and evaporate, then add deposits: a deposit at t is complete at t+1
+    ("solids", partial(_settle_requests, "solids")),  # before moving: a digging agent moves into the hole that it dug
     ("move", move),
-    ("motion", measure),  # before the ground goes on: what it carries along is no step of theirs
-    ("strides", walking.measure),  # with it: feet step over the ground, and stand on it as it goes on
-    ("carry", moving_geometry.move_world),  # after walking: who has walked stands on ground that goes on from here
-    ("births", apply_births),  # after moving: a child starts where its parent is now
-    ("feet", walking.walk),  # once all are there who are seen in the frame, and all that feet stand on is where it is
+    ("motion", measure),  # before the ground moves: being carried is not a step
+    ("strides", walking.measure),  # before the ground moves: feet step over it, then move with it
+    ("carry", moving_geometry.move_world),  # after walking: agents move with the ground that they reached
+    ("births", apply_births),  # after moving: a child starts at its parent's new position
+    ("feet", walking.walk),  # last: all agents of the frame exist, and the ground is in its new position
     ("commit", commit),
 )
 
@@ -221,8 +223,8 @@ def _step(world: World) -> None:
         phase(world)
         ended = perf_counter()
         passed = ended - started
-        # The processors' clock takes longer to read than many a phase of a small crowd: those have what passed, and the next that
-        # takes longer the rest.
+        # Reading the CPU clock takes longer than many phases of a small crowd. Such phases get their wall time, and the next
+        # longer phase gets the remainder.
         processor_time = worked + passed if passed < _SHORT_PHASE_SECONDS and name != _LAST_PHASE else process_time()
         timings[name] = timings.get(name, 0.0) + passed
         spent[name] = spent.get(name, 0.0) + processor_time - worked

@@ -62,7 +62,7 @@ class StepProfile:
 
 @dataclass(slots=True)
 class _Measurement:
-    """Seconds of `steps` steps, by phase and for each call of each block."""
+    """Times (s) of `steps` steps that ended at `at`: wall and CPU time by phase, and the time of each call of each block."""
 
     steps: int
     at: float
@@ -84,7 +84,7 @@ class _Measurement:
 class StepMeter:
     """Averages the times over the frames of the last `seconds`, or over all frames (None).
 
-    Call `begin` before a step and `end` after it; the world may be another one each time. Measurements of another program are
+    Call `begin` before a step and `end` after it; each step may be of another world. Measurements of another program are
     dropped. Measurements of NumPy are dropped once machine code runs the steps."""
 
     def __init__(self, seconds: float | None = 1.0, *, clock: Callable[[], float] = monotonic) -> None:
@@ -93,7 +93,7 @@ class StepMeter:
         self._plan: Plan | None = None
         self._instructions: dict[BlockKey, list[BlockInstruction]] = {}
         self._world: World | None = None
-        self._by = ""  # what ran the last step
+        self._by = ""  # name of the backend that ran the last step
         self._ran: dict[str, int] = {}
         self._before: tuple[dict[str, float], dict[str, float]] = ({}, {})
 
@@ -156,6 +156,7 @@ class StepMeter:
         return StepProfile(total.steps, sum(phases.values()), phases, worked, layers, tuple(lines), dict(self._ran))
 
     def _block_times(self, total: _Measurement) -> Iterator[tuple[BlockInstruction, float]]:
+        """Yield each instruction with its time (s)."""
         for key, times in total.calls.items():
             yield from zip(self._instructions[key], times, strict=True)
 

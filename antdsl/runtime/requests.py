@@ -1,7 +1,7 @@
 """Requests of the blocks of one step to other parts of the world. A backend fills an `EffectRequests`; the phases apply it
 later.
 
-Every entry contains the rows of one statement in one chunk. Applying entries in another order gives the same bits."""
+Every entry contains the rows of one statement in one chunk. The order in which entries are applied does not change any bit."""
 
 from __future__ import annotations
 
@@ -19,10 +19,12 @@ Rows = NDArray[np.intp]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ClaimEntry:
+    """Claims of several agents on items or field cells, one per row."""
+
     statement: ir.Claim
     order: int  # place of the statement in the text of its species
     rows: Rows
-    item: NDArray[np.int32]  # or the cell of a field; -1 for none
+    item: NDArray[np.int32]  # item or cell of a field; -1 for none
     amount: NDArray[np.float32]  # inf: all that is left
 
 
@@ -37,7 +39,7 @@ class GiveEntry:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RequestEntry:
-    """One request of several agents. `args`: its operands, each with a value per row; None for an operand that is absent."""
+    """One request of several agents. `args`: its operands, each with a value per row; None for an absent operand."""
 
     request: ir.Request
     order: int  # place of the statement in the text of its species
@@ -45,7 +47,7 @@ class RequestEntry:
     args: tuple[NDArray[np.float32] | NDArray[np.int64] | None, ...]  # ids of agents are int64
 
     def arg(self, index: int) -> NDArray[Any]:
-        """Return an operand that must not be absent."""
+        """Return operand number `index`, which must not be absent."""
         value = self.args[index]
         assert value is not None
         return value
@@ -77,14 +79,15 @@ class EffectRequests:
         return bool(self.requests or self.claims or self.gives)
 
     def ask(self, entry: RequestEntry) -> None:
+        """Add a request."""
         self.requests.setdefault(entry.request.op, []).append(entry)
 
     def drain(self, op: str) -> list[RequestEntry]:
-        """Remove and return the requests of one op."""
+        """Remove all requests of one operation, such as `deposit`, and return them."""
         return self.requests.pop(op, [])
 
     def extend(self, other: EffectRequests) -> None:
-        """Append all entries of another object."""
+        """Append all claims, gifts, faults and requests of another object."""
         self.claims += other.claims
         self.gives += other.gives
         self.faults += other.faults

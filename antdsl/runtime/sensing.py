@@ -29,8 +29,8 @@ from antdsl.runtime.world import AXES, Population, World
 SenseValue = Any
 Rows = slice | NDArray[np.intp]
 FLOAT32_MIN_VECTOR_LENGTH = np.float32(MIN_VECTOR_LENGTH)
-NO_HIT = (np.False_, np.float32(np.inf), np.float32(0), np.float32(0), np.float32(0))  # what a ray gives that touches nothing
-_PULL_INSIDE_SHARE = 1e-6  # of the way to the middle of a face
+NO_HIT = (np.False_, np.float32(np.inf), np.float32(0), np.float32(0), np.float32(0))  # result of a ray without a hit
+_PULL_INSIDE_SHARE = 1e-6  # share of the path to the middle of a face
 
 
 def constant(node: ir.PlanNode) -> SenseValue:
@@ -88,7 +88,8 @@ def _age(world: World, population: Population, node: ir.PlanNode, rows: Rows) ->
 
 
 def _age_of(world: World, born: NDArray[np.int64]) -> SenseValue:
-    steps = np.maximum(world.frame - born, 0)  # at birth itself it is the frame before
+    """Return the age (s) of agents from their frame of birth."""
+    steps = np.maximum(world.frame - born, 0)  # at birth, `born` is the next frame
     return (steps * world.dt).astype(np.float32)
 
 
@@ -113,6 +114,7 @@ def _surface_touching(world: World, population: Population, node: ir.PlanNode, r
 
 
 def _agent_get(world: World, population: Population, node: ir.PlanNode, rows: Rows, ids: SenseValue) -> SenseValue:
+    """Return a register of other agents at the start of the step, by id; 0 for none and for dead agents."""
     species, register = node.attrs
     other = world.populations[species]
     at = other.rows_of(_spread_rows(ids, rows))
@@ -162,6 +164,7 @@ def _ray(
     dz: SenseValue,
     reach: SenseValue,
 ) -> SenseValue:
+    """Return what one feeler of each row hits, as `_rays` does."""
     n = _row_count(rows)
     rays = tuple(np.ascontiguousarray(_spread_rows(v, rows), np.float32) for v in (dx, dy, dz, reach))
     hits = tuple(np.full(n, value) for value in NO_HIT)
@@ -230,7 +233,7 @@ def _field_ahead(
 ) -> SenseValue:
     """Return the value of a field ahead of agents. `turn` is to the left of the heading (radians).
 
-    The heading lies along the ground below the feet, and `up` is the normal of that ground."""
+    Headings are along the ground below the feet; `up` is the normal of this ground."""
     up = vec.columns(population.normal[rows], np.float32)
     heading = vec.take(vec.vector_registers(population.start, "heading"), rows)
     ahead, turn = (_spread_rows(each, rows) for each in (ahead, turn))
@@ -259,7 +262,7 @@ def _field_ahead(
 def _pull_inside(world: World, moved: GroundMove) -> tuple[Footing, NDArray[np.float64]]:
     """Return the ends of paths, moved slightly into the face if a path ends at an open border.
 
-    A border may lie between two cells. Exactly on it, one side of a strip would read its own cells and the other side cells
+    A border may be between two cells. Exactly on it, one side of a strip would read its own cells and the other side cells
     outside the surface."""
     meshes = world.ground.meshes
     if meshes is None or not moved.blocked.any():
@@ -381,8 +384,8 @@ SENSE_FUNCTIONS: Mapping[str, Callable[..., SenseValue]] = {
     "clip.value": _clip_value,
 }
 
-# Senses that are answered where machine code has left who asks and what: for n rows, of which some are asking, several times at
-# once; and what the results are until then.
+# Senses that read their operands from the arrays of machine code and write results there, for several queries of n rows at once.
+# Each has its function and its initial results.
 BATCHED_SENSES: Mapping[
     str, tuple[Callable[[World, Population, ir.PlanNode, Rows, Sequence[FeelerQuery]], None], tuple[Any, ...]]
 ] = {"ray": (_rays, NO_HIT)}

@@ -50,7 +50,7 @@ Scalar = TypeVar("Scalar", bound=np.generic)
 @dataclass(frozen=True, slots=True)
 class Options:
     """How to run. No option changes a result; only `on_fault` determines what happens after a fault.
-    `chunk`: how many rows are processed at once. `shuffle_rows`: a seed for a random order of rows.
+    `chunk`: number of rows that a thread processes at once. `shuffle_rows`: a seed for a random order of rows.
     `wait_for_code`: the first step of the native backend waits for machine code instead of running in NumPy until it is ready.
     `feet`: positions of feet are computed for bodies with legs and gaits."""
 
@@ -84,7 +84,7 @@ class Items:
 
 
 class FixedColumn(Generic[Scalar]):
-    """A typed attribute for one array in the `columns` of a population, by its name in `FIXED`."""
+    """A typed attribute of a population that accesses one array of its `columns`. Its name is a name in `FIXED`."""
 
     def __set_name__(self, owner: type, name: str) -> None:
         self._name = name
@@ -112,20 +112,20 @@ class Population:
     now: dict[str, NDArray[Any]]
     footing: Footing
     events: dict[str, NDArray[np.bool_]]
-    raised: dict[str, NDArray[np.bool_]]  # to be seen in the next step
+    raised: dict[str, NDArray[np.bool_]]  # events that agents sense in the next step
     cells: dict[str, NDArray[np.int32]] = field(default_factory=dict)  # field -> own cell
     # field -> the lookup data of its cells, independent of rows
     voxels: dict[str, KnownCells | None] = field(default_factory=dict)
     effects: EffectRequests = field(default_factory=EffectRequests)
-    all_taken: dict[str, NDArray[np.float64]] = field(default_factory=dict)  # by site: what claims for all gave in this step
-    version: int = 0  # changes whenever rows do
-    reordered: tuple[NDArray[np.int64], NDArray[np.intp]] | None = None  # ids before the last `select_rows`, and the rows of it
+    all_taken: dict[str, NDArray[np.float64]] = field(default_factory=dict)  # by site: amounts from claims for all in this step
+    version: int = 0  # changes with the rows
+    reordered: tuple[NDArray[np.int64], NDArray[np.intp]] | None = None  # ids before the last `select_rows`, and its rows
     next_id: int = 0
-    laid: tuple[NDArray[Any], ...] | None = None  # bodies of those who lean, while a step shows them as their feet stand
-    rooms: dict[str, tuple[NDArray[Any], ...]] = field(default_factory=dict)  # by name: see `room`
-    copies: RowCopier = field(default_factory=RowCopier)  # of registers, once what was written becomes what all see
-    hashed: RowHasher = field(default_factory=RowHasher)  # of the state
-    _zeros: RowCopier = field(default_factory=RowCopier)  # to registers of one step
+    laid: tuple[NDArray[Any], ...] | None = None  # poses of leaning bodies, which `lay_headings` replaced
+    rooms: dict[str, tuple[NDArray[Any], ...]] = field(default_factory=dict)  # by name, for `get_buffers`
+    copies: RowCopier = field(default_factory=RowCopier)  # copies registers when written values become visible
+    hashed: RowHasher = field(default_factory=RowHasher)  # hashes the state
+    _zeros: RowCopier = field(default_factory=RowCopier)  # copies zeros to registers that exist only within a step
     _rows: tuple[int, NDArray[np.int64], NDArray[np.intp]] | None = None
     _ranks: tuple[int, NDArray[np.int32]] | None = None
     _stated: tuple[ir.SpeciesPlan, tuple[str, ...]] | None = None
@@ -169,7 +169,7 @@ class Population:
         return self._rows[1], self._rows[2]
 
     def rows_of(self, ids: NDArray[np.int64]) -> NDArray[np.intp]:
-        """Return the rows of ids; -1 for none and for dead agents."""
+        """Return the row of each id; -1 for the id of no agent and for dead agents."""
         known, order = self.sorted_ids()
         if not len(known):
             return np.full(np.shape(ids), -1, np.intp)
@@ -247,8 +247,8 @@ class World:
     populations: dict[str, Population]
     items: dict[str, Items]
     fields: dict[str, PheromoneField]
-    field_rates: dict[str, tuple[np.float32, float]]  # factor a step, diffusion in mm2/s
-    obstacles: dict[str, Obstacle]  # by name, surfaces and solids too
+    field_rates: dict[str, tuple[np.float32, float]]  # decay factor per step, diffusion (mm²/s)
+    obstacles: dict[str, Obstacle]  # by name; includes surfaces and solids
     curves: dict[str, SampledCurve]
     flows: dict[str, SurfaceFlow]
     maps: dict[str, PaintedMap]
@@ -258,8 +258,8 @@ class World:
     backend: StepBackend
     faults: FaultLog
     motion: MotionMeasures
-    timings: dict[str, float] = field(default_factory=dict)  # seconds by phase, all steps together
-    worked: dict[str, float] = field(default_factory=dict)  # the same of the processors, all threads together
+    timings: dict[str, float] = field(default_factory=dict)  # wall time (s) by phase, over all steps
+    worked: dict[str, float] = field(default_factory=dict)  # CPU time (s) of all threads by phase, over all steps
     grids: dict[tuple[str, float], CellGrid] = field(default_factory=dict)  # of this step
     trees: dict[str, Any] = field(default_factory=dict)  # of this step, by species: k-d trees of all
     clearances: dict[tuple[str, str, int], NDArray[Any]] = field(default_factory=dict)  # of this step
@@ -267,13 +267,13 @@ class World:
     transitions: dict[str, int] = field(default_factory=dict)
     carved: dict[str, list[NDArray[np.float64]]] | None = None  # balls (k, 4) since the last retrieval; None: not recorded
     emitted: list[dict[str, NDArray[Any]]] | None = None  # columns of `EMIT` since the last retrieval; None: not recorded
-    spec_values: dict[str, np.float32] = field(default_factory=dict)  # numbers about wholes that a spec asks for, by name
+    spec_values: dict[str, np.float32] = field(default_factory=dict)  # aggregate values that a spec requests, by name
     detail: DetailLevels | None = None
-    crowded: list[OvercrowdedLine] = field(default_factory=list)  # lines of the crowd that found no room for all
-    watchers: list[Callable[[World], None]] = field(default_factory=list)  # called in each step once all have acted
+    crowded: list[OvercrowdedLine] = field(default_factory=list)  # crowd lines without space for all agents
+    watchers: list[Callable[[World], None]] = field(default_factory=list)  # called in each step after the phase `act`
     feet: dict[str, Feet] = field(default_factory=dict)  # by species; only those with computed feet
-    walkers: dict[str, LegsOfSpecies] = field(default_factory=dict)  # how they walk
-    floor: FootGround | None = None  # what they walk on
+    walkers: dict[str, LegsOfSpecies] = field(default_factory=dict)  # legs and gaits, by species
+    floor: FootGround | None = None  # the ground for feet
     stepping: bool = False  # between the first and the last phase of a step
 
     @property
@@ -322,7 +322,7 @@ def empty_population(plan: ir.SpeciesPlan, ground: Ground) -> Population:
 
 
 def fixed_columns(count: int, **known: Any) -> dict[str, NDArray[Any]]:
-    """Return the arrays of `FIXED` for new rows: the `known` ones, and zeros for the others."""
+    """Return the arrays of `FIXED` for `count` new rows: those in `known`, and zeros for all others."""
     return {
         name: np.asarray(known[name]) if name in known else np.full((count, *column.dimensions()), column.zero, column.type)
         for name, column in FIXED.items()
@@ -336,7 +336,7 @@ def select_rows(population: Population, rows: NDArray[np.intp]) -> None:
 
 
 def publish_state(population: Population, threads: int, rows: NDArray[np.intp] | None = None) -> None:
-    """Make the written state the one that agents sense. With `rows`, a permutation, also reorder the agents.
+    """Make the written values those that agents sense. With `rows`, a permutation, also reorder the agents.
     Registers stay in their arrays, unless one array serves as both `start` and `now`."""
     start, now = population.start, population.now
     if rows is not None:

@@ -5,7 +5,7 @@
 `model` gives the scene types.
 `matching` checks it against a program.
 `staging` reads its files (with `geometry`) and returns the `Setting`.
-`paths` is the only interface to files that a scene or a program names.
+`paths` opens all files that a scene or a program names.
 
 The `Setting` is the complete input of the run time, in mm, seconds and the scene's own axes."""
 

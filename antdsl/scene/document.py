@@ -21,6 +21,8 @@ PathKey = str | int
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ScalarNode:
+    """A scalar as text. `quoted`: whether the source has quotes around it."""
+
     text: str
     quoted: bool
     span: Span
@@ -28,6 +30,8 @@ class ScalarNode:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SequenceNode:
+    """A sequence of values."""
+
     items: tuple[DocumentNode, ...]
     span: Span
 
@@ -131,6 +135,8 @@ class _OpenNode:
 
 
 class _DocumentReader:
+    """Reader of one source. Errors go into `report`."""
+
     def __init__(self, source: Source) -> None:
         self.source = source
         self.report = Report()
@@ -139,18 +145,22 @@ class _DocumentReader:
             self.lines.append(match.end())
 
     def offset(self, mark: Any) -> int:
+        """Return the character offset of a position that YAML reports."""
         start: int = self.lines[min(mark.line, len(self.lines) - 1)]
         return min(start + int(mark.column), len(self.source.text))
 
     def span(self, event: Any) -> Span:
+        """Return the location of a YAML event."""
         start, end = self.offset(event.start_mark), self.offset(event.end_mark)
         return Span(self.source, start, max(end, start))
 
     def refuse(self, code: str, message: str, span: Span, help: str | None = None, *labels: Label) -> _DocumentRejected:
+        """Report an error, and return the exception to raise."""
         self.report.error(code, message, span, help, labels=labels)
         return _DocumentRejected()
 
     def read(self) -> MappingNode:
+        """Return the tree. Raises _DocumentRejected after reporting an error."""
         import yaml
 
         loader = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
@@ -166,6 +176,7 @@ class _DocumentReader:
         return root
 
     def depth_refusal(self, span: Span) -> _DocumentRejected:
+        """Report too deep nesting, and return the exception to raise."""
         return self.refuse("too-large", f"values are nested more than {limits.MAX_YAML_DEPTH} levels deep", span)
 
     def report_odd_blank(self, match: re.Match[str]) -> None:
@@ -183,6 +194,7 @@ class _DocumentReader:
         self.report.error("odd-blank", f"{message} in place of a blank" if is_blank else f"{message} does not show", place, help)
 
     def syntax_refusal(self, problem: Any) -> _DocumentRejected:
+        """Report a syntax error of YAML, and return the exception to raise."""
         mark = getattr(problem, "problem_mark", None) or getattr(problem, "context_mark", None)
         start = self.offset(mark) if mark is not None else 0
         words = (getattr(problem, "problem", None) or "this is not YAML").replace("'\\t'", "a tab")
@@ -277,6 +289,7 @@ class _DocumentReader:
         return root
 
     def finish_node(self, opened: _OpenNode, end: int) -> DocumentNode:
+        """Return the node of a finished mapping or sequence. `end`: the offset of its end."""
         text = self.source.text
         while end > opened.start + 1 and text[end - 1 : end].isspace():
             end -= 1

@@ -78,6 +78,7 @@ def largest_stable_diffusion(cell: float, dt: float) -> float:
 
 
 def check_spreading(scene: Scene, program: Program, report: Report) -> None:
+    """Report fields that spread too fast for their cells, and warn about fields that nothing fills."""
     dt = float(1 / scene.model.fps)
     for field in with_field_settings(program, scene, scene.model.set).fields.values():
         cell, diffuse = _constant_in_base_units(scene, field.cell), _constant_in_base_units(scene, field.diffuse)

@@ -1,6 +1,6 @@
 """Explains why a scene's text is not YAML: a line with a wrong indent or without its colon. It also says what to write.
 
-YAML itself only names the place where it could not continue, which is often a line or a word further."""
+YAML itself only reports where it stopped reading, which is often a line or a word later."""
 
 from __future__ import annotations
 
@@ -29,6 +29,7 @@ class _Line:
 
     @property
     def is_item(self) -> bool:
+        """Return whether the line is an item of a list."""
         return self.text == "-" or self.text.startswith("- ")
 
 
@@ -79,6 +80,7 @@ def explain_indentation(source: Source, stop: int) -> Diagnostic | None:
 
 
 def _first_odd(text: str, stop: int | None = None) -> _OddLine | None:
+    """Return the first line with an indent that fits no level, or None. Lines after the offset `stop` are ignored."""
     levels: list[_IndentLevel] = []
     opened = False  # the line before has a key without a value
     for line in _lines(text, len(text) if stop is None else stop):

@@ -1,7 +1,7 @@
 """The kinds of things of the world in scenes: one class for each row of `antdsl.program.tables.things`.
 
-A class lists the forms that a thing may have in the file. It checks an entry against the program, and says which data the entry
-becomes. No file is read here: `staging` reads files, with NumPy."""
+A class lists the forms that a thing may have in the file. It checks an entry against the program, and names
+the mapping for the entry's data. No file is read here: `staging` reads files, with NumPy."""
 
 from __future__ import annotations
 
@@ -30,8 +30,8 @@ class SceneKind:
 
     `models`: the forms that a thing may have.
     `group`: the mapping of the staging and the setting that contains its data.
-    `lacks`: what is missing if the scene has no entry for a thing.
-    `unseen_keys`: keys about pictures that a thing cannot have."""
+    `lacks`: a noun for the missing data of a thing without an entry in the scene, for messages.
+    `unseen_keys`: keys about pictures that are errors for this kind."""
 
     models: tuple[type, ...]
     group: str
@@ -68,6 +68,7 @@ class SceneKind:
 
 
 def _check_scale(entry: Entry, value: forms.ScaledThing) -> None:
+    """Report a scale of 0, which would flatten the mesh to a point."""
     if abs(value.scale) < 1e-6:
         entry.report.error("wrong-value", "a scale of 0 leaves no mesh", entry.span("scale"), "write `scale: 1`")
     elif value.scale < 0:

@@ -119,9 +119,9 @@ _KEYS_WITH_LINES = frozenset(("world", "set", "fields", "layers", "camera", "lod
 
 
 def _find_outdented(document: MappingNode) -> dict[PathKey, Diagnostic]:
-    """Find lines at the left edge that belong below the previous key, which has no value.
+    """Return the error about lines at the left edge that belong below the previous key, which has no value.
 
-    Return the error about the first of these lines, under every key for which no other error is to be reported."""
+    The error about the first of these lines is listed under every key that gets no other error."""
     from antdsl.scene.model import SceneModel
 
     known = {field.alias or name for name, field in SceneModel.model_fields.items()}

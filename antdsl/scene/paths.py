@@ -318,7 +318,7 @@ def _is_exact(folder: int, part: str) -> bool:
     """Return whether a file is known to have exactly this name. The folder is not listed, since it may contain thousands of
     files.
 
-    False means uncertain: the file does not exist, or the name with the other case exists too."""
+    False also covers uncertain cases: the file does not exist, or the name exists in another case too."""
     other = "".join(c.swapcase() if c.isascii() else c for c in part)
     if other == part:
         return False

@@ -42,6 +42,7 @@ class Quantity:
 
     @property
     def is_bare(self) -> bool:
+        """Return whether the text has no unit."""
         return not self.unit
 
     def to_base_units(self, unit_mm: float, dt: float) -> float:

@@ -100,11 +100,11 @@ class BorderFlow:
 class SolvedFlow:
     """A flow along the cheapest path to a target. The cost of a millimetre is the sum of these terms:
 
-    1
-    slope · sine of the ground's slope
-    8 (1 - d / clearance)², at a distance of d mm from an obstacle
-    the values of the maps, each times its factor in `maps`
-    crowding · share of the ground covered by agents
+    - 1
+    - slope · sine of the ground's slope
+    - 8 (1 - d / clearance)², at a distance of d mm from an obstacle
+    - the values of the maps, each times its factor in `maps`
+    - crowding · share of the ground covered by agents
 
     Crowds and moving things are measured again every `every` s."""
 

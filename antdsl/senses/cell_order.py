@@ -31,9 +31,9 @@ Sizes = tuple[I64, I64, I64]
 _MAX_CELLS_ALONG = 1 << 19  # three packed coordinates stay below 2**62
 _AGENTS_PER_COLUMN = 6
 _LAYERS_PER_COLUMN = 2
-_CHUNKED = 8_192  # agents from which several threads pay off
-SHARES = 16  # of a chunk, the least that a thread takes
-SPARE = 3  # more numbers in a table than it has cells
+_CHUNKED = 8_192  # number of agents from which several threads are worthwhile
+SHARES = 16  # parts of a chunk; a thread processes at least one chunk
+SPARE = 3  # additional entries in a table of cells
 NO_ORDER = np.empty(0, np.int64)
 
 
@@ -60,7 +60,7 @@ class Shape:
             axes = tuple(sorted(axes, key=lambda axis: -extent[axis]))
             low, extent = ([values[axis] for axis in axes] for values in (low, extent))
         cell = cell if 0 < cell < np.inf else max(extent[0], 1.0)
-        # Wider cells only add candidates; the packed key of a far-flung crowd must not overflow.
+        # Wider cells only add candidates. The packed key of a widely scattered crowd must not overflow.
         least = max(extent[0] / (_MAX_CELLS_ALONG - 4), 1e-30)
         fine, width = max(cell / 4, least), max(cell, least)
         size = [int(extent[0] / fine) + 1, int(extent[1] / width) + 1, int(extent[2] / width) + 1]
@@ -68,6 +68,7 @@ class Shape:
 
     @property
     def cell_count(self) -> int:
+        """Return the number of cells."""
         return self.size[0] * self.size[1] * self.size[2]
 
     @property
@@ -141,6 +142,7 @@ class CellOrder:
 
     @property
     def rows(self) -> NDArray[np.int32]:
+        """Return the row of each agent, in the order of cells."""
         return self._places.view(np.int32)[: self.count, 3]
 
     def sort(self, shape: Shape, positions: Positions, order: NDArray[np.int64] = NO_ORDER) -> None:
@@ -215,11 +217,13 @@ def _fill_box(x: Array1[F32], y: Array1[F32], z: Array1[F32], lanes: Array2[F32]
 
 @inlined
 def _minimum(low: F32, place: F32, good: BOOL) -> F32:
+    """Return the lesser of two numbers if `good`, else `low`."""
     return place if good & (place < low) else low
 
 
 @inlined
 def _maximum(high: F32, place: F32, good: BOOL) -> F32:
+    """Return the greater of two numbers if `good`, else `high`."""
     return place if good & (place > high) else high
 
 

@@ -30,12 +30,12 @@ _TURN = 2 * np.pi
 _ALIKE = 1e-4  # rad: gaps that differ by less are equally wide
 Floats = NDArray[np.float64]
 Column = Array1[F64]
-Lines = tuple[Column, Column, Column, Column, Array1[I64]]  # px, py, dx, dy of borders, and 1 where there is one
+Lines = tuple[Column, Column, Column, Column, Array1[I64]]  # px, py, dx, dy of borders, and 1 for a valid border
 
-_PARALLEL = 1e-9  # sine between two borders, below which they do not cross
+_PARALLEL = 1e-9  # sine of the angle between two borders below which they count as parallel
 _LEAST = 1e-30
-_LONGEST = 1e6  # s that a horizon counts at most
-_FASTEST = 1e9  # mm/s that count at most
+_LONGEST = 1e6  # s, upper limit of a horizon
+_FASTEST = 1e9  # mm/s, upper limit of speeds
 
 
 class Wishes(NamedTuple):
@@ -69,7 +69,7 @@ def fill_clear_velocities(
         wish, speed = finite_vector(a[k], b[k], c[k]), np.float64(wishes.max_speed[requesters.rows[k]])
         own_x, own_y = dot(own, plane.ahead), dot(own, plane.left)
         horizon = min(wishes.horizon[k], _LONGEST) if wishes.horizon[k] > 0.0 else _LONGEST
-        for n in independent(0, max(count, (count + 5) & -8)):  # one or two in the end are faster one by one
+        for n in independent(0, max(count, (count + 5) & -8)):  # a remainder of one or two is faster without SIMD
             q, key = memory.nearest[n] if n < count else at, memory.nearest_keys[n] if n < count else 0
             other, side = others.relative_to(crowd, plane, at, q), others.side_by_name(crowd, at, key)
             set_border(other, side, n, own_x, own_y, horizon, dt, borders)
@@ -96,7 +96,7 @@ def set_border(other: Other, side: F64, c: I64, own_x: F64, own_y: F64, horizon:
     is_round = not is_separate or (along < 0.0 and along * along > square_radius * (size * size))
     leg = math.sqrt(max(square - square_radius, 0.0))
     hand = 1.0 if x * wy - y * wx > 0.0 else -1.0
-    # Divisions take most of the time: one for each component, of the round end or the leg.
+    # Divisions take most of the time: one per component, for the round end or for the leg.
     over = size if is_round else (square if square > _LEAST else 1.0)
     ahead = (wy if is_round else hand * (x * leg - hand * (y * r))) / over
     aside = (-wx if is_round else hand * (hand * (x * r) + y * leg)) / over
@@ -126,6 +126,7 @@ def nearest_velocity(borders: Lines, between: Lines, most: I64, limit: F64, wx: 
 
 @inlined
 def _excess(borders: Lines, k: I64, x: F64, y: F64) -> F64:
+    """Return how far (mm/s) a velocity violates border k; above 0 it is not allowed."""
     px, py, dx, dy, _ = borders
     away: float = dx[k] * (py[k] - y) - dy[k] * (px[k] - x)
     return away
@@ -211,7 +212,7 @@ def widest_gaps(x: Floats, y: Floats, is_present: NDArray[np.bool_]) -> tuple[Fl
     n, most = x.shape
     if not most:
         return np.zeros(n), np.zeros(n)
-    is_present = is_present & ((x != 0) | (y != 0))  # who stands on the same spot has no bearing
+    is_present = is_present & ((x != 0) | (y != 0))  # an agent at the same position has no bearing
     bearing = elementary.atan2(y.astype(np.float32), x.astype(np.float32)).astype(np.float64)
     bearing = np.sort(np.where(is_present, bearing, np.inf), axis=1)
     known = np.isfinite(bearing)
@@ -225,7 +226,7 @@ def widest_gaps(x: Floats, y: Floats, is_present: NDArray[np.bool_]) -> tuple[Fl
     wide = known & (gap >= gap.max(axis=1, keepdims=True) - _ALIKE)
     off = np.where(wide, np.abs(middle), np.inf)
     best = wide & (off <= off.min(axis=1, keepdims=True) + _ALIKE)
-    chosen = np.where(best, middle, -np.inf).max(axis=1)  # to the left is above 0
+    chosen = np.where(best, middle, -np.inf).max(axis=1)  # angles to the left are positive
     angle = np.where(count > 0, chosen, 0.0).astype(np.float32)
     weight = np.where(count > 0, 1.0, 0.0)
     return elementary.cos(angle).astype(np.float64) * weight, elementary.sin(angle).astype(np.float64) * weight

@@ -32,9 +32,9 @@ from antdsl.numerics.kernel_vectors import Vec3, VectorColumns, cross, dot, fini
 from antdsl.senses.cell_order import agents_before
 from antdsl.senses.neighbours import BEYOND, LARGEST, SLACK, Grid, lower_cell, upper_cell
 
-SIZE = 576  # numbers in an array of a search
-_SPARE = 48  # more candidates than twice the requested others are listed before the list is reduced
-_ORDER_BITS = (1 << 29) - 1  # last bits of a float64 that are 0 if it is a float32
+SIZE = 576  # entries in each array of a search
+_SPARE = 48  # candidates in addition to twice the requested others, before the list is reduced
+_ORDER_BITS = (1 << 29) - 1  # mask of the last bits of a float64, which are 0 for a float32 value
 
 
 class Crowd(NamedTuple):
@@ -155,7 +155,7 @@ def find_nearest(crowd: Crowd, requesters: Requesters, k: I64, up: Vec3, memory:
             last = agents_before(grid.starts, grid.keys, line + max(a0, a1 + 1))
             while first < last:
                 end = min(last, first + capacity - count)
-                for p in range(first, end):  # written whatever it is: no branch that is hard to foretell
+                for p in range(first, end):  # always written, to avoid an unpredictable branch
                     dx, dy, dz = grid.positions[0][p] - x, grid.positions[1][p] - y, grid.positions[2][p] - z
                     memory.candidates[count] = p
                     count += (dx * dx + dy * dy) + dz * dz <= beyond

@@ -24,11 +24,11 @@ View = tuple[Floats, Floats, Floats, Floats]
 
 SLACK = 1.0 + 1e-6  # float32 distances err by a few 2**-24; candidates must be a superset
 _INWARD = 1.0 - 1e-6
-BEYOND = np.float32(1.0 + 1e-5)  # a squared distance over this many squared radii has a root over the radius
+BEYOND = np.float32(1.0 + 1e-5)  # a squared distance above this multiple of the squared radius has a root above the radius
 LARGEST = np.int64((1 << 63) - 1)
-_ZEROS = 29  # last bits of a float64 that are 0 if it is a float32
+_ZEROS = 29  # number of last bits of a float64 that are 0 for a float32 value
 
-# Places x, y, z and along the fast, middle and slow axis, ids, radius, heading and the cosine of the field of view
+# Positions x, y, z and along the fast, middle and slow axis; ids; radius; heading; cosine of half the field of view
 Query = tuple[Columns, Columns, Array1[I64], Array1[F32], Columns, Array1[F32]]
 PairColumns = tuple[Array1[I64], Array1[I64], Array1[F32], Array1[F32], Array1[F32], Array1[F32]]
 
@@ -152,6 +152,7 @@ class CellGrid:
         threads: int,
         limit: int,
     ) -> Pairs:
+        """Return the pairs of all queries, searched in parallel chunks. Arguments as for `find_pairs`."""
         none, grid, axes = np.empty(0, np.float32), self.table(), self.shape.axes
         who = np.empty(0, np.int64) if qid is None else qid
         values: tuple[NDArray[Any], ...] = (*query, who, reach, *(view or (none,) * 4))
@@ -180,7 +181,7 @@ def _find_pairs(grid: Grid, axes: tuple[int, ...], query: list[NDArray[Any]], li
     m = radius.size
     spans, near = np.empty(64, np.int64), np.empty(1024, np.int64)
     kinds = (np.int64, np.int64, np.float32, np.float32, np.float32, np.float32)
-    pairs = tuple(np.empty(max(16 * m, 1024), kind) for kind in kinds)  # what is not written takes no memory
+    pairs = tuple(np.empty(max(16 * m, 1024), kind) for kind in kinds)  # pages that are not written take no memory
     k, used, along, wide = _fill_pairs(grid, asking, limit, spans, near, pairs, 0, 0)
     while k < m:
         if wide < 0:
@@ -330,7 +331,7 @@ def _fill_pairs(
         beyond = reach * reach * BEYOND + np.float32(1e-30)
         candidate_count = 0
         for s in range(number):
-            # Written whatever it is, and written over where it was too far: no branch that is hard to foretell.
+            # Always written, and overwritten if too far: this avoids an unpredictable branch.
             for at in range(spans[2 * s], spans[2 * s + 1]):
                 ux, uy, uz = sx[at] - x, sy[at] - y, sz[at] - z
                 near[candidate_count] = at

@@ -1,4 +1,4 @@
-"""Measures how far bodies overlap. Many bodies at one position need no more time than as many bodies next to each other."""
+"""Measures how far bodies overlap. Its time does not increase if many bodies are at one position."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ from antdsl.senses.touching import Agents, neighbour_searches, span_end, span_st
 
 Floats = NDArray[np.float32]
 
-_WIDER, _LEAST = 1 + 1e-6, 1e-9  # than bodies reach, for distances are rounded; mm, of bodies without a radius
-_MEASURED = 640  # pairs per agent, on average, from which a tree of the nearest neighbours is faster
+_WIDER, _LEAST = 1 + 1e-6, 1e-9  # factor for rounded distances; mm, reach of bodies without a radius
+_MEASURED = 640  # mean number of pairs per agent from which a nearest-neighbour tree is faster
 _NEAREST = 8  # neighbours of the first query; each further query doubles the number until the result is certain
 
 
@@ -40,6 +40,7 @@ def worst_overlaps(x: Floats, y: Floats, z: Floats, radius: Floats) -> Floats:
 
 
 def _overlap_share(distance: Floats, one: Floats, other: Floats) -> Floats:
+    """Return 1 - distance / (sum of both radii), limited to 0 .. 1."""
     radius_sum = np.maximum(one + other, np.float32(1e-9))
     part: Floats = np.clip(1 - distance / radius_sum, 0, 1)
     return part
@@ -49,7 +50,7 @@ def _overlaps_by_nearest(place: Floats, radius: Floats) -> Floats:
     """Return overlaps as `worst_overlaps` does, for positions [n,3] of a dense crowd."""
     from scipy.spatial import cKDTree
 
-    # A tree cannot be cut between agents in one place; of these the widest stands for all, and all overlap wholly.
+    # A tree cannot separate agents at one position. The widest represents them all, and all overlap completely.
     order = np.lexsort((-radius, place[:, 2], place[:, 1], place[:, 0]))
     fresh = np.ones(len(order), np.bool_)
     fresh[1:] = (place[order][1:] != place[order][:-1]).any(axis=1)
@@ -58,7 +59,7 @@ def _overlaps_by_nearest(place: Floats, radius: Floats) -> Floats:
     worst = np.ones(len(place), np.float32)
     overlap = np.where(alone, 0, 1).astype(np.float32)
     classes = np.frexp(radius[single])[1]
-    for size in np.unique(classes)[::-1]:  # the small ones near a large one are many, and none of them far off is worse
+    for size in np.unique(classes)[::-1]:  # a large agent has many small neighbours, of which only near ones matter
         others = single[classes == size]
         tree, widest = cKDTree(place[others].astype(np.float64)), float(radius[others].max())
         pending_rows, count = np.flatnonzero(alone), _NEAREST

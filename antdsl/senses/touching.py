@@ -36,17 +36,17 @@ Rows = NDArray[np.intp]
 Three = tuple[Floats, Floats, Floats]
 Columns = tuple[Array1[F64], Array1[F64], Array1[F64]]
 Bounds = list[tuple[float, float]]
-# Places and reaches by fours, rows, and cells
+# Position and reach (four entries per agent), row, and cell of each agent
 Agents = tuple[Array1[F64], Array1[I32], Array1[I64]]
 CandidateBuffers = tuple[Array1[I32], Array1[I32], Array1[I32]]
 
-_MOST = 48  # agents of one row of three cells that an agent is paired with: more than fit next to each other in it
-_ALONG = 1 << 20  # cells along an axis at most
-_SHEET = 8  # pairs of cell mates for each agent, up to which layers above each other are not separated
-_ONE_LAYER = 3  # cells along the shortest axis where all lie in one layer: one is free at either end
-_TOGETHER = 64  # agents of which the candidates are listed before they are measured
-_FETCHED = 40  # agents of which the positions are prefetched before they are written
-_WRITTEN = 4  # candidates of a span that are always written
+_MOST = 48  # most partners of an agent in a span of three cells: more than fit next to each other
+_ALONG = 1 << 20  # most cells along an axis
+_SHEET = 8  # pairs per agent in the same cell up to which layers are not separated
+_ONE_LAYER = 3  # cells along the shortest axis for a single layer; one cell is free at either end
+_TOGETHER = 64  # agents with candidates listed before distances are measured
+_FETCHED = 40  # number of agents by which prefetches are ahead
+_WRITTEN = 4  # number of candidates of a span that are always written
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -81,7 +81,7 @@ def find_touching(place: Three, reach: Floats, order: NDArray[np.int64], bounds:
     rows, bounds = _usable_rows((x, y, z), reach, bounds)
     if bounds is None:
         return Pairs(rows, rows, True)
-    rows = rows[stable_order(order[rows])] if rows.size else stable_order(order)  # agents are left out by the order, not by rows
+    rows = rows[stable_order(order[rows])] if rows.size else stable_order(order)  # `order` decides which agents are omitted
     pair_lists = [_find_pairs(search) for search in _searches((x, y, z), reach, rows, bounds, False)]
     if len(pair_lists) == 1:
         return pair_lists[0]
@@ -205,6 +205,7 @@ class _Grid(NamedTuple):
 
     @property
     def cell_count(self) -> int:
+        """Return the number of cells."""
         return self.size[0] * self.size[1] * self.size[2]
 
     def _cell_numbering(self) -> tuple[Any, ...]:
@@ -324,7 +325,7 @@ def _fill_pairs(
                         one[candidates + k], other[candidates + k] = at, first + (k + turned) % (last - first)
                     candidates += most
                     continue
-                for k in range(4):  # written whatever it is, and written over where these were fewer
+                for k in range(4):  # always written, and overwritten if there were fewer
                     one[candidates + k], other[candidates + k] = at, first + k
                 for k in range(4, last - first):
                     one[candidates + k], other[candidates + k] = at, first + k

@@ -1,4 +1,5 @@
-"""Numbers about wholes, exact in any order: totals of a species, of items, of a field; and the conditions over them.
+"""Aggregates: numbers over all agents of a species, all items or all cells of a field, and conditions on such numbers. Results do
+not depend on the order of rows.
 
 Totals and counts are stored in float64, correctly rounded (J. Shewchuk, Discrete & Computational Geometry 18, 1997: `math.fsum`).
 Everything else is float32 as in the language. Sums, differences and comparisons of totals and integers use float64, so that a

@@ -79,6 +79,7 @@ class Case:
 
     @property
     def name(self) -> str:
+        """Return the name of the spec."""
         return self.spec.name
 
 
@@ -154,6 +155,7 @@ class CaseFinder:
         return own.parent / name.text if (own.parent / name.text).resolve() == path.resolve() else path
 
     def make_runs(self, seeds: int | None) -> list[Run]:
+        """Return the runs of all added specs. `seeds`: run each spec with seeds 1 to this number, not with its listed seeds."""
         made: dict[tuple[int, int], Run] = {}
         for scene, spec in self.found.values():
             shot = self._open_shot(scene, spec.changes)
@@ -182,6 +184,7 @@ class CaseFinder:
         return None if shot is None or plan is None else ComparisonShot(shot, plan)
 
     def _open_shot(self, scene: Path, changes: tuple[SpecChange, ...]) -> Shot | None:
+        """Return the shot of a scene with changed params, opened once; None if it has errors."""
         key = (scene.resolve(), tuple(sorted(f"{c.name} = {' '.join(c.value.span.text.split())}" for c in changes)))
         if key not in self.shots:
             shot, report = open_scene(scene, RunChoices(self.grants, changes=changes), parsed=self.parsed)
@@ -203,12 +206,13 @@ class CaseFinder:
 
 
 def _same_spec(program: Program, spec: Spec) -> Spec | None:
+    """Return the spec at the same position of the same source in another program, or None."""
     place = (spec.span.source, spec.span.start)
     return next((each for each in program.specs if (each.span.source, each.span.start) == place), None)
 
 
 def _first_line(spec: Spec) -> Span:
-    """The first line of a spec."""
+    """Return the span of a spec's first line."""
     source, start = spec.span.source, spec.span.start
     end = source.text.find("\n", start)
     return Span(source, start, min(spec.span.end, end if end >= 0 else spec.span.end))

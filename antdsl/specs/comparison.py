@@ -42,11 +42,11 @@ class ComparedRun:
                 self.when.setdefault(place, world.frame - self.first)
 
     def values(self, frame: int) -> Mapping[str, Any]:
-        """Return the numbers of the other run in this frame, counted from its first."""
+        """Return the values of the reference run in a frame, counted from its first. After its last frame, they stay constant."""
         return self.seen[min(frame, len(self.seen) - 1)]
 
     def steps_until_held(self, line: JudgementPlan) -> int | None:
-        """Return after how many steps a `sooner` held in the other run; None if it never did."""
+        """Return after how many steps the condition of a `sooner` held in the reference run; None if it never did."""
         return self.when.get(_line_key(line))
 
 

@@ -37,6 +37,8 @@ class _MachineCoverage:
 
 @dataclass(slots=True)
 class SpecCoverage:
+    """The states and transitions that all runs together have reached."""
+
     states: dict[CoverageKey, CoverageEntry] = field(default_factory=dict)
     changes: dict[CoverageKey, CoverageEntry] = field(default_factory=dict)
 
@@ -56,6 +58,7 @@ class SpecCoverage:
         world.watchers.append(partial(_count_all, machines=machines))
 
     def _machine(self, species: str, machine: Machine) -> _MachineCoverage:
+        """Return the entries of a machine; new entries are added with count 0."""
         pairs = [change for state in machine.states for change in state.transitions]
         return _MachineCoverage(
             species,

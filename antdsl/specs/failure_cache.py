@@ -44,6 +44,7 @@ class FailurePoint:
 
     @property
     def first_frame(self) -> int:
+        """Return the frame of the stored state."""
         return int(self.arrays["frame"])
 
 

@@ -58,6 +58,7 @@ class SpecJudge:
         self.over = final or not any(line.open for line in self.lines if line.plan.kind != "until")
 
     def _observe(self, world: World, spec_world: World, line: JudgementLine, final: bool) -> FrameObservation:
+        """Evaluate the condition of a line in this frame."""
         plan = line.plan
         if plan.species is None:
             since = None if plan.since is None else self._holds(world, plan.since)
@@ -72,7 +73,7 @@ class SpecJudge:
         )
 
     def _holds(self, world: World, node: ir.PlanNode | str) -> bool:
-        """Evaluate a condition on the whole; NaN makes it false."""
+        """Return whether a condition on aggregates holds; NaN makes it false."""
         assert isinstance(node, ir.PlanNode)
         return bool(self.asker.value(world, node))
 
@@ -107,6 +108,7 @@ class SpecJudge:
     def _format_values(
         self, world: World, spec_world: World, plan: JudgementPlan, row: int | None
     ) -> tuple[tuple[str, str], ...]:
+        """Return the texts and values of a line's readings. `row`: the failed agent's row; None for a line about an aggregate."""
         reading_values: list[tuple[ReadingPlan, Any]] = []
         for reading in plan.readings:
             if reading.node is not None:
@@ -116,7 +118,7 @@ class SpecJudge:
         return _format_readings(world, reading_values, plan.span.text)
 
     def _record_failure(self, world: World, spec_world: World, line: JudgementLine, agents: Ids) -> None:
-        """Close a line and report the values of the whole, or of the failed agent with the least id."""
+        """Close a line and store its failure, with aggregate values or those of the failed agent with the least id."""
         line.open = False
         plan, fps = line.plan, float(world.setting.fps)
         least = int(agents.min())

@@ -1,6 +1,6 @@
 """The kinds of lines: which agents fail a line in each frame, and why.
 
-A line about the whole is judged like one about a single agent with the id 0 that exists from the first frame on."""
+A line about aggregates is judged like one about a single agent with the id 0 that exists from the first frame on."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ class FrameObservation:
 
 
 def observe_whole(frame: int, final: bool, first: int, holds: bool, since: bool | None) -> FrameObservation:
-    """Return one frame of a line about the whole."""
+    """Return one frame of a line about aggregates."""
     since_flags = None if since is None else np.array([since])
     return FrameObservation(
         frame, final, np.zeros(1, np.int64), np.full(1, first), np.array([holds]), since_flags, np.zeros(1, np.bool_)
@@ -95,19 +95,23 @@ class JudgementLine:
 
 
 def _always(line: JudgementLine, observation: FrameObservation) -> Ids:
+    """Return the agents for which the condition does not hold."""
     failed: Ids = observation.ids[~observation.holds & ~observation.free]
     return failed
 
 
 def _never(line: JudgementLine, observation: FrameObservation) -> Ids:
+    """Return the agents for which the condition holds."""
     return observation.ids[observation.holds & ~observation.free]
 
 
 def _finally(line: JudgementLine, observation: FrameObservation) -> Ids:
+    """Return the agents for which the condition does not hold in the last frame."""
     return _always(line, observation) if observation.final else _NO_IDS
 
 
 def _for(line: JudgementLine, observation: FrameObservation) -> Ids:
+    """Return the agents for which the condition does not hold within the duration from their first frame."""
     assert line.steps is not None
     last = observation.first_frames + line.steps
     if line.plan.species is None and (observation.frame >= last).all() and observation.holds.all():
@@ -116,7 +120,7 @@ def _for(line: JudgementLine, observation: FrameObservation) -> Ids:
 
 
 def _eventually(line: JudgementLine, observation: FrameObservation) -> Ids:
-    """Return the failed ids of `eventually`, and of `within`, which also fails when its time is over."""
+    """Return the ids that fail `eventually` or `within`. A `within` also fails when its time is over."""
     line.fine = extend_table(line.fine, observation.ids, False)
     line.fine[observation.ids[observation.holds | observation.free]] = True
     waiting = ~line.fine[observation.ids]
@@ -142,7 +146,8 @@ def _eventually(line: JudgementLine, observation: FrameObservation) -> Ids:
 
 
 def _has_begun(line: JudgementLine, observation: FrameObservation) -> BoolArray:
-    """Return where `since` holds now and did not hold in the frame before."""
+    """Return for which agents `since` holds now but not in the previous frame, bool [agents]. Store its values for the next
+    frame."""
     assert observation.since is not None
     line.was, line.pending = (
         extend_table(line.was, observation.ids, False),
@@ -188,7 +193,7 @@ def _since_for(line: JudgementLine, observation: FrameObservation) -> Ids:
 
 
 def _find_holding(line: JudgementLine, observation: FrameObservation) -> Ids:
-    """Return the ids for which `until` or `sooner` holds; these alone fail no agent."""
+    """Return the ids for which `until` or `sooner` holds. The caller decides whether an agent fails."""
     return observation.ids[observation.holds]
 
 

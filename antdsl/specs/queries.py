@@ -30,7 +30,7 @@ _UNKNOWN_VALUE = 1e300  # what no float32 can be: of agents that were not there 
 
 
 class SpecEvaluator:
-    """Evaluates a spec's questions. Call `ask` at each frame from the first on; then `values` has the numbers about the whole, by
+    """Evaluates the expressions of a spec. Call `ask` at each frame from the first on; then `values` has the aggregates by
     name."""
 
     def __init__(self, plan: SpecPlan, world: World) -> None:
@@ -43,11 +43,12 @@ class SpecEvaluator:
         self.smelling = {name for name, species in plan.plan.species.items() if _has_field_requests(species)}
 
     def value(self, world: World, node: ir.PlanNode) -> Any:
-        """A number of the whole."""
+        """Return the value of a node that is equal for all agents."""
         return evaluate_uniform(world, node, self.values)
 
     def ask(self, world: World, others: Mapping[str, Any]) -> World:
-        """Return a copy of the world in which every agent and item has answered. `others`: numbers of the run compared with."""
+        """Return a copy of the world with the results of the expressions in its registers. `others`: values of the reference
+        run."""
         self._measure(world)
         self.values |= others
         for items in world.items.values():
@@ -78,12 +79,13 @@ class SpecEvaluator:
         return spec_world
 
     def run(self, spec_world: World, block: str, species: str | None = None, rows: Any = None) -> None:
-        """Evaluate the questions of a block for all agents, or for these rows of a species."""
+        """Evaluate the expressions of a block for all agents, or for these rows of a species."""
         for name, population in spec_world.populations.items():
             if len(population) and getattr(population.plan, block).statements and species in (None, name):
                 self.backend.run(spec_world, population, block, rows)
 
     def _measure(self, world: World) -> None:
+        """Store the motion measures of this frame; NaN for a measure without data."""
         for name, number in world.motion.summary().items():
             unknown = world.motion.ways == 0 and name in ("circling", "straightness")
             value = radians(number) if MOTION_MEASURES[name] == "angle" else number
@@ -98,7 +100,7 @@ class SpecEvaluator:
         return self._agent_population(spec_world, spec_world.populations[name])
 
     def _cell_population(self, spec_world: World, name: str) -> Population:
-        """Cells of a field as if they were agents."""
+        """Return the cells of a field as agents at the origin."""
         plan, values = self.plan.plan.species[name], np.asarray(spec_world.fields[name].values)
         start, count = {"value": values.astype(np.float32)}, len(values)
         nowhere = np.broadcast_to(np.zeros(3), (count, 3))
@@ -106,7 +108,7 @@ class SpecEvaluator:
         return _make_population(plan, start, now, nowhere)
 
     def _agent_population(self, spec_world: World, population: Population) -> Population:
-        """Return a population with the same agents and with registers for answers."""
+        """Return a population with the same agents and with registers for results."""
         respondents = copy(population)
         respondents.columns = population.columns.copy()
         respondents.plan, respondents.effects, respondents.cells = self.plan.plan.species[population.name], EffectRequests(), {}

@@ -62,6 +62,7 @@ def run_cases(runs: Iterable[Run], work: Work) -> None:
 
 
 def _fail_cases(run: Run, failure: Failure) -> None:
+    """Add a failure to all cases of a run."""
     for case in run.cases:
         case.failures.append(failure)
 
@@ -122,6 +123,7 @@ def _fail_with_fault(run: Run, why: FaultStop) -> None:
 
 
 def _describe_fault(why: FaultStop, where: str) -> Failure:
+    """Return a fault as a failure. `where`: text in front of its message."""
     fault = why.fault
     culprit = (fault.species, fault.agent)
     words = f"{where}`{fault.what}` {fault.why}"

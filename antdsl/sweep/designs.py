@@ -28,7 +28,8 @@ class Design:
     """A design.
 
     `shares(factors, count, seed)`: returns an array (points, factors) of numbers from 0 to 1.
-    `counted`: the meaning of `count`.
+    `is_one`: a description, for help texts.
+    `counted`: the meaning of `count`, for help texts; empty if the design takes no count.
     `analysis`: computes the importance of each factor from the results; None if the design does not allow it.
     """
 

@@ -17,7 +17,7 @@ _BYTES = limits.MAX_TASK_ANSWER_BYTES + 64 * limits.KIB  # of the stored data of
 
 
 class NoSweepFolder(Exception):
-    """The folder contains other files than those of a sweep."""
+    """Error for a folder that contains files that do not belong to a sweep."""
 
 
 class RunStore:
@@ -33,6 +33,7 @@ class RunStore:
         make_folder(self.runs)
 
     def path(self, job: Job) -> Path:
+        """Return the path of a run's file."""
         return self.runs / f"{job.key}.json"
 
     def read_measures(self, job: Job) -> dict[str, Any] | None:

@@ -51,6 +51,7 @@ class Job:
 
     @property
     def name(self) -> str:
+        """Return the display name of the run: its label and seed."""
         return f"{self.label}, seed {self.seed}"
 
     def document(self) -> dict[str, Any]:
@@ -134,6 +135,7 @@ def job_key(shot: Shot, seed: int, until: tuple[str, ...], start: Mapping[str, s
 
 
 def _key(scene: Scene, inputs: Mapping[str, str], frames: FrameRange, seed: int, until: tuple[str, ...]) -> str:
+    """Return a hash of all inputs of a run: 24 hexadecimal digits. `inputs`: hashes by name."""
     hashes = {**inputs, "scene": scene.changed(seed=seed).digest()}
     key_fields = {"sources": sources(), "inputs": hashes, "seed": seed, "frames": list(frames), "until": list(until)}
     return hashlib.blake2b(json.dumps(key_fields, sort_keys=True).encode(), digest_size=12).hexdigest()

@@ -108,6 +108,7 @@ def _draw_over_range(
 
 
 def _draw_trend(panel: Any, factor: Factor, medians: Sequence[tuple[float, float]], colour: str) -> None:
+    """Draw the median and the quartiles of all points in each part of a range."""
     parts: dict[int, list[float]] = {}
     for value, median in medians:
         share = (value - factor.low) / (factor.high - factor.low)
@@ -120,6 +121,7 @@ def _draw_trend(panel: Any, factor: Factor, medians: Sequence[tuple[float, float
 
 
 def _draw_bars(panel: Any, analysis: Analysis, effects: Sequence[Effect], scenes: Sequence[str]) -> None:
+    """Draw the importance of each factor as a bar with its 95 % interval."""
     factors = list(dict.fromkeys(effect.factor for effect in effects))
     high = 0.8 / max(len(scenes), 1)
     for number, scene in enumerate(scenes):

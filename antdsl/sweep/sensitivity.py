@@ -103,6 +103,7 @@ ELEMENTARY_EFFECTS = Analysis(
 
 
 def _salib_problem(factors: int) -> dict[str, Any]:
+    """Return the description of the factors that SALib needs: shares from 0 to 1."""
     return {"num_vars": factors, "names": [str(k) for k in range(factors)], "bounds": [[0.0, 1.0]] * factors}
 
 

@@ -3,11 +3,10 @@
 Each decision uses the first n seeds of a variation. So the order in which runs end does not change when a variation is complete,
 nor its row of the table.
 
-The interval of a median holds for any distribution of the measure. Sort n independent draws. With a probability of at least 1 - 2
-P(B < l), the distribution's median lies between the l-th draw and the l-th from the end. B is the number of heads of n fair
+The interval of a median holds for any distribution of the measure. Sort n independent draws. The distribution's median lies
+between the l-th draw and the l-th from the end with a probability of at least 1 - 2 P(B < l). B is the number of heads of n fair
 coins. See W. J. Conover, Practical Nonparametric Statistics, 3rd ed. (1999), section 3.2; H. A. David, H. N. Nagaraja, Order
-Statistics, 3rd ed. (2003), section 7.1. The sums are exact.
-"""
+Statistics, 3rd ed. (2003), section 7.1. The sums are exact."""
 
 from __future__ import annotations
 
@@ -25,8 +24,8 @@ _GROWTH = Fraction(3, 2)  # of the number of runs, from one look to the next
 
 
 def interval_rank(count: int, doubt: Fraction = 1 - LEVEL) -> int:
-    """Return the largest l for which the interval from the l-th to the l-th last draw misses the median with a probability of at
-    most `doubt`. Return 0 if `count` draws are too few."""
+    """Return the largest rank l of an interval from the l-th to the l-th last draw. The interval may miss the median with a
+    probability of at most `doubt`. Return 0 if `count` draws are too few."""
     least, below = 0, 0
     while 2 * (below + math.comb(count, least)) <= doubt * 2**count:
         below += math.comb(count, least)
@@ -90,6 +89,7 @@ class WidthGoal:
     share: bool = False
 
     def is_reached(self, between: tuple[float, float], median: float) -> bool:
+        """Return whether an interval is as narrow as requested. `median`: the median inside it."""
         low, high = between
         if low == high:
             return True  # all the same, or never
@@ -172,9 +172,11 @@ class JobChooser:
         return list(dict.fromkeys(name.split(".")[0] for name in self._names()))
 
     def _names(self) -> dict[str, None]:
+        """Return the names of all reported measures, as the keys of a mapping."""
         return {name: None for measures in self._measures.values() if measures is not None for name in measures}
 
     def _known_after(self, label: str, count: int) -> list[KnownMedian]:
+        """Return the intervals of a variation's medians after its first `count` runs."""
         assert self._looks is not None
         ended = [each for job in self._by_label[label][:count] if (each := self._measures.get(job.key)) is not None]
         entries: list[KnownMedian] = []

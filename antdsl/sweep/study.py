@@ -54,7 +54,7 @@ class Study:
 
 
 class NoSweep(Exception):
-    """A folder has no sweep to continue. The message says why."""
+    """Error for a folder without a sweep that can continue. The message is the reason."""
 
 
 class SweepRequest(BaseModel):

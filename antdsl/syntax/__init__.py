@@ -14,7 +14,7 @@ from antdsl.syntax.text_files import read, read_bytes
 
 __all__ = ["format", "parse", "read", "read_bytes", "write"]
 
-# Few who read programs lay them out or write them: these two are only loaded by those.
+# Most callers only parse, so formatting and writing are imported when called.
 
 
 def format(source: Source) -> tuple[str | None, Report]:

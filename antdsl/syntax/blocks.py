@@ -51,12 +51,13 @@ class MappedText:
             begin += len(text)
 
     def source_offset(self, position: int) -> int:
-        """The source offset of a position in the text; the text's end maps to the end of its last part."""
+        """Return the source offset of a position in the text. The end of the text maps to the end of its last part."""
         part = max(0, bisect_right(self.begins, position) - 1)
         _, offset, length = self.parts[part]
         return offset + min(position - self.begins[part], length)
 
     def span(self, start: int, end: int) -> Span:
+        """Return the source span of a range of positions."""
         first = self.source_offset(start)
         if end <= start:
             return Span(self.source, first, first)
@@ -65,7 +66,7 @@ class MappedText:
         return Span(self.source, first, max(first, offset + min(end - self.begins[part], length)))
 
     def position(self, offset: int) -> int:
-        """The first position in the text that stands for a source offset or a later one."""
+        """Return the first position in the text that maps to a source offset or to a later one."""
         for (text, start, length), begin in zip(self.parts, self.begins, strict=True):
             if offset < start:
                 return begin
@@ -89,7 +90,7 @@ class MappedText:
 
 
 def map_text(scan: TokenScan, line: SourceLine) -> MappedText:
-    """The text of a line with nothing between its braces."""
+    """Return the text of a line without the content of its braces."""
     opens = {group.open.start for group in line.groups}
     parts: list[tuple[str, int, int]] = []
     begin: int | None = None
@@ -118,11 +119,11 @@ def _move_brace_up(scan: TokenScan, above: int, brace: ScannedToken) -> Fix | No
 
 
 def cut_lines(scan: TokenScan, tokens: list[ScannedToken]) -> list[SourceLine]:
-    """The lines of the whole text. Braces must be paired."""
+    """Return the lines of a complete text. Braces must be paired."""
     top: list[SourceLine] = [SourceLine()]
     stack: list[
         tuple[list[SourceLine], ScannedToken, bool]
-    ] = []  # what is around: its lines, the brace, whether `choose` came before
+    ] = []  # enclosing groups: their lines, their opening brace, whether `choose` precedes it
     lines = top
     for token in tokens:
         sign = token_text(scan, token) if token.kind in ("open", "close") else ""

@@ -12,9 +12,9 @@ from antdsl.syntax.words import BLOCK_WORDS, LINE_WORDS_BY_RULE
 
 _CLOSING_SIGN = {"(": ")", "[": "]", "{": "}"}
 _MAX_LOOK_AHEAD_TOKENS = 200  # tokens; a line is seldom longer
-_MAX_BRACE_REPAIRS = 100  # after so many complaints, lost braces are no longer looked for: each search walks over the text
+_MAX_BRACE_REPAIRS = 100  # after this many errors, missing braces are not searched for, as each search scans the text
 _LINE_WORDS = frozenset(word for words in LINE_WORDS_BY_RULE.values() for word in words)
-_JOINING_WORDS = frozenset(("and", "or", "is", "in", "to", "then", "else"))  # words that go on with a value after a name
+_JOINING_WORDS = frozenset(("and", "or", "is", "in", "to", "then", "else"))  # words that continue an expression after a name
 
 
 def pair_brackets(scan: TokenScan) -> list[ScannedToken] | None:
@@ -31,6 +31,7 @@ def pair_brackets(scan: TokenScan) -> list[ScannedToken] | None:
 
 
 def token_text(scan: TokenScan, token: ScannedToken) -> str:
+    """Return the text of a token; for an inserted bracket, the bracket."""
     return token.virtual or "".join(scan.clean[token.start : token.end])
 
 
@@ -40,11 +41,12 @@ class _ParenthesisPairer:
     def __init__(self, scan: TokenScan) -> None:
         self.scan = scan
         self.out: list[ScannedToken] = []
-        self.origin: list[int] = []  # for each token of `out`, its number among the scan's tokens
-        self.open: list[int] = []  # places in `out` of what is open
+        self.origin: list[int] = []  # for each token of `out`, its index in the scan
+        self.open: list[int] = []  # indices in `out` of open brackets
         self.indents = _line_indents(scan.tokens)
 
     def run(self) -> list[ScannedToken]:
+        """Return all tokens with paired parentheses, without line ends inside them."""
         tokens, index = self.scan.tokens, 0
         while index <= len(tokens):
             token = tokens[index] if index < len(tokens) else None
@@ -93,6 +95,7 @@ class _ParenthesisPairer:
         self.origin.append(index)
 
     def line_start(self, index: int) -> int:
+        """Return the index of the first token of a token's line."""
         while index and self.scan.tokens[index].indent < 0:
             index -= 1
         return index
@@ -111,7 +114,7 @@ class _ParenthesisPairer:
             return False
         next_token = next((token for token in tokens[index + 3 :] if token.kind != "end"), None)
         if word == "behaviour" and next_token is not None and token_text(self.scan, next_token) == ":":
-            return False  # the name of an argument, whatever word it is
+            return False  # the word is the name of an argument
         return token_text(self.scan, below) in _LINE_WORDS
 
     def close_bracket(self, index: int, token: ScannedToken, text: str) -> bool:
@@ -192,7 +195,7 @@ class _OpenBrace:
     token: ScannedToken
     indent: int
     line: int
-    inner: int | None = None  # of its first line; -1 when something follows the brace on its own line
+    inner: int | None = None  # of its first line; -1 if text follows the brace on its line
 
 
 class _BracePairer:
@@ -205,10 +208,11 @@ class _BracePairer:
         self.out: list[ScannedToken] = []
         self.stack: list[_OpenBrace] = []
         self.line = 0
-        self.set_in = any(token.indent > 0 and token.kind != "end" for token in tokens)  # whether this author sets blocks in
-        self.surplus = 0  # how many more are closed than opened
+        self.set_in = any(token.indent > 0 and token.kind != "end" for token in tokens)  # whether the text indents its blocks
+        self.surplus = 0  # closing braces minus opening ones
 
     def run(self) -> list[ScannedToken]:
+        """Return all tokens with paired braces."""
         signs = [token_text(self.scan, token) for token in self.tokens if token.kind in ("open", "close")]
         depth = lowest = 0
         for sign in signs:
@@ -267,6 +271,7 @@ class _BracePairer:
         return True
 
     def drop_brace(self, token: ScannedToken) -> bool:
+        """Report a `}` without a `{`, and remove it. Return False: the token is not used."""
         self.scan.error(
             "unopened-brace", "`}` without a `{`", token.start, token.end, "delete it, or write the `{` that it closes", ""
         )

@@ -39,8 +39,8 @@ def tables_text() -> str:
     from lark.lexer import TerminalDef
 
     data, memo = build_parser().memo_serialize([TerminalDef, Rule])
-    data["options"]["strict"] = False  # collisions were looked for just now, and `interegular` is not where antdsl is used
-    data["options"].pop("cache_grammar", None)  # not known to lark 1.2, and at its default
+    data["options"]["strict"] = False  # collisions were checked above, and users do not have `interegular`
+    data["options"].pop("cache_grammar", None)  # lark 1.2 does not know this option, which has its default value
     data["parser"]["parser"] = number_tokens(data["parser"]["parser"])
     tables = {"grammar": grammar_hash(), "data": data, "memo": memo}
     return json.dumps(tables, separators=(",", ":"), ensure_ascii=True) + "\n"
@@ -57,7 +57,7 @@ def number_tokens(table: dict[str, Any]) -> dict[str, Any]:
     }
     order = list(dict.fromkeys(table["start_states"][start] for start in START_RULES))
     known = set(order)
-    for state in order:  # it grows on the way
+    for state in order:  # the loop appends to this list
         for _, reduces, to in states[state]:
             if not reduces and to not in known:
                 known.add(to)

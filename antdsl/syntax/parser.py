@@ -39,10 +39,10 @@ if TYPE_CHECKING:
     from lark import Lark
 
 SUPPORTED_EDITIONS = (1,)
-_MAX_REPAIRED_LINES = 100  # after so many complaints in a file, broken lines are dropped instead of mended
-_builder_lock = Lock()  # the builder holds the place of the line that is being parsed
+_MAX_REPAIRED_LINES = 100  # after this many errors in a file, lines with errors are dropped instead of repaired
+_builder_lock = Lock()  # the builder stores the location of the current line
 
-# Complaints after which a line does not say for certain what was meant; after others it was put right, or plainly cut out.
+# Errors after which the meaning of a line is uncertain. After other errors it was corrected or removed.
 _UNCERTAIN_CODES = frozenset(
     (
         "missing-brace",
@@ -57,7 +57,7 @@ _UNCERTAIN_CODES = frozenset(
     )
 )
 
-# Words and signs that part a line into slots, one of which is left out when it cannot be read.
+# Words and signs that separate the slots of a line. An unreadable slot is left out.
 _SLOT_SEPARATORS = frozenset(
     (
         "when",
@@ -220,7 +220,7 @@ class _FileParser:
         return tuple(node for line in lines for node in self.line(line, rule))
 
     def line(self, line: SourceLine, rule: str) -> list[Any]:
-        """Return the node of a line; none if it has no valid reading, two if a line end is missing."""
+        """Return the nodes of a line: one; none if the line is invalid; two if a line end is missing."""
         first = token_text(self.scan, line.tokens[0])
         if line.groups and first not in LINE_WORDS_BY_RULE[rule] and not self.at_error_limit():
             first = nearest_name(first, LINE_WORDS_BY_RULE[rule]) or first
@@ -242,7 +242,7 @@ class _FileParser:
             return [] if at_error_limit else self.recover(line, text, rule, unexpected)
 
     def mute_block(self, group: BraceGroup) -> None:
-        """Suppress faults of a block with a missing `}`: its end is unknown, and its last line may hold words from outside it."""
+        """Suppress errors in a block without `}`. Its end is unknown, so its last line may be outside the block."""
         if group.close.virtual and group.lines:
             one_line = "\n" not in self.source.text[group.open.start : group.close.end]
             for line in group.lines if one_line else group.lines[-1:]:
@@ -266,7 +266,7 @@ class _FileParser:
         return self.scan.has_fault(offset, len(self.source.text) if stop < 0 else stop)
 
     def check_node(self, node: Any, line: SourceLine) -> list[Any]:
-        """Check what the grammar leaves open: depth, the one result of a behaviour, a word that is not a property."""
+        """Check rules that the grammar does not express: depth, results of behaviours, words that are not properties."""
         if len(line.tokens) > limits.MAX_EXPRESSION_DEPTH:
             for span in find_too_deep(node):
                 message = f"expression more than {limits.MAX_EXPRESSION_DEPTH} operations deep"
@@ -285,7 +285,7 @@ class _FileParser:
         lines = self.builder.bodies.get(line.groups[-1].open.start, ()) if line.groups else ()
         results = [each for each in lines if isinstance(each, ResultLine)]
         if any(self.scan.has_fault(group.open.start, group.close.end) for group in line.groups):
-            return  # a line that could not be read may have been the result, or been taken for it
+            return  # an unparsed line may be the result
         if not results:
             help = "end it with a line that is only a value, such as `direction(target)`"
             self.report.error("missing-result", f"behaviour `{node.name.text}` has no result", node.name.span, help)
@@ -302,7 +302,7 @@ class _FileParser:
         if token is not None and not ended:
             position = token.start_pos
         offset = text.source_offset(position)
-        # the parser may have taken `->` for a minus and stumbled over its second half
+        # the parser may have read `->` as a minus and failed at the `>`
         previous_tokens = [each for each in line.tokens if ended or each.end <= offset]
         next_tokens = line.tokens[len(previous_tokens) :]
         last, bad_token = (previous_tokens[-1] if previous_tokens else None), (next_tokens[0] if next_tokens else None)

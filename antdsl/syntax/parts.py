@@ -13,7 +13,7 @@ from antdsl.syntax.file_limits import NO_SIZES, add_sizes, is_within
 from antdsl.syntax.parser import ParsedPart, parse, parse_part
 from antdsl.syntax.words import BLOCK_WORDS, LINE_WORDS_BY_RULE
 
-# Brackets and line ends, with what may hide them. What has a name here, only reading the whole text can make sense of.
+# Brackets and line ends, and text that may hide them. Named groups require parsing the complete text.
 _PIECE_PATTERN = re.compile(
     r'"[^"\n]*"|#[^\n]*|(?P<odd>\n[ \t]*\{)|[{}()\[\]\n]'
     r'|(?P<strange>["\x00-\x08\x0b-\x1f\x7f-\U0010ffff]|//|/\*|<<<<<<<|>>>>>>>|```|~~~)'
@@ -23,9 +23,9 @@ _BLOCK_START_WORDS = BLOCK_WORDS | {"on", "from"}
 _TOP_LEVEL_WORDS = frozenset(LINE_WORDS_BY_RULE["top"])
 _SPECIES_PATTERN = re.compile(r"species\b[^{}\n]*\{[ \t]*(?:#[^\n]*)?\n")
 _EDITION_PATTERN = re.compile(r"(?:[ \t]*(?:#[^\n]*)?\n)*[ \t]*ant\b")
-# Said once of a name, wherever it stands in a file: where two blocks say so, the whole text has to be read.
+# Errors that a file reports once. If two blocks report one, the complete text must be parsed.
 _ONCE_PER_FILE_CODES = frozenset(("bad-name", "look-alike", "odd-blank", "name-too-long", "line-too-long", "markdown-fence"))
-_MAX_DIAGNOSTICS = 50  # complaints of parsing, after which less is said of further ones
+_MAX_DIAGNOSTICS = 50  # parse errors after which messages get shorter
 
 
 @dataclass(frozen=True, slots=True)
@@ -115,8 +115,8 @@ class IncrementalParser:
     _count: int = 0
 
     def parse(self, source: Source) -> tuple[n.File, Report]:
-        """As `syntax.parse`, with the same errors. The file's nodes have locations in its parts: `File.whole` converts them to
-        `source`. Comments after the closing brace of a species are left out."""
+        """Return the same file and errors as `syntax.parse`. The file's nodes have locations in its parts, which
+        `File.file_span` converts. Comments after the closing brace of a species are left out."""
         cut_list = cut_blocks(source.text)
         if cut_list is None or len(cut_list) < 3:
             return parse(source)
@@ -134,7 +134,7 @@ class IncrementalParser:
             known.append((cut, text, part))
             sizes = add_sizes(sizes, part.sizes)
             if not is_within(sizes):
-                return parse(source)  # which says so, and reads no more of it
+                return parse(source)  # which reports the exceeded limit
         self._known = known
         parts = [(cut, part) for cut, _, part in self._known]
         said = [d for _, part in parts for d in part.report.diagnostics]

@@ -1,6 +1,6 @@
-"""Source → tokens for cutting and a clean text for parsing. What no `.ant` text may contain is reported here. It is corrected if
-the meaning is clear, so that one mistake gives one message. The clean text is as long as the source: an offset is valid for
-both."""
+"""Source → tokens for cutting and a clean text for parsing. Characters and words that no `.ant` text may contain are reported
+here. They are corrected if the meaning is clear, so that one mistake gives one message. The clean text is as long as the
+source, so an offset is valid for both."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ class TokenScan:
     clean: list[str]
     tokens: list[ScannedToken] = field(default_factory=list)
     comments: list[Comment] = field(default_factory=list)
-    faults: list[int] = field(default_factory=list)  # offsets of complaints, which silence what a parser would say there
+    faults: list[int] = field(default_factory=list)  # offsets of errors, which suppress parse errors there
 
     def error(
         self,
@@ -106,7 +106,7 @@ _NAMING_WORDS = frozenset(
     ("state", "species", "param", "let", "latch", "field", "machine", "behaviour", "start", "->")
 )  # a name follows
 _ANY_WORD_PATTERN = re.compile(r"\w+")
-_SWALLOWED_TAIL_PATTERN = re.compile(r"[ \t\r]*[{};]*[ \t\r]*(#[^\n]*)?$")  # what a text that is not closed has swallowed
+_SWALLOWED_TAIL_PATTERN = re.compile(r"[ \t\r]*[{};]*[ \t\r]*(#[^\n]*)?$")  # the end of a line inside an unclosed text
 _COLON_PATTERN = re.compile(r"[ \t]*:")
 _FRACTION_PATTERN = re.compile(r"\.[0-9]+")
 _UNIT_SLIP_PATTERN = re.compile(rf"[/*]({'|'.join(UNIT_SLIP_HELP)})(?![A-Za-z0-9_])")
@@ -129,10 +129,10 @@ class _Scanner:
     def __init__(self, text_scan: TokenScan) -> None:
         self.found = text_scan
         self.characters = "".join(text_scan.clean)
-        self.indent = 0  # of the line so far, -1 after its first token
-        self.reported: set[str] = set()  # names and kinds of slip that have been complained about already
+        self.indent = 0  # indent of the current line; -1 after its first token
+        self.reported: set[str] = set()  # names and mistakes that are already reported
         self.last_end = -1  # offset where the last token ended
-        self.inside = 0  # how many ( and [ are open that may hold values with commas between them
+        self.inside = 0  # open ( and [ that may contain comma-separated values
 
     def run(self) -> None:
         position = 0
@@ -147,7 +147,7 @@ class _Scanner:
         self.last_end = end
         return end
 
-    def blank(self, start: int, end: int, piece: str) -> int:  # also for blanks that had to be put right
+    def blank(self, start: int, end: int, piece: str) -> int:  # also for corrected blanks
         if self.indent >= 0:
             self.indent += sum(4 if character == "\t" else 1 for character in piece if character != "\r")
         self.found.blank_out(start, end)
@@ -392,6 +392,6 @@ class _Scanner:
 
 
 def last_token_text(text_scan: TokenScan) -> str:
-    """The text of the token that was read last."""
+    """Return the text of the last token."""
     last = text_scan.tokens[-1]
     return text_scan.source.text[last.start : last.end]

@@ -11,7 +11,7 @@ from antdsl import resources
 if TYPE_CHECKING:
     from lark import Lark
 
-# The rules with which a line of a file can begin, by what it stands in.
+# Start rules of the grammar, one for each context of a line.
 START_RULES = (
     "header",
     "top",

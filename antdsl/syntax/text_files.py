@@ -13,7 +13,7 @@ from antdsl.diagnostics.model import Report
 from antdsl.source import Source, Span
 from antdsl.whole import atomic_file
 
-# First bytes of files that are something else.
+# First bytes of other file formats.
 _OTHER_FILE_SIGNATURES = (
     (b"PK\x03\x04", "a zip archive"),
     (b"PXR-USDC", "a USD scene"),
@@ -109,9 +109,9 @@ def write(path: Path, text: str) -> None:
     Raises OSError if that fails; the old file is then unchanged."""
     place = path.resolve(strict=True)
     if not os.access(place, os.W_OK):
-        # the folder would let us put another file in its place, but this one is not to be changed
+        # the folder allows a replacement, but the file itself is read-only
         raise PermissionError(13, "permission denied", str(path))
     with atomic_file(place) as file:
-        if os.chmod in os.supports_fd:  # before there is anything in it to read
+        if os.chmod in os.supports_fd:  # before it has content
             os.chmod(file.fileno(), stat.S_IMODE(place.stat().st_mode))
         file.write(text.encode("utf-8"))

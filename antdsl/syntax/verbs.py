@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-# What follows a verb, as the grammar says it; "own": the grammar has a rule for that verb alone.
+# Grammar text after a verb. "own": the grammar has a separate rule for the verb.
 SHAPE_PATTERNS: dict[str, str] = {
     "alone": "",
     "name": "NAME",
@@ -33,7 +33,7 @@ class Verb:
     next: str = ""
 
 
-# In the order in which messages and editors list them.
+# In the order of messages and editors.
 _VERB_ROWS = (
     Verb("deposit", "amount", "deposit trail 2 /s", "the name of a field"),
     Verb("carve", "arguments", "carve hill(radius: 2 mm)", "the name of a solid"),

@@ -8,13 +8,13 @@ from antdsl.syntax.verbs import VERB_BY_WORD
 
 UNIT_NAMES = ("mm", "cm", "m", "s", "min", "deg", "rad", "turn", "mg", "g", "kg", "N", "uN", "u", "step")
 
-# How a number is written, one unit, all that may stand behind a number, and both: the digits and the unit are groups 1 and 2.
+# Regular expressions of a number, of one unit, of a compound unit, and of a quantity (groups 1 and 2: digits, unit).
 NUMBER_REGEX = r"[0-9]+(?:\.[0-9]+)?(?:[eE][+-]?[0-9]+(?![0-9A-Za-z_]))?"
 UNIT_REGEX = rf"(?:{'|'.join(UNIT_NAMES)})(?:\^[0-9]+)?(?![A-Za-z_0-9])"
 UNITS_REGEX = rf"(?:%|{UNIT_REGEX}|/{UNIT_REGEX})(?:[/*]{UNIT_REGEX})*"
 QUANTITY_PATTERN = re.compile(rf"({NUMBER_REGEX})[ \t]*({UNITS_REGEX})?")
 
-# Units as other tools write them, or as people say them, and what to write here.
+# Units of other tools and everyday names of units, with the unit of this language.
 _UNIT_SLIPS = (
     ("ms", "write thousandths of a second as `0.001 s`"),
     ("h", "write an hour as `60 min`"),
@@ -38,7 +38,7 @@ _UNIT_SLIPS = (
 )
 UNIT_SLIP_HELP = {word: advice for words, advice in _UNIT_SLIPS for word in words.split()}
 
-# What a line may begin with, by the rule of the grammar that reads the line; anything else is a value or a name of the author's.
+# First words of lines by grammar rule. Other lines begin with a value or with a name that the author chose.
 _ACTION_WORDS = tuple(VERB_BY_WORD)
 _CHANGE_WORDS = ("when", "interrupt")
 _CLAIM_WORDS = ("always", "never", "eventually", "finally", "sooner", "until")
@@ -59,7 +59,7 @@ LINE_WORDS_BY_RULE: dict[str, tuple[str, ...]] = {
     "spec_line": ("for", "seeds", "pass", "set", "against", *_CLAIM_WORDS, "within", "when", "each"),
 }
 
-# First words of other languages, and the word that is meant.
+# First words from other languages, with the intended word.
 FOREIGN_FIRST_WORDS: dict[str, str] = {
     "agent": "species",
     "class": "species",
@@ -76,13 +76,13 @@ FOREIGN_FIRST_WORDS: dict[str, str] = {
     "var": "let",
 }
 
-# What a person may write after `items NAME …` and so on, shown when the word is missing.
+# Words after which `NAME …` follows in `world`, listed if the word is missing.
 WORLD_KIND_WORDS = ("surface", "obstacle", "solid", "items", "curve", "flow", "map", "species")
 FIELD_SETTING_WORDS = ("cell", "half_life", "evaporate", "keeps", "diffuse", "stencil", "combine", "deposits", "limit")
-FIXED_FIELD_SETTINGS = ("cell", "stencil", "combine", "deposits")  # what a field is made of: another value is another field
-WORD_SETTING_VALUES = {"combine": ("add", "max"), "deposits": ("last", "first")}  # settings that are words, the usual one first
+FIXED_FIELD_SETTINGS = ("cell", "stencil", "combine", "deposits")  # a changed value makes it another field
+WORD_SETTING_VALUES = {"combine": ("add", "max"), "deposits": ("last", "first")}  # words as values, the default first
 
-# Where a line with such a first word belongs, for one that stands elsewhere.
+# The context of lines with these first words, for messages about misplaced lines.
 LINE_CONTEXT_BY_WORD: dict[str, str] = {
     **{word: "at the top of the file" for word in LINE_WORDS_BY_RULE["top"]},
     **{word: "in a species" for word in LINE_WORDS_BY_RULE["member"]},
@@ -95,7 +95,7 @@ LINE_CONTEXT_BY_WORD: dict[str, str] = {
     **{word: "in a spec" for word in LINE_WORDS_BY_RULE["spec_line"] if word != "when"},
 }
 
-# What the braces after a line hold: by the rule that reads the line, and its first word (`*` for any).
+# The grammar rule of the lines in braces, by the rule of the line before and its first word (`*`: any).
 BODY_RULE_BY_LINE: dict[tuple[str, str], str] = {
     ("top", "world"): "world_item",
     ("top", "field"): "setting",
@@ -121,7 +121,7 @@ BODY_RULE_BY_LINE: dict[tuple[str, str], str] = {
 _OPTIONAL_BRACE_WORDS = {"*", "when", "interrupt", "from", "against"}
 BLOCK_WORDS = frozenset(word for _, word in BODY_RULE_BY_LINE) - _OPTIONAL_BRACE_WORDS  # their braces cannot be left out
 
-# One line of each kind, shown as the text to write instead.
+# An example line of each kind, for messages.
 EXAMPLE_LINES: dict[str, str] = {
     "ant": "ant 1",
     "use": 'use steering` or `use "./mine.ant" as mine',
@@ -163,7 +163,7 @@ EXAMPLE_LINES: dict[str, str] = {
     "each": "each forager { never: speed > 40 mm/s }",
 }
 
-# The same for lines that begin with a name of the author's, by the rule that reads the line.
+# The same for lines that begin with a name, by grammar rule.
 EXAMPLE_LINE_BY_RULE: dict[str, str] = {
     "header": "ant 1",
     "world_item": 'surface ground "What ants walk on"',
@@ -178,7 +178,7 @@ EXAMPLE_LINE_BY_RULE: dict[str, str] = {
     "behaviour_line": "direction(target)",
 }
 
-# After these words or signs, what comes next, in words.
+# Descriptions of what follows a word or sign.
 CONTINUATION_TEXTS: dict[str, str] = {
     "when": "a condition",
     "and": "a condition",
@@ -227,7 +227,7 @@ CONTINUATION_TEXTS: dict[str, str] = {
     "{": "a line or `}`",
 }
 
-# All words that have a meaning of their own somewhere in a line.
+# All words with a meaning in some line.
 LANGUAGE_WORDS = frozenset(
     {*(word for words in LINE_WORDS_BY_RULE.values() for word in words), *(word for word in CONTINUATION_TEXTS if word.isalpha())}
     | {"relax", "strongest", "any", "except", "none", "all"}

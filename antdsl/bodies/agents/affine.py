@@ -16,9 +16,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 Floats = NDArray[np.float32]
-Numbers = NDArray[Any]  # float32 or float64, as it was given
+Numbers = NDArray[Any]  # float32 or float64, as the input
 
-_POLAR_ITERATIONS = 8  # of which six are enough for scales of 1 : 1e15 in one matrix
+_POLAR_ITERATIONS = 8  # six suffice for a matrix with scales of 1 to 1e15
 
 
 def normalise(rotation: Numbers) -> Numbers:

@@ -17,8 +17,8 @@ from antdsl.bodies.agents.definition import Definition, Shape
 from antdsl.bodies.agents.poses import Poses
 from antdsl.bodies.agents.skinning import Deformed, normalise_in_place
 
-_SHAPE_FIELD_BY_ATTRIBUTE = {"P": "points", "N": "normals"}  # attributes with a field of their own
-_MIN_KNOT_SPACING = 1e-6  # in-betweens of the same weight are one
+_SHAPE_FIELD_BY_ATTRIBUTE = {"P": "points", "N": "normals"}  # attributes that are separate fields of a shape
+_MIN_KNOT_SPACING = 1e-6  # in-betweens with weights nearer than this count as one
 
 
 def blend_shapes(deformed: Deformed, shape: Shape, definition: Definition, poses: Poses) -> Deformed:
@@ -132,4 +132,4 @@ def attribute_difference(
     mine, others = values_of(base, name), values_of(target, name)
     assert mine is not None and others is not None
     delta = others[target_points].astype(np.float32) - mine[base_points].astype(np.float32)
-    return np.ascontiguousarray(delta.reshape(len(base_points), int(np.prod(delta.shape[1:]))).T)  # also where none is matched
+    return np.ascontiguousarray(delta.reshape(len(base_points), int(np.prod(delta.shape[1:]))).T)  # also if no point is matched

@@ -37,7 +37,7 @@ from antdsl.numerics.float_environment import standard_floats
 
 INTERPOLATE_MODE, ADDITIVE_MODE, OVER_MODE = 0, 1, 2
 NO_PARENT = -1
-_JOINTS_PER_CHUNK = 1 << 15  # joints worked on at once: their components stay in the cache of a core
+_JOINTS_PER_CHUNK = 1 << 15  # joints per chunk: their components fit into the cache of a core
 _FLOAT32_ONE = np.float32(1)
 # limits of weights: float32 cannot resolve shares of larger weights, or of a smaller sum
 _MAX_WEIGHT, _MIN_TOTAL_WEIGHT = np.float32(1e18), np.float32(1e-30)

@@ -54,6 +54,7 @@ def agent_boxes(
 
 
 def _binding_box(definition: Definition, binding: Binding, worlds: Floats) -> tuple[Floats, Floats]:
+    """Return the lowest and highest corners [n, 3] of the box of a binding's shape."""
     shape = definition.shapes[binding.shape]
     scale = np.array(binding.bounds_scale, worlds.dtype)
     if shape.capture is not None and binding.deformer not in ("", "blendshape"):
@@ -90,7 +91,7 @@ def _transform_box(extent: tuple[Floats, Floats], scale: Floats, worlds: Floats,
         ]
         matrices = np.stack(columns, axis=-1)
     middle, half = _scaled_box(extent, scale)
-    # the box of a turned box: its middle is turned, its half widths go by the sizes of the matrix's entries
+    # the box of a rotated box: rotated centre; half widths times the absolute values of the matrix's entries
     turned = matrices[:, :3, 0] * middle[0] + matrices[:, :3, 1] * middle[1] + matrices[:, :3, 2] * middle[2] + matrices[:, :3, 3]
     size = np.abs(matrices[:, :3, :3])
     wide = size[:, :, 0] * half[0] + size[:, :, 1] * half[1] + size[:, :, 2] * half[2]
@@ -142,6 +143,7 @@ def rest_box(definition: Definition) -> tuple[NDArray[np.float64], NDArray[np.fl
 
 
 def _rest_points(definition: Definition, binding: Binding, shape: Shape, world: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the points [P, 3] of a binding's shape in the rest pose."""
     points = shape.points.astype(np.float64)
     if shape.capture is None or binding.deformer in ("", "blendshape"):
         return _transform_points(world[definition.rig.joint(binding.transform)], points) if binding.transform else points

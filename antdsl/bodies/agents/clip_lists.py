@@ -13,7 +13,7 @@ from antdsl.bodies.agents.blending import NO_PARENT, ClipTree, Playing
 from antdsl.bodies.agents.poses import REST_CLIP, ClipTable
 
 Numbers = NDArray[Any]
-_NO_CLIP = -2  # of a clip or layer that an agent does not have
+_NO_CLIP = -2  # stands for a clip or layer that an agent does not have
 
 
 def playing_of(

@@ -25,7 +25,7 @@ from antdsl.bodies.agents.skinning import (
 )
 from antdsl.numerics.float_environment import standard_floats
 
-_POINTS_PER_CHUNK = 1 << 15  # points of agents worked on at once
+_POINTS_PER_CHUNK = 1 << 15  # points per chunk, over all agents
 
 
 class Deformer(Protocol):

@@ -89,7 +89,7 @@ def _shortest_turn(direction: Sequence[Floats], ahead: Floats) -> Floats:
         y * direction[2] - z * direction[1], z * direction[0] - x * direction[2], x * direction[1] - y * direction[0],
         1 + ((direction[0] * x + direction[1] * y) + direction[2] * z),
     ]).astype(np.float32)  # fmt: skip
-    quaternions[:, quaternions[3] < 1e-6] = np.array([[0], [0], [0], [1]], np.float32)  # straight back: there is no shortest turn
+    quaternions[:, quaternions[3] < 1e-6] = np.array([[0], [0], [0], [1]], np.float32)  # straight back: no unique rotation
     return np.ascontiguousarray(normalise(quaternions).T)
 
 

@@ -42,6 +42,7 @@ def leg_chain(rig: Rig, leg: Leg) -> LegChain:
 
 
 def _descendant_mask(rig: Rig, joint: int) -> NDArray[np.bool_]:
+    """Return a mask of a joint and all its descendants, bool[J]."""
     is_below = np.zeros(len(rig.names), np.bool_)
     is_below[joint] = True
     for number in range(joint + 1, len(is_below)):
@@ -75,4 +76,5 @@ def legs_data(body: Definition) -> LegsData:
 
 
 def _lengths(v: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the lengths of vectors [..., 3]."""
     return np.asarray(np.sqrt((v[:, 0] * v[:, 0] + v[:, 1] * v[:, 1]) + v[:, 2] * v[:, 2]))

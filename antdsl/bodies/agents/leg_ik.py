@@ -20,16 +20,16 @@ from antdsl.bodies.agents.leg_chains import Joints, LegChain, leg_chain, standin
 from antdsl.bodies.agents.machine_clips import MachineClips, PlayedClip
 from antdsl.bodies.agents.poses import Poses
 
-MAX_LEG_EXTENSION = 0.9995  # of both bones together: a leg is never quite straight, or its knee would have no side
-_FOLDED_LEG_FACTOR = 1.02  # times the difference of both bones
-_MAX_TRUNK_SINK = 0.25  # of a leg: how far a trunk comes down in a pose so that feet that stand are in reach
-_MIN_KNEE_SINE = 1e-3  # of the product of both bones: a knee with a smaller sine does not define its plane
+MAX_LEG_EXTENSION = 0.9995  # share of the length of both bones; in a completely straight leg the knee would have no direction
+_FOLDED_LEG_FACTOR = 1.02  # times the length difference of both bones
+_MAX_TRUNK_SINK = 0.25  # in leg lengths: how far a trunk is lowered at most, so that standing feet are in reach
+_MIN_KNEE_SINE = 1e-3  # sine of the knee angle below which the knee does not define a plane
 LEG_BENDING_LIMITS = {
     "straight": MAX_LEG_EXTENSION,
     "folded": _FOLDED_LEG_FACTOR,
     "sunk": _MAX_TRUNK_SINK,
     "plane": _MIN_KNEE_SINE,
-}  # for those who bend legs elsewhere
+}  # for renderers that bend legs themselves
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -179,6 +179,7 @@ class LegSolver:
         world[:, 3] -= self._up[:, None, None] * (most * stands)
 
     def _bend_leg(self, world: Floats, leg: LegChain, goal: Floats, stands: Floats) -> None:
+        """Bend a leg in `world` so that its foot reaches `goal` [3, n], weighted by `stands` [n], in place."""
         hip, knee, foot = (world[:, 3, joint].copy() for joint in (leg.upper, leg.lower, leg.foot))
         sole = world[:, :, leg.sole].copy()
         goal = foot + (goal - foot) * stands
@@ -213,6 +214,7 @@ class LegSolver:
         return _unit(axis)
 
     def _straight_axis(self, leg: LegChain) -> Floats:
+        """Return the bend axis [3, 1] of the standing pose; for a straight leg, the axis of a knee that bends forward."""
         hip, knee, foot = (self._rest[:, joint, None] for joint in (leg.upper, leg.lower, leg.foot))
         rest = _cross(hip - knee, foot - knee)
         if _length(rest)[0] <= _MIN_KNEE_SINE * _length(hip - knee)[0] * _length(foot - knee)[0]:

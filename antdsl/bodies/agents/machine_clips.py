@@ -124,7 +124,7 @@ def playing_of_machines(
     layers = np.ones((count, len(modes)), np.float32)
     for layer in {*range(1, 1 + len(machines)), *layer_of}:
         layers[:, layer] = weights[:, [place for place, each in enumerate(layer_of) if each == layer]].sum(axis=1)
-    # Who has the same groups in the same places shares a tree; what has no weight may be of any group.
+    # Agents with equal groups in equal slots share a tree. A slot without weight may have any group.
     used[weights == 0] = 0
     kinds, tree = np.unique(used, axis=0, return_inverse=True)
     trees = tuple(ClipTree(layer_of, tuple(groups[g] for g in kind), modes, parents) for kind in kinds)
@@ -142,7 +142,7 @@ def _slots(
     group_of = np.array([groups.index(each.on) for each in played] + [0])
     adds = np.array([each.add for each in played] + [False])
     parts = list(machine.clip_slots())
-    for clip, turns, weight in parts if parts[0][2].any() else parts[1:]:  # seldom do three clips play at once
+    for clip, turns, weight in parts if parts[0][2].any() else parts[1:]:  # three simultaneous clips are rare
         row = np.where((clip >= 0) & (clip < len(played)), clip, len(played))
         exact = turns.astype(np.float64)
         far = np.where(loops[row], exact - np.floor(exact), np.minimum(exact, 1.0))
@@ -172,4 +172,5 @@ def _lean_shares(numbers: NDArray[np.int32], lean: Floats | None) -> Iterator[Fl
 
 
 def _clip_number(table: ClipTable, name: str) -> int:
+    """Return the number of a clip, REST_CLIP if the table does not have it."""
     return table.names.index(name) if name in table.names else REST_CLIP

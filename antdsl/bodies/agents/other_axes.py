@@ -38,11 +38,13 @@ def convert_axes(body: Definition, front: AxisVector, up: AxisVector, unit: floa
 
 
 def _axis_frame(front: AxisVector, up: AxisVector) -> Floats:
+    """Return the matrix [3, 3] with the columns front, up and side."""
     ahead, above = np.array(front, np.float64), np.array(up, np.float64)
     return np.stack([ahead, above, np.cross(ahead, above)], axis=1)
 
 
 def _convert_clip(clip: Clip, change: Floats, back: Floats) -> Clip:
+    """Return a clip in other axes. `change` converts vectors, `back` is its inverse."""
     if not clip.joints:
         return clip
     move, turn, scale = (each.astype(np.float64) for each in (clip.translation, clip.rotation, clip.scale))
@@ -52,7 +54,7 @@ def _convert_clip(clip: Clip, change: Floats, back: Floats) -> Clip:
     )
     move, _, scale, shear = parts_of(new_matrices)
     axis = change[:3, :3] / np.abs(np.linalg.det(change[:3, :3])) ** (1 / 3)
-    # the axis of a turn is turned, its angle stays: no sign is lost from sample to sample
+    # only the axis of a rotation changes, not its angle, so signs stay continuous over samples
     turn = np.concatenate([clip.rotation[..., :3] @ axis.T, clip.rotation[..., 3:]], axis=-1)
     return replace(
         clip, translation=move.astype(np.float32), rotation=turn.astype(np.float32), scale=scale.astype(np.float32),
@@ -61,6 +63,7 @@ def _convert_clip(clip: Clip, change: Floats, back: Floats) -> Clip:
 
 
 def _convert_shape(shape: Shape, change: Floats, back: Floats) -> Shape:
+    """Return a shape in other axes. `change` converts vectors, `back` is its inverse."""
     axis = change[:3, :3] / np.abs(np.linalg.det(change[:3, :3])) ** (1 / 3)
     capture = shape.capture
     if capture is not None:

@@ -119,6 +119,7 @@ def unpack_definition(arrays: Mapping[str, NDArray[Any]]) -> Definition:
 
 
 def _read(arrays: Mapping[str, NDArray[Any]]) -> Definition:
+    """Return the definition in these arrays. Raises errors of many types for damaged arrays."""
     text = arrays["text"]
     if text.dtype != np.uint8 or text.ndim != 1 or text.size > limits.MAX_BODY_JSON_BYTES:
         raise ValueError
@@ -252,42 +253,50 @@ def _check_bounds(body: Definition) -> None:
 
 
 def _is_valid_gait(gait: Gait) -> bool:
+    """Return whether the numbers of a gait are finite and in their ranges."""
     low, high = limits.DUTY_FACTOR_RANGE
     return gait.speed >= 0 and gait.stride >= limits.MIN_STRIDE and low <= gait.duty <= high and gait.lift >= 0
 
 
 def _is_within(numbers: NDArray[Any], count: int) -> bool:
+    """Return whether all numbers are indices below `count`."""
     return bool(((numbers >= 0) & (numbers < count)).all())
 
 
 def _integer(value: Any) -> int:
+    """Return an integer from 0 to below 2**48. Raises ValueError for any other value."""
     if not isinstance(value, int) or isinstance(value, bool) or not 0 <= value < 1 << 48:
         raise ValueError
     return value
 
 
 def _number(value: Any) -> float:
+    """Return a finite number as float. Raises ValueError for any other value."""
     if not isinstance(value, int | float) or isinstance(value, bool) or not np.isfinite(value):
         raise ValueError
     return float(value)
 
 
 def _numbers(values: Any) -> tuple[float, ...]:
+    """Return a list of finite numbers as a tuple. Raises ValueError for any other value."""
     return tuple(_number(each) for each in values)
 
 
 def _triple(values: Any) -> tuple[float, float, float]:
+    """Return a list of three numbers as a tuple. Raises ValueError for any other value."""
     x, y, z = _numbers(values)
     return x, y, z
 
 
 def _text(value: Any) -> str:
+    """Return a text. Raises ValueError for any other value."""
     if not isinstance(value, str):
         raise ValueError
     return value
 
 
 def _texts(values: Any) -> tuple[str, ...]:
+    """Return a list of texts as a tuple. Raises ValueError for any other value."""
     if not isinstance(values, list):
         raise ValueError
     return tuple(_text(each) for each in values)

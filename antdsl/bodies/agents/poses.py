@@ -28,7 +28,7 @@ from antdsl.bodies.agents.affine import (
 )
 from antdsl.bodies.agents.definition import Clip, Definition, Rig, TransformGroup
 
-REST_CLIP = -1  # the number of no clip: the rest pose, and the defaults of channels
+REST_CLIP = -1  # stands for no clip: the rest pose and the default channel values
 
 
 @dataclass(slots=True, eq=False)
@@ -236,7 +236,7 @@ def clip_table(definition: Definition) -> ClipTable:
     order, levels = _depth_order(rig)
     clips = tuple(definition.clips.values())
     rest = decompose_matrices(rig.rest)
-    rest[3][np.abs(rest[3]) < 1e-7] = 0  # what is left of rounding is no shear
+    rest[3][np.abs(rest[3]) < 1e-7] = 0  # rounding errors do not count as shear
     scaled = bool((np.abs(rest[2] - 1) > 1e-6).any()) or any((clip.scale != 1).any() for clip in clips)
     sheared = bool(rest[3].any()) or any(clip.shear is not None and clip.shear.any() for clip in clips)
     rest_parts = [*rest[:2], *([rest[2]] if scaled else []), *([rest[3]] if sheared else [])]
@@ -272,6 +272,7 @@ def _depth_order(rig: Rig) -> tuple[NDArray[np.intp], tuple[tuple[int, int, NDAr
 
 
 def _rest_row(rig: Rig, rest: list[NDArray[np.float64]], order: NDArray[np.intp]) -> Floats:
+    """Return the row of a table that has the rest pose and the default values of channels."""
     return np.concatenate([*(part[:, order].reshape(-1) for part in rest), rig.defaults]).astype(np.float32)[None]
 
 
@@ -292,7 +293,7 @@ def _clip_rows(
     )
     for place, part in enumerate(clip_parts):
         if part is None:
-            rig_parts[place][:, :, rig_joints] = 0  # a clip without shears says that there are none
+            rig_parts[place][:, :, rig_joints] = 0  # a clip without shear has shear 0
             continue
         if clip.joints and part.shape != expected_shapes[place]:
             raise ValueError(f"clip `{clip.name}` has an array {part.shape} where {expected_shapes[place]} is needed")

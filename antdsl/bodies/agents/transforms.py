@@ -143,10 +143,12 @@ def parts_of(matrix: Floats) -> tuple[Floats, Floats, Floats, Floats]:
 
 
 def _lengths(vectors: Floats) -> Floats:
+    """Return the lengths [...] of vectors [..., k]."""
     return np.asarray(np.sqrt((vectors * vectors).sum(axis=-1)))
 
 
 def _normalise_or(vectors: Floats, lengths: Floats, otherwise: tuple[float, float, float]) -> Floats:
+    """Return unit vectors [..., k]; vectors with a length of at most 1e-30 become `otherwise`."""
     known = lengths > 1e-30
     return np.where(known[..., None], vectors / np.where(known, lengths, 1.0)[..., None], np.array(otherwise))
 

@@ -58,7 +58,7 @@ def scaled_joints(rig: Rig, group: TransformGroup) -> Iterator[tuple[int, float]
     """Yield the uppermost joints of a transform group, the pivots of its scaling, with their weights."""
     members = {rig.joint(member): weight for member, weight in group.members}
     for joint, weight in members.items():
-        if not any(joint in rig.descendants(other) for other in members if other != joint):  # else it is scaled with that
+        if not any(joint in rig.descendants(other) for other in members if other != joint):  # otherwise scaled with the ancestor
             yield joint, weight
 
 

@@ -50,7 +50,7 @@ def check_definition(parts: Parts, report: Report) -> Definition | None:
     """Return the definition, with its length measured if the document gives none. Return None if one of the findings is an
     error."""
     definition = parts.definition
-    sound = report.ok  # else a shape may be missing only because its file could not be read
+    sound = report.ok  # otherwise a shape may be missing because its file could not be read
     _check_sizes(definition, parts.span, report)
     for name, layer in definition.layers.items():
         for binding in (*layer.static, *layer.deforming):
@@ -80,6 +80,7 @@ def check_definition(parts: Parts, report: Report) -> Definition | None:
 
 
 def _check_sizes(definition: Definition, place: Span | None, report: Report) -> None:
+    """Report a definition with too many points, shapes, layers or clips, or too many bytes of samples."""
     points = sum(len(shape.points) for shape in definition.shapes.values())
     if points > limits.MAX_BODY_POINTS:
         words = f"together, the shapes have {points:,} points, more than {limits.MAX_BODY_POINTS:,}"
@@ -95,6 +96,7 @@ def _check_sizes(definition: Definition, place: Span | None, report: Report) -> 
 
 
 def _check_binding(parts: Parts, layer: str, binding: Binding, report: Report, sound: bool) -> None:
+    """Report missing joints, shapes and deformers of a binding, and inputs that a deformer lacks."""
     definition = parts.definition
     if binding.transform and binding.transform not in definition.rig.names:
         place = parts.place_of("layers", layer, binding.transform)
@@ -120,6 +122,7 @@ def _check_binding(parts: Parts, layer: str, binding: Binding, report: Report, s
 
 
 def _check_shape(definition: Definition, shape: Shape, place: Span | None, report: Report) -> None:
+    """Report joints, blend shapes and channels that a shape names and the definition lacks."""
     if shape.capture is not None:
         missing = [name for name in shape.capture.names if name not in definition.rig.names]
         if missing:
@@ -168,6 +171,7 @@ def _check_legs(parts: Parts, report: Report) -> None:
 
 
 def _check_leg(parts: Parts, leg: Leg, report: Report) -> None:
+    """Report joints of a leg that are missing or not below each other."""
     definition, known = parts.definition, True
     names = definition.rig.names
     for key, joint in (("upper", leg.upper), ("lower", leg.lower), ("foot", leg.foot)):
@@ -183,6 +187,7 @@ def _check_leg(parts: Parts, leg: Leg, report: Report) -> None:
 
 
 def _measure_length(definition: Definition, parts: Parts, report: Report) -> Definition | None:
+    """Return the definition with its measured length. Report a body without extent along `front`; its length is 1."""
     if not parts.measured:
         return definition
     with np.errstate(all="ignore"):

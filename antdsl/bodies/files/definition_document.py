@@ -182,6 +182,7 @@ def _read_clips(form: BodyForm, root: Node, files: BodyFiles, rig: Rig, clips: d
 
 
 def _referenced_clips(entry: ClipReference, node: Node, files: BodyFiles, rig: Rig, own: dict[str, Clip]) -> list[Clip]:
+    """Return the clips that an entry refers to, with the settings of the entry."""
     report = files.report
     clips: Mapping[str, Clip] = own
     if entry.file is not None:

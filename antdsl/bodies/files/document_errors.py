@@ -21,8 +21,8 @@ from antdsl.source import Span
 
 F = TypeVar("F", bound=Form)
 Path = tuple[PathKey, ...]
-_MOST_ERRORS = 200  # findings of one round; the others are reported once these are corrected
-_NULL = object()  # stands for a null, which no value of a document may be
+_MOST_ERRORS = 200  # findings per check; further ones are reported after these are corrected
+_NULL = object()  # replaces null, which is not allowed in documents
 _TYPES: dict[str, tuple[str, str | None]] = {
     "string_type": ("a text", 'write `"…"`'),
     "float_type": ("a number", None),
@@ -46,7 +46,7 @@ def read_form(form: type[F], root: Node, report: Report) -> F | None:
             return form.model_validate(tree)
         except ValidationError as problem:
             errors = problem.errors(include_url=False, include_input=False)
-        errors.sort(key=lambda error: _is_ignorable(form, error))  # then one round ends with an error or deletes all
+        errors.sort(key=lambda error: _is_ignorable(form, error))  # each round then ends with an error or removes all warnings
         diagnostics = [_diagnose(form, root, error) for error in drop_consequences(errors[:_MOST_ERRORS])]
         report.extend(diagnostics)
         if any(diagnostic.severity == "error" for diagnostic in diagnostics):
@@ -129,6 +129,7 @@ def _diagnose_worded(root: Node, path: Path, context: Any) -> Diagnostic:
 
 
 def _diagnose_unknown_key(owner: type[Form], span: Span, key: str, meant: str | None) -> Diagnostic:
+    """Return the finding about a key that `owner` does not have."""
     near = meant or nearest_name(key, keys_of(owner))
     known = ", ".join(f"`{each}`" for each in keys_of(owner))
     help = f'write `"{near}"`' if near else f"known here: {known}"
@@ -145,6 +146,7 @@ def _subject(path: Path, owner: type[Form]) -> str:
 
 
 def _example(field: FieldInfo | None) -> str:
+    """Return an example of a field's value as JSON; an empty text if there is none."""
     if field is None:
         return ""
     return str(field.examples[0]) if field.examples else '"…"' if field.annotation is str else ""

@@ -168,6 +168,7 @@ class AnimationSettings(ClipSettings):
 
 
 def _clip_tag(value: Any) -> str:
+    """Return the tag of the model for an entry of `clips`: a clip with samples, or a reference to a file."""
     return "clip-here" if isinstance(value, dict) and "antdsl_clip" in value else "clip-elsewhere"
 
 

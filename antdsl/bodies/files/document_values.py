@@ -17,16 +17,18 @@ from antdsl.scene.values import make_error
 AXES = {f"{sign}{letter}": tuple(float(f"{sign}{each == letter:d}") for each in "xyz") for letter in "xyz" for sign in "+-"}
 _UNIT = re.compile(rf"(?:(\d{{1,6}}(?:\.\d{{1,9}})?) )?({'|'.join(UNIT_MM)})")
 _NAME_CHARACTERS = 1000
-_LEAST_SCALE, _MOST_SCALE = 0.1, 10.0  # times as large as in the rest pose
+_LEAST_SCALE, _MOST_SCALE = 0.1, 10.0  # scale factors relative to the rest pose
 
 
 def _check_text(value: str) -> str:
+    """Return a text. Raises for too many characters and for the character 0."""
     if len(value) > _NAME_CHARACTERS or "\0" in value:
         raise make_error("this text is too long, or contains an invisible character")
     return value
 
 
 def _check_filled(value: str) -> str:
+    """Return a text that is not empty. Raises for other texts."""
     if not value:
         raise make_error("expected a text here, but it is empty")
     return _check_text(value)
@@ -74,6 +76,7 @@ def _refuse_numbers(entries: Any) -> Any:
 
 
 def _check_names(entries: tuple[Any, ...]) -> tuple[Any, ...]:
+    """Return entries with different names. Raises for a name that occurs twice."""
     first: dict[str, int] = {}
     for number, entry in enumerate(entries):
         if entry.name in first:
@@ -90,6 +93,7 @@ def unit_mm(text: object) -> float:
 
 
 def _read_unit(value: Any) -> float:
+    """Return the millimetres of a length unit. Raises for any other text."""
     unit = unit_mm(value)
     if not unit:
         known = ", ".join(f"`{word}`" for word in UNIT_MM)
@@ -98,6 +102,7 @@ def _read_unit(value: Any) -> float:
 
 
 def _read_axis(value: Any, info: ValidationInfo) -> Any:
+    """Return the unit vector of an axis such as `+x`. Raises for any other value."""
     if not isinstance(value, str) or value not in AXES:
         letter = value if isinstance(value, str) and f"+{value}" in AXES else "z" if info.field_name == "front" else "y"
         raise make_error(f"`{info.field_name}` must be one of the axes `+x` `-x` `+y` `-y` `+z` `-z`", f'write `"+{letter}"`')
@@ -131,6 +136,7 @@ Unique = AfterValidator(_check_names)
 
 
 def _check_matrix(rows: tuple[Row, Row, Row, Row]) -> tuple[Row, Row, Row, Row]:
+    """Return a matrix for column vectors. Raises if its last row is not 0 0 0 1."""
     if rows[3] != (0, 0, 0, 1):
         is_transposed = all(row[3] == 0 for row in rows[:3])
         help = "write the translation into the last column" if is_transposed else "write `[0, 0, 0, 1]`"
@@ -139,6 +145,7 @@ def _check_matrix(rows: tuple[Row, Row, Row, Row]) -> tuple[Row, Row, Row, Row]:
 
 
 def _check_joints(joints: dict[str, Texts]) -> dict[str, Texts]:
+    """Return the joints of a rig. Raises for a rig without joints."""
     if not joints:
         raise make_error("a rig has at least one joint", 'write `{"root": []}`', code="bad-rig")
     return joints
@@ -149,6 +156,7 @@ Joints = Annotated[dict[Text, Texts], AfterValidator(_check_joints)]
 
 
 def _refuse_deformer(value: str) -> str:
+    """Return the empty deformer of a static shape. Raises for any other deformer."""
     if value:
         words = f"a static shape cannot have a deformer, but this one has `{value[:60]}`"
         raise make_error(words, 'move it to `deforming`, or write `""`')
@@ -156,6 +164,7 @@ def _refuse_deformer(value: str) -> str:
 
 
 def _check_colours(colours: tuple[RgbColour, ...]) -> tuple[RgbColour, ...]:
+    """Return the colours of a varied material. Raises for fewer than two, and for too many."""
     if not 2 <= len(colours) <= limits.MAX_BODY_PARTS:
         words = f"a material varies between two colours at least, not {len(colours)}"
         raise make_error(words, "write two colours, or more", code="wrong-count")
@@ -163,6 +172,7 @@ def _check_colours(colours: tuple[RgbColour, ...]) -> tuple[RgbColour, ...]:
 
 
 def _check_pair(paths: Any) -> Any:
+    """Return the two paths of an included library. Raises for a list of another length."""
     if isinstance(paths, list) and len(paths) != 2:
         words, help = f"a library needs two paths, but this list has {len(paths)}", 'write `["$HIP/lib.glb", "/…/lib.glb"]`'
         raise make_error(words, help, complete=True)
@@ -182,6 +192,7 @@ Samples = Annotated[Any, PlainValidator(_read_samples)]
 
 
 def _check_channels(channels: dict[str, NDArray[np.float64]]) -> dict[str, NDArray[np.float64]]:
+    """Return the channels of a clip. Raises for no channels, no samples, and different numbers of samples."""
     if not channels:
         raise make_error("a clip has at least one channel", f"write `{CHANNELS_EXAMPLE}`")
     longest, first = 1, ""

@@ -21,7 +21,7 @@ from antdsl.diagnostics import Label, Report
 from antdsl.diagnostics.suggestion import nearest_name
 from antdsl.source import Span
 
-_ROWS = re.compile(r"\[\n([-+0-9.eE,\s]+)\]")  # strings contain no raw line breaks, so that none can look like this
+_ROWS = re.compile(r"\[\n([-+0-9.eE,\s]+)\]")  # strings contain no raw line breaks, so no string can match
 
 
 # ---- rig
@@ -88,6 +88,7 @@ def _joint_order(form: RigForm, root: Node, report: Report) -> tuple[tuple[str, 
 
 
 def _report_missing_child(report: Report, place: Span, name: str, child: str, free: list[str]) -> None:
+    """Report a child that is not among the joints of a rig."""
     near = nearest_name(child, free)
     help = f'write `"{near}"`' if near else f'add `"{child}": []` to the transforms'
     report.error("bad-rig", f"`{name}` has a child `{child}` that is not among the transforms", place, help)
@@ -177,7 +178,7 @@ class TypedValue:
     value: Any
 
 
-# Types with the number of numbers that a value has; 0: one that is no list of numbers.
+# Number of components of each type; 0 for a value that is not a list of numbers.
 _TYPES = {
     "int": 0, "float": 0, "string": 0, "dict": 0, "array": 0, "vector2": 2, "vector": 3, "vector3": 3, "vector4": 4,
     "quaternion": 4, "matrix2": 4, "matrix3": 9, "matrix": 16, "matrix4": 16,
@@ -193,6 +194,7 @@ def read_metadata(root: Node, report: Report) -> dict[str, Any]:
 
 
 def _read_value(node: Node, report: Report) -> Any:
+    """Return a metadata value; None after an error."""
     if isinstance(node.value, bool) or node.value is None:
         help = f"write `{int(node.value)}`" if node.value is not None else "leave the key out"
         words = f"expected a text, a number, a list or an object here, not {node.kind}"
@@ -208,6 +210,7 @@ def _read_value(node: Node, report: Report) -> Any:
 
 
 def _read_typed(kind: Node, inner: Node, report: Report) -> TypedValue | None:
+    """Return a metadata value with an explicit type; None after an error."""
     name, value = kind.value, _read_value(inner, report)
     if not isinstance(name, str) or not name:
         report.error("wrong-value", f"expected the name of a type here, not {kind.kind}", kind.mark, 'write `"…"`')
@@ -223,6 +226,7 @@ def _read_typed(kind: Node, inner: Node, report: Report) -> TypedValue | None:
 
 
 def _fits(name: str, value: Any) -> bool:
+    """Return whether a value matches a metadata type."""
     count = _TYPES[name]
     if count:
         numbers = isinstance(value, list) and all(isinstance(each, int | float) for each in value)
@@ -237,6 +241,7 @@ def plain_metadata(metadata: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _plain(value: Any) -> Any:
+    """Return a metadata value as JSON."""
     if isinstance(value, TypedValue):
         return {"type": value.type, "value": _plain(value.value)}
     if isinstance(value, Mapping):

@@ -95,6 +95,7 @@ def _find_joint_nodes(file: GltfDocument, parents: list[int]) -> list[int]:
 
 
 def _unique_names(file: GltfDocument, joint_nodes: list[int]) -> dict[int, str]:
+    """Return a different name for each joint node, by node number."""
     names: dict[int, str] = {}
     taken: set[str] = set()
     for number in joint_nodes:
@@ -105,6 +106,7 @@ def _unique_names(file: GltfDocument, joint_nodes: list[int]) -> dict[int, str]:
 
 
 def _build_rig(body: GltfBody, joint_nodes: list[int], parents: list[int]) -> Rig:
+    """Return the rig of the joint nodes, with their rest pose and the channels of morph targets."""
     place = {number: count for count, number in enumerate(joint_nodes)}
     rest = np.array([local_matrix(body.file, body.file.top("nodes")[number]) for number in joint_nodes]).reshape(-1, 4, 4)
     return Rig(

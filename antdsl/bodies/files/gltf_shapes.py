@@ -16,7 +16,7 @@ from antdsl.bodies.body import unit_normals
 from antdsl.scene.geometry.gltf_file import FAN_MODE, STRIP_MODE, TRIANGLES_MODE, GltfDocument, primitive_triangles
 
 Floats = NDArray[np.float64]
-_TOLERANCE = 1e-6  # of the length of a normal; normals that a file stores as integers are a little longer or shorter than 1
+_TOLERANCE = 1e-6  # tolerance of the length 1 of normals; normals stored as integers are slightly longer or shorter
 _EXPORT = "export it again, as glTF 2.0"
 
 
@@ -98,6 +98,7 @@ def read_shape(body: GltfBody, name: str, mesh: dict[str, Any], skin: dict[str, 
 
 
 def _read_piece(body: GltfBody, pieces: _MeshPieces, primitive: dict[str, Any], skinned: bool) -> None:
+    """Append a primitive's points, faces, normals, materials and morph targets to `pieces`."""
     file = body.file
     if primitive.get("mode", TRIANGLES_MODE) not in (TRIANGLES_MODE, STRIP_MODE, FAN_MODE):
         body.left_out["points and lines of meshes are not read"] = None
@@ -161,6 +162,7 @@ def _read_faces(body: GltfBody, pieces: _MeshPieces, primitive: dict[str, Any], 
 
 
 def _read_target(file: GltfDocument, target: dict[str, Any], key: str, count: int) -> Floats | None:
+    """Return an attribute of a morph target [count, 3]; None if the target does not have it."""
     if key not in target:
         return None
     offsets = file.read_accessor(target[key], 3)
@@ -184,6 +186,7 @@ def _read_joint_weights(pieces: _MeshPieces, of_points: Callable[[str, int], Flo
 
 
 def _read_capture(body: GltfBody, pieces: _MeshPieces, skin: dict[str, Any], name: str) -> Capture:
+    """Return the joints that the points of a skinned mesh follow."""
     file = body.file
     names = tuple(body.joint[number] for number in file.get_list(skin, "joints"))
     if not names:

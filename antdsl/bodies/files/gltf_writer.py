@@ -15,7 +15,7 @@ from antdsl.bodies.agents.blend_shapes import attribute_difference, knots_of, ma
 from antdsl.bodies.agents.definition import Definition, Shape
 from antdsl.bodies.body import unit_normals
 
-VERTICES, INDICES = 34962, 34963  # what a buffer view is bound as
+VERTICES, INDICES = 34962, 34963  # `target` of a buffer view
 _COMPONENTS = {"f4": 5126, "u2": 5123, "u4": 5125}
 _TYPES = {1: "SCALAR", 2: "VEC2", 3: "VEC3", 4: "VEC4", 16: "MAT4"}
 _JSON, _BIN = 0x4E4F534A, 0x004E4942
@@ -110,6 +110,7 @@ class ShapeParts:
             self.attributes[f"WEIGHTS_{k // 4}"] = self.writer.accessor(influences[1], "f4", VERTICES)
 
     def _add_target(self, points: NDArray[np.float32], normals: NDArray[np.float32] | None) -> Entry:
+        """Add the accessors of a morph target and return its entry. `points`, `normals`: offsets from the base."""
         entry = {"POSITION": self.writer.accessor(points, "f4", VERTICES, bounds=True)}
         if normals is not None and "NORMAL" in self.attributes:
             entry["NORMAL"] = self.writer.accessor(normals, "f4", VERTICES)
@@ -162,7 +163,7 @@ class Targets:
         self.names: list[str] = []
         self.moved: list[tuple[NDArray[np.float32], NDArray[np.float32] | None]] = []
         self._inputs: list[tuple[int, NDArray[np.float64]]] = []  # channel, weights of its shapes
-        self.plain = True  # a target a channel
+        self.plain = True  # exactly one target per channel
         for name, channel in zip(shape.blend.shapes, shape.blend.channels, strict=True):
             targets, knots = knots_of(body, name)
             self._inputs.append((body.rig.channel(channel), knots))
@@ -175,6 +176,7 @@ class Targets:
 
     @staticmethod
     def _attribute_offset(shape: Shape, target: Shape, which: str, blended: bool) -> NDArray[np.float32] | None:
+        """Return the offsets (P, 3) of attribute `which`; zeros or None if it is not blended."""
         if not blended or values_of(shape, which) is None or values_of(target, which) is None:
             return np.zeros((len(shape.points), 3), np.float32) if which == "P" else None
         assert shape.blend is not None

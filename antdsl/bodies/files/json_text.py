@@ -126,7 +126,7 @@ _WORD = re.compile(r"[A-Za-z0-9_.+'\-]{1,40}")
 _LONE = re.compile("[\ud800-\udfff]")
 _WORDS: dict[str, bool | None] = {"true": True, "false": False, "null": None}
 _FARTHEST = 1.7e308
-_DIGITS = 400  # of one number
+_DIGITS = 400  # most characters of a number
 _NO_NUMBERS = frozenset(
     ("nan", "inf", "infinity", "-nan", "-inf", "-infinity", "+inf", "+infinity", "1.#inf", "1.#qnan", "-1.#ind")
 )
@@ -150,6 +150,8 @@ def read_json(source: Source, what: str) -> tuple[Node | None, Report]:
 
 
 class _Reader:
+    """A recursive parser of one text. Methods take the position `at` of a value and return its node."""
+
     def __init__(self, source: Source, what: str) -> None:
         self.source, self.text, self.what = source, source.text, what
         self.report = Report()
@@ -158,12 +160,14 @@ class _Reader:
     def refuse(
         self, start: int, end: int, message: str, help: str | None, *labels: Label, code: str = "json-syntax"
     ) -> _SyntaxRefused:
+        """Report an error at characters `start` to `end`, and return the exception to raise."""
         if len(self.text) > start:
             end = max(end, start + 1)
         self.report.error(code, message, Span(self.source, start, end), help, labels=labels)
         return _SyntaxRefused()
 
     def skip_space(self, at: int) -> int:
+        """Return the position after white space and comments."""
         match = _SPACE.match(self.text, at)
         assert match is not None
         at = match.end()
@@ -172,6 +176,7 @@ class _Reader:
         return at
 
     def document(self) -> Node:
+        """Return the only value of the text."""
         at = self.skip_space(0)
         if at == len(self.text):
             raise self.refuse(0, 0, f"the file is empty: expected {self.what}", "write `{ … }`")
@@ -182,6 +187,7 @@ class _Reader:
         return node
 
     def value(self, at: int, depth: int) -> Node:
+        """Return the value at a position, of any kind."""
         self.count += 1
         if self.count > limits.MAX_BODY_JSON_VALUES:
             raise self.refuse(at, at, f"there are more than {limits.MAX_BODY_JSON_VALUES:,} values", None, code="too-large")
@@ -198,6 +204,7 @@ class _Reader:
         return self.word(at)
 
     def number(self, match: re.Match[str]) -> int | float:
+        """Return the number that a pattern matched. Raises for too many digits, and for values that are too large."""
         if match.end() - match.start() > _DIGITS:
             raise self.refuse(match.start(), match.end(), "a number has too many digits", "round it")
         value = float(match[0])
@@ -216,14 +223,15 @@ class _Reader:
         inside = inside.removesuffix(",") if inside != "," else inside
         try:
             values = json.loads(f"[{inside}]")
-        except ValueError:  # more than one comma, a number that is none, or one of thousands of digits
+        except ValueError:  # repeated commas, an invalid number, or a number with thousands of digits
             return None
         if not all(-_FARTHEST <= each <= _FARTHEST for each in values):
             return None
-        self.count += len(values) // 16  # a plain number takes less than a node
+        self.count += len(values) // 16  # a plain number needs less memory than a node
         return Node(self.source, values, at, match.end(), numbers=True)
 
     def next_depth(self, at: int, depth: int) -> int:
+        """Return the depth inside a bracket. Raises if brackets are nested too deeply."""
         if depth >= limits.MAX_BRACKET_DEPTH:
             words = f"values are nested more than {limits.MAX_BRACKET_DEPTH} levels deep"
             raise self.refuse(at, at + 1, words, None, code="too-large")
@@ -258,6 +266,7 @@ class _Reader:
         return Node(self.source, entries, at, place + 1, keys)
 
     def key(self, at: int) -> Node:
+        """Return the key of an object's entry, a text in double quotes."""
         if self.text[at] == '"':
             return self.string(at)
         match = _WORD.match(self.text, at)
@@ -303,6 +312,7 @@ class _Reader:
         return Node(self.source, text, at, match.end())
 
     def word(self, at: int) -> Node:
+        """Return `true`, `false` or `null`. Raises with a correction for any other word."""
         match = _WORD.match(self.text, at)
         word = match[0] if match else self.text[at : at + 1]
         if word in _WORDS:

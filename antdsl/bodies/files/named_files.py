@@ -20,10 +20,10 @@ from antdsl.scene.paths import PathRefused, Roots, read_named
 from antdsl.source import Span
 
 GLTF, USD, MESHES = ("glb", "gltf"), ("usd", "usda", "usdc", "usdz"), ("obj", "ply", "stl")
-RATE = 30.0  # samples per second of animations with no rate in their file
+RATE = 30.0  # samples per second of animations, if the file has no rate
 _ROOTED = re.compile("[A-Za-z][A-Za-z0-9_]{1,31}:")
 _VARIABLE = re.compile(r"\$(?:\{([A-Za-z][A-Za-z0-9_]*)\}|([A-Za-z][A-Za-z0-9_]*))/(.*)", re.DOTALL)
-# What other programs write and nothing here reads, with what to do instead.
+# Formats of other programs that cannot be read, and what to do instead.
 _CLOSED = {
     "bclip": "its format is not published: export the clip as glTF or USD, or write it as a clip in JSON",
     "clip": "it is a channel file of Houdini: export the clip as glTF or USD, or write it as a clip in JSON",
@@ -68,6 +68,7 @@ class BodyFiles:
         return read_named(self.named[path], cap) if path in self.named else self.roots.read(path, cap)
 
     def report_refusal(self, why: PathRefused, place: Span | None) -> None:
+        """Report that a file cannot be read, with the reason."""
         self.report.error(why.code, str(why), place, why.help)
 
     def is_closed_format(self, path: str, place: Span | None) -> bool:
@@ -118,6 +119,7 @@ class BodyFiles:
         return self.cached_definitions[key]
 
     def _read_body(self, path: str, place: Span | None, prim: str, rate: float, pose: Rig | None) -> Definition | None:
+        """Return the definition in a glTF or USD file; None after an error. See `body`."""
         full, kind = self.full(path), file_ending(path)
         name = posixpath.basename(full.rpartition(":")[2]).rpartition(".")[0] or "body"
         try:

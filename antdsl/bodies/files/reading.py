@@ -53,7 +53,7 @@ def read_definition(
         kinds = ", ".join(f".{each}" for each in ("json", *GLTF, *USD))
         report.error("wrong-kind", f"`{display_path[-80:]}` is no file of a body", place, f"one of {kinds} is read")
         return None, report
-    from antdsl.bodies.files.definition_document import read_document  # late: most commands read no definition file
+    from antdsl.bodies.files.definition_document import read_document  # imported late: most commands read no definition
 
     root = files.read_part(text, "a definition", place)
     parts = None if root is None else read_document(root, files, name)
@@ -62,7 +62,7 @@ def read_definition(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CachedDefinition:
-    """A definition with all files that it was read from: the root of each, and its size, time and file number."""
+    """A definition, and the files that it was read from: for each path, its root and its stamp (size, time and file number)."""
 
     definition: Definition
     files: dict[Path, tuple[Path | None, Stamp]]
@@ -96,6 +96,7 @@ def load_definition(text: str, roots: Roots, place: Span) -> tuple[Definition | 
 
 
 def _file_stamps(files: RequestedPaths) -> dict[Path, tuple[Path | None, Stamp | None]]:
+    """Return the root and the current stamp of each file that was read."""
     return {path: (root, _stamp(path, root)) for path, root in files.items()}
 
 

@@ -76,6 +76,7 @@ def _referenced_shapes(
 
 
 def _file_stem(path: str) -> str:
+    """Return the name of a file without folder, root and ending; `shape` if this is empty."""
     return path.rpartition("/")[2].rpartition(":")[2].rpartition(".")[0] or "shape"
 
 

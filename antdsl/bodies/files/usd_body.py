@@ -217,6 +217,7 @@ def _read_clips(body: UsdBody, skeletons: list[_Skeleton], rate: float) -> list[
 
 
 def _read_clip(body: UsdBody, query: Any, skeleton: Any, name: str, rate: float, left: int) -> Clip | None:
+    """Return an animation as a clip; None if it moves nothing. Raises BodyError for more than `left` bytes of samples."""
     number = {path: count for count, path in enumerate(skeleton.paths)}
     paths = [str(path) for path in query.GetJointOrder()]
     columns = [count for count, path in enumerate(paths) if path in number]

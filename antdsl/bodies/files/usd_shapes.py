@@ -95,12 +95,14 @@ def read_usd_shape(body: UsdBody, prim: Any, skin: Skin | None) -> Shape | None:
 
 
 def _count_points(body: UsdBody, new_points: int) -> None:
+    """Add to the number of points. Raises BodyError above the limit."""
     body.points += new_points
     if body.points > limits.MAX_BODY_POINTS:
         raise BodyError(f"has more than {limits.MAX_BODY_POINTS:,} points, blend shapes among them", code="too-large")
 
 
 def _as_rows(raw_values: Any, width: int) -> Floats:
+    """Return values as an array float64[n, width]. Raises BodyError if their number is not a multiple of `width`."""
     values = np.array([] if raw_values is None else raw_values, np.float64)
     if values.size % width:
         raise BodyError(f"has values that are not {width} numbers each", _EXPORT)
@@ -145,6 +147,7 @@ def _uvs(prim: Any, time: Any, points: int, corners: Integers) -> Floats | None:
 
 
 def _corner_values(raw_values: Any, interpolation: str, width: int, points: int, corners: Integers) -> Floats | None:
+    """Return values [corners, width] for each corner; None if they are not finite or do not match the interpolation."""
     values = _as_rows(raw_values, width)
     if not len(values) or not np.isfinite(values).all():
         return None
@@ -168,6 +171,7 @@ def _split_points(
 
 
 def _capture(body: UsdBody, prim: Any, skin: Skin, points: int, source: Integers, time: Any) -> Capture:
+    """Return the joints that `points` points of a mesh follow. `source`: the file's point for each point of the shape."""
     influences = skin.query.ComputeVaryingJointInfluences(points, time)
     each = int(skin.query.GetNumInfluencesPerComponent())
     if not influences or each < 1 or each > limits.MAX_JOINTS_PER_POINT or any(len(part) != points * each for part in influences):

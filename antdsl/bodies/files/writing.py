@@ -27,7 +27,7 @@ from antdsl.scene.model import UNIT_MM
 
 SHAPES = "shapes.glb"
 FRONT, UP, METRE = (0.0, 0.0, 1.0), (0.0, 1.0, 0.0), 1000.0
-_PLAIN = (0.3, 0.3, 0.3)  # colour of materials that take the colour of a state, since no agent has a state here
+_PLAIN = (0.3, 0.3, 0.3)  # colour of materials that have the colour of an agent's state, because a file has no agents
 _STILL: dict[str, tuple[float, ...]] = {"translation": (0, 0, 0), "rotation": (0, 0, 0, 1), "scale": (1, 1, 1)}
 
 
@@ -159,6 +159,7 @@ def write_gltf(body: Definition, layer: Layer, *, text: bool) -> tuple[bytes, li
 
 
 def _list_omissions(body: Definition, layer: Layer) -> list[str]:
+    """Return sentences about the parts of a definition that glTF cannot store."""
     drawn = {binding.shape for binding in (*layer.static, *layer.deforming)}
     inputs = {s for shape in body.shapes.values() for s in (shape.blend.shapes if shape.blend else ())}
     others = [name for name in body.shapes if name not in drawn | inputs]
@@ -194,6 +195,7 @@ class _GltfParts:
             self._add_clip(clip)
 
     def _add_joints(self) -> None:
+        """Add one node per joint, with its rest pose."""
         rig = self.body.rig
         moved = {joint for clip in self.body.clips.values() for joint in clip.joints}
         parts = parts_of(rig.rest)
@@ -214,6 +216,7 @@ class _GltfParts:
                 above.setdefault("children", []).append(self.nodes[name])
 
     def _add_material(self, name: str, colour: tuple[float, float, float]) -> int:
+        """Add a material with a base colour and return its number."""
         pbr = {"baseColorFactor": [*colour, 1.0], "metallicFactor": 0.0, "roughnessFactor": 0.55}
         return self.writer.add("materials", {"name": name, "pbrMetallicRoughness": pbr})
 
@@ -244,6 +247,7 @@ class _GltfParts:
             self._morphs.append((node, parts))
 
     def _add_clip(self, clip: Clip) -> None:
+        """Add a clip as an animation, with channels for its joints and for morph weights."""
         times = self.writer.accessor(np.arange(clip.samples) / clip.rate, bounds=True)
         samplers: list[Entry] = []
         channels: list[Entry] = []

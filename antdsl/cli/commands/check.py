@@ -17,6 +17,8 @@ if TYPE_CHECKING:
 
 
 class ReportFormat(StrEnum):
+    """Output formats of findings."""
+
     full = "full"
     concise = "concise"
     json = "json"

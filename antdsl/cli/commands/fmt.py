@@ -59,6 +59,7 @@ class _Formatting:
     report: Report = field(default_factory=_empty_report)
 
     def files(self, paths: list[Path]) -> None:
+        """Format all programs that paths select, then print how many changed."""
         from antdsl.files import find_files
         from antdsl.whole import is_link
 
@@ -82,6 +83,7 @@ class _Formatting:
         print_note(", ".join(summary) or "no .ant files here", err=True)
 
     def file(self, path: Path) -> None:
+        """Format one file, or only report the change with `--check` or `--diff`."""
         from antdsl import limits, syntax
         from antdsl.bounded import read_bounded
 
@@ -102,6 +104,7 @@ class _Formatting:
             )
 
     def format_standard_input(self) -> None:
+        """Format standard input to standard output, or only report the change with `--check` or `--diff`."""
         from antdsl import syntax
 
         data = read_standard_input()
@@ -128,6 +131,7 @@ class _Formatting:
         return text
 
     def tell(self, name: str, old_text: str, new_text: str) -> None:
+        """Record a file that differs from the standard layout. Print its name, or its difference with `--diff`."""
         self.changed.append(name)
         if self.diff:
             lines = difflib.unified_diff(old_text.splitlines(), new_text.splitlines(), name, name, lineterm="")

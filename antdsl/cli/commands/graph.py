@@ -18,6 +18,8 @@ if TYPE_CHECKING:
 
 
 class GraphFormat(StrEnum):
+    """File formats of state machine pictures."""
+
     svg = "svg"
     png = "png"
     mermaid = "mermaid"

@@ -35,6 +35,8 @@ MAX_PICTURES = 100
 
 
 class CameraView(StrEnum):
+    """Views of `--camera`."""
+
     scene = "scene"
     fit = "fit"
     above = "above"
@@ -44,6 +46,8 @@ class CameraView(StrEnum):
 
 
 class LegendPlacement(StrEnum):
+    """Values of `--legend`."""
+
     beside = "beside"
     none = "none"
 

@@ -32,12 +32,16 @@ if TYPE_CHECKING:
 
 
 class BackendName(StrEnum):
+    """Backends that `--backend` accepts."""
+
     numpy = "numpy"
     native = "native"
     reference = "reference"
 
 
 class FaultReaction(StrEnum):
+    """Reactions to a fault of an agent."""
+
     stop = "stop"
     quarantine = "quarantine"
 

@@ -47,6 +47,8 @@ MAX_PRINTED_LINES = 60  # of a table that is printed
 
 
 class DesignName(StrEnum):
+    """Designs that `--design` accepts."""
+
     grid = "grid"
     latin = "latin"
     sobol = "sobol"
@@ -201,6 +203,7 @@ def sweep(
 
 
 def _require_measures(chooser: JobChooser) -> None:
+    """Raise CommandError if no run has reported a measure that a width goal names."""
     unheard = chooser.missing_measures()
     if unheard:
         raise CommandError(
@@ -297,6 +300,7 @@ class _RunProgress:
             print_note(sentence, err=True)
 
     def print_line(self, line: str) -> None:
+        """Print a line of progress."""
         print_note(line)
 
 

@@ -172,6 +172,7 @@ class _TestProgress:
         self.drawn = 0.0
 
     def frame(self, run: Run, frame: int, last: int) -> None:
+        """Display that a run has reached a frame."""
         from time import monotonic
 
         self.seen.add(id(run))
@@ -183,6 +184,7 @@ class _TestProgress:
             self.stream.flush()
 
     def clear(self) -> None:
+        """Clear the progress line."""
         if self.stream is not None:
             self.stream.write("\r" + " " * 100 + "\r")
             self.stream.flush()

@@ -61,7 +61,8 @@ def _short_path(file: str) -> str:
 def _print_table(
     console: Console, what: str, rows: Iterable[tuple[str, str, float]], total: float, worked: Mapping[str, float] | None = None
 ) -> None:
-    """Print the rows of one kind: milliseconds, CPU milliseconds where known, and the share of the frame's total time."""
+    """Print the rows of one kind: milliseconds, CPU milliseconds, and the share of `total`. `worked`: CPU milliseconds by row, or
+    None."""
     rows = list(rows)
     if not rows:
         return

@@ -16,13 +16,13 @@ from antdsl.numerics.sorting import morton_codes
 Floats = NDArray[np.float64]
 Index = NDArray[np.int64]
 
-BOXES_PER_NODE = 4  # boxes in one box
-# Of a triangle's weights: how far beside it a way still meets it, so that none slips between two that share an edge
+BOXES_PER_NODE = 4  # child boxes of a box
+# Weight by which a hit may lie outside a triangle, so that no path passes between two triangles at an edge
 EDGE_TOLERANCE = 1e-9
-MAX_LENGTHENING = 1e6  # times its length that a way is made longer, at most
-MIN_PLANE_SINE = 1e-12  # sine between a way and a plane, below which it lies along it and meets nothing
-_GRID_STEPS_PER_AXIS = 1 << 21  # places along an axis that the order tells apart
-_MAX_OPEN_BOXES = 128  # boxes that wait to be opened: more than trees of 2**40 triangles ever need
+MAX_LENGTHENING = 1e6  # largest factor by which a path is extended
+MIN_PLANE_SINE = 1e-12  # sine between a path and a plane below which the path counts as parallel, without a hit
+_GRID_STEPS_PER_AXIS = 1 << 21  # resolution of the Morton order along an axis
+_MAX_OPEN_BOXES = 128  # size of the stack of boxes: more than a tree of 2**40 triangles needs
 
 
 class BoxTree(NamedTuple):

@@ -21,15 +21,15 @@ Floats = NDArray[np.float64]
 Index = NDArray[np.int64]
 Ints = NDArray[np.int32]
 
-_SAMPLES_PER_CREASE = 5  # places along a crease from which distances are measured
+_SAMPLES_PER_CREASE = 5  # points along a crease from which distances are measured
 _MAX_SEPARATE_PIECES = 64  # pieces of a ground above which each face counts as near another
-_MAX_RELATIVE_DISTANCE = 0.1  # of the size of what else there is
-_DISTANCE_NOISE = 1e-4  # of a ground's extent: distances in float32 err by less
+_MAX_RELATIVE_DISTANCE = 0.1  # relative to the size of the other pieces
+_DISTANCE_NOISE = 1e-4  # relative to the ground's extent; more than the error of float32 distances
 _MAX_CELLS_PER_AXIS = 192  # cells along the longest side of a ground
-_SMOOTH_EDGE_COSINE = 0.7071067811865476  # cosine of the turn up to which normals are smoothed over an edge
+_SMOOTH_EDGE_COSINE = 0.7071067811865476  # cosine of the largest angle between faces at a smooth edge
 _NO_CELL = np.iinfo(np.int32).max
-_PLACES_PER_THREAD = 512  # places for which a thread pays
-_EXPONENT_BIAS = 1022  # more than the power of two below which a number of these bits is
+_PLACES_PER_THREAD = 512  # number of positions from which another thread is worthwhile
+_EXPONENT_BIAS = 1022  # offset from the exponent bits of a float64 to the exponent of np.frexp
 
 
 def inner_creases(table: MeshTopology, corners: Floats) -> Index:
@@ -87,6 +87,7 @@ class CreaseMap:
         return sharp, least, most
 
     def _mark_cells(self, corners: Floats) -> NDArray[np.bool_]:
+        """Return a mask of the cells that triangles touch."""
         is_marked = np.zeros(self._shape, np.bool_)
         if len(corners):
             for cell, _ in triangle_cells((corners - self._low) / self._width, exact=False):
@@ -117,6 +118,7 @@ class CreaseMap:
         return self._around[rung]
 
     def _spread_cells(self, rings: int) -> stored_tables.Tables:
+        """Return a mask of the cells within `rings` cells of a crease, another piece or a cut."""
         sharp, *pieces = self._grids
         is_near: NDArray[np.bool_] = greatest_around(sharp, rings) if sharp.any() else sharp
         if pieces:
@@ -175,7 +177,7 @@ def _distance_to_pieces(corners: Floats, piece: Ints, pieces: Index, middle: Flo
     low, high = (np.stack([ends(corners[rows], axis=(0, 1)) for rows in own]) for ends in (np.min, np.max))
     near = []
     for k, rows in enumerate(own):
-        # Farther off than a tenth of the size of the others, the distance from the box around them will do.
+        # Farther away than a tenth of the others' size, the distance to their box is sufficient.
         others = np.arange(len(own)) != k
         least, most = low[others].min(axis=0), high[others].max(axis=0)
         away = _distance_from_box(middle[rows].T, least, most)
@@ -234,7 +236,7 @@ class SlopeMap:
         - `first`: the first face number of each mesh
         - `moving`: the lowest and highest corner of each moving mesh"""
         if self._least > 0 and not moving and not np.fmax.reduce(reach, initial=0.0) >= self._least:
-            return np.empty(0, np.int64)  # nothing rises so near to any face
+            return np.empty(0, np.int64)  # no face has a rise within the reach
         rows, rungs = np.empty((2, len(reach)), np.int64)
         on = (mesh, local, first, self._clear, self._size, reach, *self._creases.reaches)
         parts = parallel.in_parts(partial(find_candidates, *on, rows, rungs), len(reach), threads)

@@ -22,9 +22,9 @@ from antdsl.ground.mesh.walkers import CutTables, FaceWalker, NearbySurfaces, Su
 from antdsl.machine_code.kernels import BOOL, F64, I32, I64, Array1, Array2, called, inlined
 from antdsl.numerics.kernel_vectors import TriangleWeights, Vec3, at, clamp_weights, dot, fmax, minus, plus, times
 
-OFF_FACE_TOUCHES = 16.0  # touches that feet are put off the face they left: beyond all that is taken for its border
-MIN_SQUARED_CUT_SINE = 1e-6  # square of the sine of the angle of a cut, below which feet are not moved further off it
-MAX_SLOPE_RUN = 1e3  # way along a face for each mm up, above which it is as good as lying
+OFF_FACE_TOUCHES = 16.0  # distance, in touch lengths, of feet from the face they left: more than the tolerance of its border
+MIN_SQUARED_CUT_SINE = 1e-6  # squared sine of the angle of a cut; limits how far feet are moved from a flat cut
+MAX_SLOPE_RUN = 1e3  # mm along a face per mm up, above which the face counts as level
 
 
 @called
@@ -51,7 +51,7 @@ def find_crossing(
         ends = begins + towards * length
         if not (begins * ends <= 0 or (abs(ends) <= touch and abs(ends) < abs(begins))) or not abs(begins) > touch:
             continue
-        # A face that does not go up from the plane of the feet is under the sheet that is walked on.
+        # A face that does not rise above the plane of the feet is below the current sheet.
         rise = fmax(fmax(dot(up, at(table, row + EDGE1_OFFSET)), dot(up, at(table, row + EDGE2_OFFSET))), 0.0)
         if not dot(up, minus(corner, place)) + rise > touch:
             continue
@@ -61,8 +61,8 @@ def find_crossing(
             table, link, f, side, other, begins, crossing_place, touch
         ):
             continue
-        # Keep off the surface that was left: otherwise the next step could not tell on which side the feet are. So the face that
-        # is first at that distance counts.
+        # Keep a distance from the surface that was left: otherwise the next step could not tell the side of the feet.
+        # So the face that is first at that distance counts.
         leans = -dot(up, normal) / (towards if towards != 0 else 1.0)
         late = crossing_distance + OFF_FACE_TOUCHES * touch * min(max(leans, -MAX_SLOPE_RUN), MAX_SLOPE_RUN)
         soonest = min(soonest, crossing_distance)
@@ -78,7 +78,7 @@ def find_crossing(
     pieces, side_groups = around.sides
     back = pieces[f] == pieces[face] and side_groups[1 if side < 0 else 0, f] != side_groups[1 if towards > 0 else 0, face]
     if back or _is_tight(table, cuts, face, f, crossing_place, off, touch):
-        # Up to where feet keep off what they come to, or, in a corner, not at all.
+        # Up to the distance that feet keep from the cutting face; in a corner, not at all.
         near = 0.0
         if back:
             near = max(soonest - OFF_FACE_TOUCHES * touch / max(abs(towards), 1 / MAX_SLOPE_RUN), 0.0)
@@ -93,6 +93,7 @@ def find_crossing(
 
 @inlined
 def _in_frame(table: Array1[F64], row: I64, place: Vec3) -> tuple[F64, F64]:
+    """Return the coordinates of a position along the two axes of a face, from its first corner."""
     off = minus(place, at(table, row + CORNER_OFFSET))
     return dot(at(table, row + AXIS1_OFFSET), off), dot(at(table, row + AXIS2_OFFSET), off)
 
@@ -106,8 +107,9 @@ def _weights(table: Array1[F64], row: I64, place: Vec3) -> TriangleWeights:
 
 @inlined
 def _landing(table: Array1[F64], row: I64, place: Vec3) -> TriangleWeights:
+    """Return the weights of the point of a face below a position, corrected for rounding."""
     b1, b2 = _weights(table, row, place)
-    return clamp_weights(b1 + 0.0, b2 + 0.0)  # again: it may move them by another rounding
+    return clamp_weights(b1 + 0.0, b2 + 0.0)  # clamped again, because rounding may have moved them
 
 
 @inlined

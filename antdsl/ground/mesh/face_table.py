@@ -1,4 +1,4 @@
-"""The numbers of a face that a compiled walk needs, contiguous in memory: agents stand on faces in no order."""
+"""A packed table of faces for compiled walks. The numbers of a face are contiguous, because agents visit faces in any order."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from antdsl.ground.mesh.topology import MeshTopology
 
 Floats = NDArray[np.float64]
 
-ROW_FLOATS = 40  # five whole lines of a cache
+ROW_FLOATS = 40  # five complete cache lines
 # In the order in which a walk reads them, four at a time. At EDGES are four numbers of each edge: its direction, its link, and
 # one that belongs elsewhere, the face's mesh and the first two of nine smooth normals, of which the other seven are at SMOOTH.
 (
@@ -29,7 +29,7 @@ ROW_FLOATS = 40  # five whole lines of a cache
     SMOOTH_NORMALS_OFFSET,
 ) = 0, 3, 6, 9, 10, 11, 12, 15, 24, 27, 30, 33
 EDGE_COSINE, EDGE_SINE, EDGE_LINK = 0, 1, 2  # from EDGES and 4 times the edge on
-OPEN_BORDER_LINK = -2  # the link of a border beyond which there is nothing, see `open_borders`
+OPEN_BORDER_LINK = -2  # link of a border with nothing beyond it, see `open_borders`
 
 
 def pack_table(table: MeshTopology, mesh_of: NDArray[np.int32]) -> Floats:

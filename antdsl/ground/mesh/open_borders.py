@@ -12,9 +12,9 @@ from antdsl.numerics.vectors import dot
 
 Index = NDArray[np.int64]
 
-_MAX_BORDERS = 10_000  # borders
-_MAX_BORDER_PAIRS, _PAIRS_PER_CHUNK = 1_000_000, 50_000  # of a border and a face near it: looked at for a ground, and together
-# Of what is fine: more than rounding takes a corner off the plane that it lies in, and less than any way looks aside.
+_MAX_BORDERS = 10_000  # most borders that are searched
+_MAX_BORDER_PAIRS, _PAIRS_PER_CHUNK = 1_000_000, 50_000  # pairs of a border and a nearby face: most per ground, and per chunk
+# Relative to the tolerances: more than the rounding error of a corner, less than the width of any search path.
 _PLANE_TOLERANCE = 1e-4
 
 

@@ -16,10 +16,10 @@ Floats = NDArray[np.float64]
 Ints = NDArray[np.int32]
 Index = NDArray[np.int64]
 
-_PAIRS_PER_CHUNK = 2_000_000  # of faces in one cell, looked at together
-_CELL_WIDTH_IN_FACES = 2.0  # median sizes of faces: width of a cell
-_MAX_FACE_CELLS = 8.0  # cells that a face may be long, or it is looked at among the larger ones
-_COPLANAR_COSINE = 1 - 1e-12  # cosine between the normals of faces that cannot cut each other
+_PAIRS_PER_CHUNK = 2_000_000  # pairs of faces in a cell per chunk
+_CELL_WIDTH_IN_FACES = 2.0  # width of a cell, in median face sizes
+_MAX_FACE_CELLS = 8.0  # cells along a face above which it belongs to the larger faces
+_COPLANAR_COSINE = 1 - 1e-12  # absolute cosine between normals above which faces count as parallel
 _MAX_CELLS_PER_AXIS = 1 << 20  # along an axis
 
 
@@ -51,7 +51,7 @@ def find_cuts(corners: Floats, weld: Ints, piece: Ints, grain: float) -> SelfCut
     - `grain`: faces nearer to each other than this distance (mm) touch, and touching counts as a cut"""
     flat = weld.ravel()
     one_place = np.zeros((int(flat.max(initial=-1)) + 1, 3))
-    one_place[flat[::-1]] = corners.reshape(-1, 3)[::-1]  # corners that are nearly at one place do not cut what they belong to
+    one_place[flat[::-1]] = corners.reshape(-1, 3)[::-1]  # nearly equal corners get one position, so they cut nothing
     one, two = _cutting_pairs(one_place[weld], weld, piece, grain)
     face, other = np.concatenate([one, two]), np.concatenate([two, one])
     order = np.lexsort((other, face))
@@ -63,19 +63,19 @@ def _cutting_pairs(corners: Floats, weld: Ints, piece: Ints, grain: float) -> tu
     cut_pairs = [np.empty((2, 0), np.int64)]
     normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     normal /= np.maximum(length(normal), 1e-300)[:, None]
-    weld_columns = np.ascontiguousarray(weld.T)  # of corner after corner: three arrays are faster than an axis of three
+    weld_columns = np.ascontiguousarray(weld.T)  # one array per corner: three arrays are faster than an axis of three
     for one, two in _overlapping_pairs(corners, np.flatnonzero(piece >= 0)):
         own = np.flatnonzero(piece.take(one) == piece.take(two))
         one, two = one[own], two[own]
         same = [[own_corner.take(one) == other_corner.take(two) for other_corner in weld_columns] for own_corner in weld_columns]
-        # Who share an edge fold along it and cannot cut each other. Who share a corner can.
+        # Faces with a common edge cannot cut each other. Faces with one common corner can.
         count = sum(each.view(np.int8) for row in same for each in row)
         pair_rows = np.flatnonzero(count < 2)
         pair_rows = pair_rows[np.abs(dot(normal[one[pair_rows]], normal[two[pair_rows]])) < _COPLANAR_COSINE]
         one, two = one[pair_rows], two[pair_rows]
         same = [[each[pair_rows] for each in row] for row in same]
         shared = [[a | b | c for a, b, c in rows] for rows in (same, zip(*same, strict=True))]
-        for _ in range(2):  # each has other corners on both sides of the other, or on it
+        for _ in range(2):  # corners of each face are on both sides of the other face's plane, or on it
             ground, up = corners[two, 0], normal[two]
             height = [dot(corners[one, k] - ground, up) for k in range(3)]
             low = np.minimum.reduce([np.where(own, np.inf, h) for own, h in zip(shared[0], height, strict=True)])
@@ -104,7 +104,7 @@ def _overlapping_pairs(corners: Floats, live: Index) -> Iterator[tuple[Index, In
         fits = size[left] <= _MAX_FACE_CELLS * width
         now, left = left[fits], left[~fits]
         for one, two in _pairs_in_cells(corners, now, smaller, width):
-            for least, most in zip(low, high, strict=True):  # of axis after axis: less is left to look at
+            for least, most in zip(low, high, strict=True):  # one axis after another: fewer pairs remain each time
                 beside = np.flatnonzero((least.take(one) <= most.take(two)) & (least.take(two) <= most.take(one)))
                 one, two = one[beside], two[beside]
             yield np.minimum(one, two), np.maximum(one, two)
@@ -128,7 +128,7 @@ def _pairs_in_cells(corners: Floats, now: Index, smaller: Index, width: float) -
     key, name = key[order], name[order]
     keep = np.concatenate([[True], (key[1:] != key[:-1]) | (name[1:] != name[:-1])])
     key, name = key[keep], name[keep]
-    # Each with those after it in its cell, the smaller ones being last there and left to themselves.
+    # Each face is paired with later faces of its cell. Smaller faces come last and are not paired with each other.
     count = np.where(name < now.size, np.searchsorted(key, key, "right") - np.arange(key.size) - 1, 0)
     stop = np.cumsum(count)
     start = 0

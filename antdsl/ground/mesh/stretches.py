@@ -21,12 +21,12 @@ from antdsl.ground.mesh.walkers import ClearanceTables, FaceDirection, FaceWalke
 from antdsl.machine_code.kernels import BOOL, F64, I64, Array1, fetch_ahead, inlined, load_consecutive, nearest_integer
 from antdsl.numerics.kernel_vectors import AgentPose, TriangleWeights, Vec3, clamp_weights, plus, times
 
-MAX_EDGE_CROSSINGS = 400  # of edges in one step, after which an agent waits for the next
-CROSSINGS_BEFORE_NUDGE = 24  # crossings after which a walker is moved off the corner that it may be circling
-NUDGE_FRACTION = 1e-7  # of a face: how far it is moved
-BORDER_INWARD_SHARE = 1e-6  # of a direction along a border: off it, or rounding would ask about it again and again
-MAX_SURFACE_HOPS = 6  # from surface to surface, or turns along a border, in one step
-LOOK_AHEAD_EVENT, BORDER_EVENT, OVERHANG_EVENT = 1, 2, 3  # something may be in the way, or beyond the border; over one already
+MAX_EDGE_CROSSINGS = 400  # most edges crossed in one step; the agent then stops until the next step
+CROSSINGS_BEFORE_NUDGE = 24  # crossings after which a walker is nudged, because it may circle a corner
+NUDGE_FRACTION = 1e-7  # share of a face by which it is moved
+BORDER_INWARD_SHARE = 1e-6  # share of the direction that points inwards, so that rounding does not lead back to the border
+MAX_SURFACE_HOPS = 6  # most changes of surface, or turns along a border, in one step
+LOOK_AHEAD_EVENT, BORDER_EVENT, OVERHANG_EVENT = 1, 2, 3  # possible obstacle; border reached; agent above a border
 
 
 @inlined
@@ -125,7 +125,7 @@ def walk_stretches(
             f, (b1, b2), side, (c, s), (heading_c, heading_s) = _cross_edge(
                 table, beyond, edge, (cosine, sine), (b1, b2), side, (c, s), (heading_c, heading_s)
             )
-            for line in (0, 24, 32):  # which `finish` reads: all others are read at once
+            for line in (0, 24, 32):  # cache lines that the final pose reads; the walk reads the others at once
                 fetch_ahead(table, ROW_FLOATS * f + line)
         turn += 1
     walker = FaceWalker(f, (b1, b2), side, (c, s), (heading_c, heading_s))

@@ -76,7 +76,7 @@ class MeshGround:
         up = np.broadcast_to(np.asarray(up, np.float64), points.shape)
         scene, live = self._ray_scene(on)
         middle = (self.low + self.high) / 2
-        height = ((middle - points) * up).sum(axis=1) + self.extent * 1.8  # more than the half diagonal above the middle
+        height = ((middle - points) * up).sum(axis=1) + self.extent * 1.8  # more than half the diagonal above the centre
         hits = scene.cast(points + up * height[:, None], -up)
         is_hit = hits.hit
         face = self._face_of(hits.mesh, hits.face, live)
@@ -235,6 +235,7 @@ class MeshGround:
         return self._walk().crowd_walk_for(self._clearances, self._boxes, self._scale, longest, widest)
 
     def _walk(self) -> WalkTables:
+        """Return the tables of walks, built on first use."""
         if self._fast is None:
             self._fast = WalkTables(self._table, self._mesh, self._first)
         return self._fast
@@ -273,6 +274,7 @@ class MeshGround:
 
     @staticmethod
     def _face_of(mesh: NDArray[np.int32], face: NDArray[np.int32], live: Index) -> Index:
+        """Return the ground's numbers of hit faces of a ray scene, -1 for no hit. `live`: number of each scene face."""
         result = np.full(len(face), -1, np.int64)
         hit = mesh >= 0
         result[hit] = live[face[hit]]
@@ -287,6 +289,7 @@ class MeshGround:
         return np.where(known, self._first.take(np.where(known, footing.mesh, 0)) + footing.face, 0), known
 
     def _footing(self, face: Index, b1: Floats, b2: Floats, over: Floats | None = None) -> Footing:
+        """Return footings on faces, numbered over all surfaces; -1 is nowhere."""
         known = face >= 0
         over = np.zeros(face.size) if over is None else over
         if known.all():
@@ -304,6 +307,7 @@ class MeshGround:
 
 
 def _stay_in_place(footing: Footing, up: Floats, heading: Floats) -> GroundMove:
+    """Return the result of a step on a ground without surfaces: all agents are lost."""
     n = len(footing)
     same = np.array(heading, np.float64).reshape(-1, 3)
     return GroundMove(

@@ -19,9 +19,9 @@ Floats = NDArray[np.float64]
 Index = NDArray[np.int64]
 
 _MAX_GRID_CELLS = 400_000
-_MAX_FACE_PARTS = 100_000  # of all faces near other pieces, at most
+_MAX_FACE_PARTS = 100_000  # most parts of all faces near other pieces
 _MAX_PARTS_PER_EDGE = 8  # parts along each edge of a face
-_MAX_PIECES = 500  # above it a face is a part, and is taken to be in touch
+_MAX_PIECES = 500  # number of pieces above which faces are not divided and count as touching
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,6 +72,7 @@ class PieceClearances:
         return FaceParts(reach, tables["first"], tables["count"], tables["least"])
 
     def _measure(self, reach: float) -> stored_tables.Tables:
+        """Measure the arrays of `FaceParts` by field name, for distances up to `reach` mm."""
         m = len(self._piece)
         near = np.flatnonzero(self._faces_near_pieces(reach) | self._cut) if self._several else np.empty(0, np.int64)
         count, first = np.zeros(m, np.int32), np.zeros(m, np.int64)
@@ -120,6 +121,7 @@ class PieceClearances:
 
     @cached_property
     def _piece_grid(self) -> _PieceGrid:
+        """Return the grid of pieces, built on first use."""
         corners, piece = self._corners, self._piece
         size = corners.max(axis=(0, 1)) - self._low
         width = triangle_width(corners, cell_width(size, _MAX_GRID_CELLS))

@@ -39,16 +39,16 @@ from antdsl.numerics.kernel_vectors import (
     unit_or_first_axis,
 )
 
-EYE_HEIGHT_PER_BODY = 0.02  # of a body: how far above the surface an agent looks ahead
-MIN_LOOK_AHEAD_FACTOR = 8.0  # times that height is the way left at least: an agent that climbs also comes up by it
-BORDER_GAP_PER_BODY = 0.02  # of a body: how far beyond a border it looks for what continues there
-# Of a body: how far above and below a border it looks, and how deep back
+EYE_HEIGHT_PER_BODY = 0.02  # in body lengths: eye height above the surface
+MIN_LOOK_AHEAD_FACTOR = 8.0  # the search covers at least this multiple of the eye height: climbing also gains height
+BORDER_GAP_PER_BODY = 0.02  # in body lengths: distance beyond a border that is searched
+# In body lengths: height and depth of the search at a border, and its second depth
 BORDER_RAY_HEIGHT_PER_BODY, BORDER_RAY_DEPTH_PER_BODY = 0.5, 0.25
-RELATIVE_DISTANCE_NOISE = 1e-4  # of the extent of a ground: more than distances to other pieces err by
-RELATIVE_MIN_EYE_HEIGHT = 1e-6  # of that extent: least height of eyes
-RELATIVE_COINCIDENT_DISTANCE = 1e-8  # of that extent: nearer surfaces are at one place
-RELATIVE_TOUCH_DISTANCE = 1e-9  # of that extent: how near feet are to what cuts their face when they are on it
-# Cosine between two normals, of about 100 degrees: below it nothing leads from the one over a border to the other
+RELATIVE_DISTANCE_NOISE = 1e-4  # relative to the ground's extent; more than the error of distances to other pieces
+RELATIVE_MIN_EYE_HEIGHT = 1e-6  # relative to the extent: smallest eye height
+RELATIVE_COINCIDENT_DISTANCE = 1e-8  # relative to the extent: nearer surfaces coincide
+RELATIVE_TOUCH_DISTANCE = 1e-9  # relative to the extent: feet nearer to a cutting face are on it
+# Cosine of about 100 degrees: agents do not step over a border between faces with a smaller cosine
 MIN_NORMALS_COSINE = -0.17
 
 
@@ -70,6 +70,7 @@ class GroundScale:
 
     @staticmethod
     def of(extent: float) -> GroundScale:
+        """Return the lengths for a ground of size `extent` (mm)."""
         return GroundScale(
             RELATIVE_DISTANCE_NOISE * extent,
             RELATIVE_MIN_EYE_HEIGHT * extent,
@@ -150,14 +151,14 @@ def _look_ahead(
     boxes, face_list, fine, under = around.boxes, around.face_list, around.lengths.fine, around.lengths.under
     place, up, direction = ground
     roof, part, _ = first_hit(table, boxes, face_list, n, place, times(up, high), fine)
-    # What shows its back a grain above the agent is below it: feet may be that far in the ground that they climb.
+    # A face slightly above the agent with its back to it counts as below: climbing feet may be that deep in the ground.
     if roof >= 0 and (dot(at(table, ROW_FLOATS * roof + NORMAL_OFFSET), up) < 0 or high * part > under):
         high = high * part / 2
     eye, step = plus(place, times(up, high)), times(direction, length)
     face, part, weights = first_hit(table, boxes, face_list, n, eye, step, fine)
     if face >= 0:
         return SurfaceSight(face, weights, min(part, 1.0) * length, direction, high)
-    # What has come between the eye and the ground is below the next eye, that of the face round the edge or of the next step.
+    # An obstacle between eye and ground here is below the next eye, on the next face or in the next step.
     down = times(up, -high)
     face, _, weights = first_hit(table, boxes, face_list, n, plus(eye, step), down, 0.0)
     return SurfaceSight(face, weights, length, down, high)
@@ -209,7 +210,7 @@ def look_beyond_border(table: Array1[F64], around: NearbySurfaces, body: F64, ed
     n = gather_faces(pieces, boxes, plus(place, lift), minus(place, lift), gap + 4 * fine, f, -1, face_list)
     if n == 0:
         return SurfaceLanding(-1, (0.0, 0.0), 1.0, 0.0, 0.0, False)
-    hair = times(out, 2 * fine)  # an offset, beside a border that ends or begins exactly above or below this one
+    hair = times(out, 2 * fine)  # a small offset, for borders exactly above or below this one
     roof, part, _ = first_hit(table, boxes, face_list, n, plus(minus(place, hair), times(up, fine)), times(up, high - fine), 0.0)
     if roof >= 0:
         high = (fine + part * (high - fine)) / 2
@@ -227,7 +228,7 @@ def look_beyond_border(table: Array1[F64], around: NearbySurfaces, body: F64, ed
     if face >= 0:
         rise = high - part * (high + most)
         if _may_step(table, sides, border, face, towards):
-            # Onto the point of the face that is nearest to a place over the border no lower than its plane there.
+            # Onto the nearest point of the face to a position above the border that is not below the face's plane.
             face_row = ROW_FLOATS * face
             normal, corner = at(table, face_row + NORMAL_OFFSET), at(table, face_row + CORNER_OFFSET)
             plane = dot(minus(corner, place), normal) / dot(up, normal)
@@ -257,7 +258,7 @@ def look_beyond_border(table: Array1[F64], around: NearbySurfaces, body: F64, ed
                     break
     if face < 0 or not _may_step(table, sides, border, face, towards):
         return SurfaceLanding(-1, (0.0, 0.0), 1.0, 0.0, 0.0, False)
-    # Down at the border itself, where what was met may be met sooner; straight across to what is near.
+    # Down at the border itself, where the hit may come sooner; straight across to near surfaces.
     if rise < -gap:
         fall = times(up, rise + fine)
         sooner, part, nearer = first_hit(table, boxes, face_list, n, minus(plus(place, hair), times(up, fine)), fall, 0.0)
@@ -305,6 +306,7 @@ def position_on_face(table: Array1[F64], row: I64, weights: TriangleWeights, sid
 
 @inlined
 def _in_space(table: Array1[F64], row: I64, direction: FaceDirection) -> Vec3:
+    """Return a direction in a face's frame as a vector in space."""
     return plus(times(at(table, row + AXIS1_OFFSET), direction[0]), times(at(table, row + AXIS2_OFFSET), direction[1]))
 
 

@@ -19,9 +19,9 @@ Floats = NDArray[np.float64]
 Ints = NDArray[np.int32]
 Index = NDArray[np.int64]
 
-_RELATIVE_TOUCH_DISTANCE = 1e-9  # of the extent: what comes nearer to a face touches it
-_DEGENERATE_RATE = 1e12  # weights gained by a mm across a face that has none
-_CREASE_COSINE = np.sqrt(0.5)  # cosine of 45 degrees: faces meeting more sharply than this are not smoothed into each other
+_RELATIVE_TOUCH_DISTANCE = 1e-9  # relative to the extent: nearer faces touch
+_DEGENERATE_RATE = 1e12  # weight per mm across a face without width
+_CREASE_COSINE = np.sqrt(0.5)  # cosine of 45 degrees: normals are not smoothed between faces at a larger angle
 
 NO_LINK = -1
 _FLOAT_COLUMNS = tuple(
@@ -57,11 +57,11 @@ class MeshTopology:
     link: Ints
     piece: Ints
     pieces: int
-    cuts: SelfCuts  # which faces of a piece cut each other
-    way: Ints  # (2, m): which sides of faces, 0 that of the normal, may be come to from each other in their piece
-    forked: bool  # whether any edge leads on differently on its two sides, being of more than two faces
+    cuts: SelfCuts  # cuts between faces of one piece
+    way: Ints  # (2, m): group number of each side (0: the normal's); sides that are reachable from each other share a number
+    forked: bool  # whether the links of any edge differ between the two sides, as where more than two faces meet
     smooth: Floats  # (9, m): unit normal at corner 0, 1, 2
-    weld: Ints  # (m, 3): numbers of corners, those of one place being one
+    weld: Ints  # (m, 3): vertex numbers of corners; corners at one position share a number
 
     def to_space(self, face: Index, c: Floats, s: Floats) -> Floats:
         """Return vectors (3, k) in space, from their components in the frames of faces."""
@@ -145,7 +145,7 @@ def _shape_arrays(vertices: Floats, faces: Ints, weld: Ints, live: NDArray[np.bo
     a, b, c = (vertices[faces[:, k]] for k in range(3))
     edge1, edge2 = b - a, c - a
     across = np.cross(edge1, edge2)
-    with np.errstate(all="ignore"):  # a face that moves may lose its area
+    with np.errstate(all="ignore"):  # a moving face may lose its area
         normal = across / np.where(live, _length(across), 1.0)[:, None]
         length1 = np.where(live, _length(edge1), 1.0)
         axis1 = edge1 / length1[:, None]
@@ -195,7 +195,7 @@ def _link_edges(vertices: Floats, faces: Ints, weld: Ints, live: NDArray[np.bool
     first = np.concatenate(([True], key[order][1:] != key[order][:-1]))
     group = np.empty(half.size, np.int64)
     group[order] = np.cumsum(first) - 1
-    lead = order[first][group]  # one half-edge of each edge gives the direction and the angle's zero for all of it
+    lead = order[first][group]  # one half-edge of each edge defines the direction and the zero of the angle
     axis, zero = edge[lead], inward[lead]
     angle = elementary.wide_atan2((np.cross(axis, zero) * inward).sum(axis=1), (zero * inward).sum(axis=1))
     order = np.lexsort((half, np.round(angle, 9), group))
@@ -204,13 +204,13 @@ def _link_edges(vertices: Floats, faces: Ints, weld: Ints, live: NDArray[np.bool
     place = np.empty(half.size, np.int64)
     place[order] = np.arange(half.size)
     place -= begin[group]
-    # Turning about the axis from a face towards its normal goes up or down in angle, by how the face is wound.
+    # The winding of a face decides whether a rotation from the face towards its normal increases the angle.
     upward = along > 0
     many = count[group] > 1
     for side in (0, 1):
         step = np.where(upward == (side == 0), 1, -1)
         beyond = order[begin[group] + (place + step) % count[group]]
-        flip = (along[beyond] == along).astype(np.int64)  # two faces wound alike run along their edge in opposite ways
+        flip = (along[beyond] == along).astype(np.int64)  # faces with equal winding traverse their edge in opposite directions
         link[side, half[many]] = (8 * face[beyond] + 2 * k[beyond] + flip)[many]
     return link
 
@@ -265,7 +265,7 @@ def _smooth_normals(vertices: Floats, faces: Ints, weld: Ints, live: NDArray[np.
     total: Floats = np.stack([np.bincount(flat, weight.ravel() * each[:, axis], points) for axis in range(3)], axis=1)
     mean = total / np.maximum(_length(total), 1e-300)[:, None]
     smooth = mean[flat]
-    # Half the crease's angle from the mean leaves any two faces there within the crease.
+    # If each face is within half the crease angle of the mean, any two are within the crease angle.
     sharp = np.bincount(flat, (smooth * each).sum(axis=1) < np.sqrt((1 + _CREASE_COSINE) / 2), points) > 0
     slow = np.flatnonzero(sharp[flat])
     if slow.size:

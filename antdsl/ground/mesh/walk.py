@@ -43,7 +43,7 @@ from antdsl.numerics.kernel_vectors import AgentPose, TriangleWeights, Vec3, of,
 from antdsl.numerics.kernel_vectors import clamp_weights as _inside
 from antdsl.numerics.parallel import buffer_index
 
-# Values of agents that wait: rows of an array of floats, and of one of whole numbers.
+# Values of waiting agents: rows of an array of floats, and of an array of integers.
 (
     WEIGHT1_ROW,
     WEIGHT2_ROW,
@@ -62,9 +62,9 @@ from antdsl.numerics.parallel import buffer_index
 AGENT_ROW, FACE_ROW, CROSSINGS_ROW, HOPS_ROW, BLOCKED_ROW, IS_NEAR_ROW, EVENT_ROW, EDGE_ROW, INTEGER_ROW_COUNT = range(9)
 LEFT_OUT_STATUS, FINISHED_STATUS, WAITING_STATUS = range(
     3
-)  # how it is with an agent after the first loop; `stride` leaves some out, for `walk_all`
-PREFETCH_EIGHTS = 2  # eights of agents by which rows are prefetched ahead
-PREFETCH_GROUP_SIZE = 64  # agents with rows prefetched together: as many as a processor's nearest cache holds
+)  # state of an agent after the first loop; other callers leave agents out, for `walk_all`
+PREFETCH_EIGHTS = 2  # groups of eight agents by which prefetches are ahead
+PREFETCH_GROUP_SIZE = 64  # agents with rows prefetched together: as many as fit into the first-level cache
 
 
 @inlined
@@ -106,7 +106,7 @@ def walk_agent(
     heading_c, heading_s, _ = lay_on_face(axis1, axis2, heading[0], heading[1], heading[2], c, s)
     high = _search_margin(near.noise, size)
     if not free_distance(near, f, weights) <= left + high:
-        high = -np.inf  # has nothing to look out for on the whole way
+        high = -np.inf  # no search is needed on the complete path
     walker, progress = FaceWalker(f, weights, side, (c, s), (heading_c, heading_s)), WalkProgress(left, 0.0, 0)
     if over != 0 and left > 0:
         stop = WalkStop(OVERHANG_EVENT, 0, 0.0, 0)
@@ -244,7 +244,7 @@ def continue_walks(
                 edge, outward = _open_border(table, surface.link, walker)
                 if outward:
                     event = BORDER_EVENT
-                    turn -= 1  # of a step, the loop counts the stretches
+                    turn -= 1  # only `walk_stretches` counts this crossing
                 else:
                     over, left, distance = _climb_border(over, 0.0, left, distance)
                     if over != 0:

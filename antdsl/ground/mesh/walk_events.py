@@ -21,7 +21,7 @@ from antdsl.ground.mesh.topology import NO_LINK, MeshTopology
 from antdsl.numerics import parallel
 
 Floats = NDArray[np.float64]
-_WAITING_PER_THREAD = 16  # agents that look for other surfaces, from which a thread pays
+_WAITING_PER_THREAD = 16  # number of waiting agents from which another thread is worthwhile
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,9 +46,9 @@ class WalkTables:
     def __init__(self, table: MeshTopology, mesh: NDArray[np.int32], first: NDArray[np.int64]) -> None:
         self.table, self.first, self._mesh = table, first, mesh
         self.packed = pack_table(table, mesh)
-        self._crowd: CrowdWalk | None = None  # that of the last step
-        self._still = True  # no face has had another shape
-        self._open, self._widest = np.empty(0, np.int64), -np.inf  # half-edges that are marked as open, for bodies so wide (mm)
+        self._crowd: CrowdWalk | None = None  # the walk of the last step
+        self._still = True  # no face has changed its shape
+        self._open, self._widest = np.empty(0, np.int64), -np.inf  # marked half-edges, and the body size (mm) they are valid for
 
     def changed(self, faces: slice) -> None:
         """Update faces with a new shape. Open borders change with each new shape, so the walk no longer uses them."""
@@ -67,7 +67,7 @@ class WalkTables:
         """Return the walk for displacements up to `longest` and bodies up to `widest` (mm), with the distances to surrounding
         surfaces."""
         if self._still and widest > self._widest:
-            # For wider ones than these, or a crowd that grows would have it done again and again.
+            # For larger bodies than needed: otherwise a growing crowd would repeat the search often.
             self._widest = 1.5 * widest
             mark_open(self.packed, self._open, NO_LINK)
             self._open = find_open_borders(self.table, boxes, scale, self._widest)

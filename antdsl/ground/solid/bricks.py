@@ -16,8 +16,8 @@ Distances = NDArray[np.float32]
 
 BRICK_SIDE_NODES = 16  # nodes along the edge of a brick
 BRICK_NODES = BRICK_SIDE_NODES**3
-AIR_SLOT, SOLID_SLOT = 0, 1  # slots that many bricks share
-FILL_STEPS_PER_VOXEL = 256  # in which a voxel is filled
+AIR_SLOT, SOLID_SLOT = 0, 1  # slots shared by many bricks
+FILL_STEPS_PER_VOXEL = 256  # steps between an empty and a full voxel
 MASK64 = (1 << 64) - 1
 
 
@@ -40,21 +40,22 @@ class BrickGrid:
 
     origin: NDArray[np.float64]
     voxel: float
-    shape: tuple[int, int, int]  # bricks
+    shape: tuple[int, int, int]  # number of bricks along each axis
     least: float
     most: float
-    table: NDArray[np.int32]  # flat, of shape
-    values: NDArray[np.float32]  # room for more slots than are used
-    used: int  # slots
+    table: NDArray[np.int32]  # one slot per brick, flat
+    values: NDArray[np.float32]  # may have capacity for more slots than are used
+    used: int  # number of slots in use
     steps: int = 0
     steps_at_start: int = 0
-    fresh: NDArray[np.bool_] = field(default_factory=lambda: np.zeros(0, bool))  # by brick: to be meshed again
-    touched: dict[int, Distances | None] = field(default_factory=dict)  # bricks dug: what they were, None for undug solid
-    mark: int = 0  # sum over all nodes of what `mixed` makes of their distance, less that of the start
+    fresh: NDArray[np.bool_] = field(default_factory=lambda: np.zeros(0, bool))  # for each brick, whether it must be meshed again
+    touched: dict[int, Distances | None] = field(default_factory=dict)  # values of dug bricks before digging; None: undug solid
+    mark: int = 0  # sum of `hash_nodes` over all nodes, minus that of the start
     started: bytes = b""  # digest of the start
 
     @property
     def nodes(self) -> tuple[int, int, int]:
+        """Return the number of nodes along each axis."""
         a, b, c = self.shape
         return a * BRICK_SIDE_NODES, b * BRICK_SIDE_NODES, c * BRICK_SIDE_NODES
 
@@ -66,6 +67,7 @@ class BrickGrid:
 
     @property
     def nbytes(self) -> int:
+        """Return the memory of the arrays in bytes."""
         touched_bytes = sum(values.nbytes for values in self.touched.values() if values is not None)
         return self.table.nbytes + self.values.nbytes + self.fresh.nbytes + touched_bytes
 
@@ -103,6 +105,7 @@ class BrickGrid:
         self.mark_fresh(bricks)
 
     def _grow(self, slots: int) -> None:
+        """Extend the array of values so that it has space for `slots` slots."""
         capacity = self.values.size // BRICK_NODES
         if slots > capacity:
             new_values = np.empty(max(slots, capacity + capacity // 4) * BRICK_NODES, np.float32)
@@ -117,6 +120,7 @@ class BrickGrid:
         return sha256(self.started + counts.tobytes()).digest()
 
     def state(self) -> dict[str, NDArray[Any]]:
+        """Return the changes since the start, as `Volume.state`."""
         bricks = np.array(sorted(self.touched), np.int64)
         return {
             "bricks": bricks,

@@ -16,14 +16,14 @@ from antdsl.machine_code.kernels import F32, F64, I32, I64, U32, U64, Array1, Ar
 Floats = NDArray[np.float64]
 Index = NDArray[np.int64]
 Distances = NDArray[np.float32]
-NodeChanges = tuple[Index, Distances, Index]  # as of Reached
+NodeChanges = tuple[Index, Distances, Index]  # the fields of ChangedNodes
 
-_LARGE_BALL_VOXELS = 24  # voxels that a ball reaches, above which it is dug brick by brick
+_LARGE_BALL_VOXELS = 24  # reach in voxels above which a ball is dug brick by brick
 
 # Table, values, origin, voxel, shape, and the least and the greatest distance of the bricks
 BrickTables = tuple[Array1[I32], Array1[F32], Array1[F64], F64, tuple[I64, I64, I64], F64, F32]
 BallArrays = tuple[Array2[F64], Array1[F64]]  # centres and radii
-ChangeArrays = tuple[Array1[I64], Array1[F32], Array1[I64]]  # nodes, new distances, and the balls that they are of
+ChangeArrays = tuple[Array1[I64], Array1[F32], Array1[I64]]  # nodes, new distances, balls
 
 _HASH_MULTIPLIER1, _HASH_MULTIPLIER2, _HASH_MULTIPLIER3 = (
     np.uint64(0x9E3779B97F4A7C15),
@@ -50,7 +50,7 @@ class ChangedNodes:
 def carve(bricks: BrickGrid, centres: Floats, radii: Floats, owners: Index) -> Floats:
     """Dig balls out of a solid, as `Volume.carve`."""
     centres, radii = np.asarray(centres, np.float64).reshape(-1, 3), np.asarray(radii, np.float64).reshape(-1)
-    # The same whatever order the balls come in: at a tie the least owner, then the least place.
+    # Independent of the order of the balls: at a tie the lowest owner, then the lowest position.
     order = np.lexsort((radii, centres[:, 2], centres[:, 1], centres[:, 0], np.asarray(owners, np.int64).reshape(-1)))
     centres, radii = centres[order], radii[order]
     reached = _find_changed_nodes(bricks, centres, radii)
@@ -75,11 +75,12 @@ def _select_balls(bricks: BrickGrid, centres: Floats, radii: Floats) -> tuple[In
         meets = np.isfinite(local).all(axis=1) & np.isfinite(radii) & (radii > 0)
         meets &= ((local > -reach[:, None] - 1) & (local < np.array(bricks.nodes) + reach[:, None] + 1)).all(axis=1)
     rows = np.flatnonzero(meets)
-    # No further than the grid is wide, however great the ball.
+    # At most the width of the grid, for a ball of any size.
     return rows, np.ceil(np.minimum(reach[rows], 2.0 * max(bricks.nodes))).astype(np.int64)
 
 
 def _find_changed_nodes(bricks: BrickGrid, centres: Floats, radii: Floats) -> ChangedNodes:
+    """Return the nodes that balls change, one ball after another."""
     rows, steps = _select_balls(bricks, centres, radii)
     great = np.flatnonzero(steps > _LARGE_BALL_VOXELS)
     parts = [_carve_large(bricks, centres, radii, int(ball)) for ball in rows[great]]

@@ -15,10 +15,10 @@ Floats = NDArray[np.float64]
 Index = NDArray[np.int64]
 Distances = NDArray[np.float32]
 
-# Voxels up to which a node is measured to all triangles: corners of a cell that the surface crosses are nearer
+# Distance in voxels up to which nodes are measured to all triangles; corners of cells at the surface are nearer
 EXACT_DISTANCE_VOXELS = 1.75
 FAR_DISTANCE = np.float32(1e9)  # of nodes beyond the band
-_PAIRS_PER_CHUNK = 1 << 15  # pairs of node and triangle measured together, so that they stay in the processor's cache
+_PAIRS_PER_CHUNK = 1 << 15  # pairs of a node and a triangle per chunk, so that they fit into the processor's cache
 _NEIGHBOUR_STEPS = ((1, 0, 0), (-1, 0, 0), (0, 1, 0), (0, -1, 0), (0, 0, 1), (0, 0, -1))
 
 
@@ -44,6 +44,7 @@ def distances(shape: tuple[int, int, int], near: Index, corners: Floats, band: f
 
 
 def _shift_columns(columns: list[Index], step: tuple[int, ...]) -> list[Index]:
+    """Return the columns of node coordinates, shifted by `step`."""
     return [column + by for column, by in zip(columns, step, strict=True)]
 
 
@@ -54,7 +55,7 @@ def nodes_beside(corners: Floats) -> Iterator[tuple[list[Index], Index]]:
     normal, a triangle covers few lines of nodes, and few nodes of each line are near."""
     edges = corners[:, [1, 2]] - corners[:, :1]
     normal = np.cross(edges[:, 0], edges[:, 1])
-    axes = np.where(normal.any(axis=1), np.abs(normal).argmax(axis=1), -1)  # no area: the sides are those of others
+    axes = np.where(normal.any(axis=1), np.abs(normal).argmax(axis=1), -1)  # no area: its sides belong to other triangles
     for axis in range(3):
         which = np.flatnonzero(axes == axis)
         others = [k for k in range(3) if k != axis]
@@ -102,7 +103,7 @@ class _DistanceField:
     def __init__(self, shape: tuple[int, int, int], near: Index, corners: Floats) -> None:
         self._shape = shape
         self._near = near
-        self._first = np.full(math.prod(shape), -1, np.int32)  # place of each brick's nodes, by 4096
+        self._first = np.full(math.prod(shape), -1, np.int32)  # index of each brick's nodes in the arrays, in units of 4096
         self._first[near] = np.arange(near.size)
         self._triangles = _triangle_measures(corners)
         self._nearer = np.zeros(near.size * BRICK_NODES, bool)
@@ -139,6 +140,7 @@ class _DistanceField:
     def _nearer_distances(
         self, nodes: list[Index], triangle: NDArray[np.integer], new: bool
     ) -> tuple[Index, Distances, NDArray[np.integer]]:
+        """Return array positions, distances and triangles of nodes in the bricks. See `measure`."""
         x, y, z = nodes
         nx, ny, nz = self._shape
         inside = (x >= 0) & (x < nx * 16) & (y >= 0) & (y < ny * 16) & (z >= 0) & (z < nz * 16)

@@ -15,16 +15,16 @@ from antdsl.ground.solid.bricks import BrickGrid
 from antdsl.machine_code.kernels import BOOL, F32, F64, I32, I64, Array1, Array2, called, inlined, kernel
 from antdsl.numerics.kernel_vectors import Vec3, dot
 
-SURFACE_TOLERANCE_VOXELS = 1e-5  # voxels: as near as float32 nodes make sense
+SURFACE_TOLERANCE_VOXELS = 1e-5  # voxels; the resolution of float32 distances
 MAX_PROJECTION_STEPS = 60
-MIN_SQUARED_GRADIENT = 0.01  # square of a gradient that says nothing about the way
+MIN_SQUARED_GRADIENT = 0.01  # squared length below which a gradient gives no direction
 Floats = NDArray[np.float64]
 BrickTables = tuple[
     Array1[I32], Array1[F32], F64, F64, F64, F64, I64, I64, I64
 ]  # table, values, origin, voxel and shape of bricks
 PointColumns64 = tuple[Array1[F64], Array1[F64], Array1[F64]]
 
-SMOOTH_NORMAL_REACH = 0.5  # voxels: how far around a place the smooth normal looks, each way, where no body says more
+SMOOTH_NORMAL_REACH = 0.5  # voxels to both sides over which the smooth gradient is measured, without a body
 
 
 def grid_of(bricks: BrickGrid) -> tuple[Any, ...]:
@@ -225,7 +225,7 @@ def project_point(
                 size = np.sqrt(square)
                 return True, q, (g[0] / size, g[1] / size, g[2] / size)
             return True, q, hint
-        # Between two caves that meet, gradients send to and fro: each third step keeps to the hint.
+        # Between two caves that meet, gradients oscillate: every third step follows the hint.
         flat = square < MIN_SQUARED_GRADIENT or turn % 3 == 2
         step = -d if flat else -d / square
         length = abs(step) * np.sqrt(square)

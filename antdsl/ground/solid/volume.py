@@ -18,7 +18,7 @@ from antdsl.ground.solid.bricks import BRICK_NODES, BRICK_SIDE_NODES, BrickGrid,
 
 BrickMesh = tuple[int, NDArray[np.float64], NDArray[np.int32]]
 
-_VERTEX_PARTS_PER_VOXEL = 4096.0  # parts of a voxel to which vertices are rounded, so that both sides of a seam have the same
+_VERTEX_PARTS_PER_VOXEL = 4096.0  # vertices are rounded to these parts of a voxel, so that bricks agree at their common side
 Floats = NDArray[np.float64]
 Distances = NDArray[np.float32]
 Arrays = dict[str, NDArray[Any]]
@@ -65,6 +65,7 @@ class Volume:
 
     @property
     def high(self) -> Floats:
+        """Return the highest corner of the grid, float64[3] mm."""
         return self.bricks.origin + (np.array(self.bricks.nodes) - 1) * self.bricks.voxel
 
     # ---- asking
@@ -206,6 +207,7 @@ def corner_values(bricks: BrickGrid, brick: int) -> NDArray[np.float32]:
 
 
 def _mesh_brick(bricks: BrickGrid, brick: int) -> BrickMesh:
+    """Return the key, vertices and faces of a brick, by marching cubes."""
     from skimage.measure import marching_cubes
 
     values = corner_values(bricks, brick)

@@ -16,7 +16,7 @@ from antdsl.ground.solid.bricks import AIR_SLOT, BRICK_NODES, BRICK_SIDE_NODES, 
 from antdsl.ground.solid.triangles import boxes, distances
 from antdsl.scene.geometry.closed import count_open_edges, to_voxels
 
-_PAIRS_PER_CHUNK = 1 << 16  # pairs of triangle and line looked at together
+_PAIRS_PER_CHUNK = 1 << 16  # pairs of a triangle and a line per chunk
 Floats = NDArray[np.float64]
 Index = NDArray[np.int64]
 
@@ -24,7 +24,7 @@ Index = NDArray[np.int64]
 _INNER_BAND_VOXELS, _OUTER_BAND_VOXELS = 1.75, 4.0
 _RAY_OFFSETS_VOXELS = (0.37, 0.41, 0.43)  # voxels
 _BLOCK_VOXELS = 4.0  # voxels
-_BYTES_PER_NEAR_NODE = 24  # bytes of memory for each node near the surface while distances are found
+_BYTES_PER_NEAR_NODE = 24  # memory in bytes for each node near the surface during conversion
 
 
 def voxelise(vertices: Floats, faces: Index, voxel: float, cap: int) -> BrickGrid | UnusableMesh:
@@ -40,10 +40,10 @@ def voxelise(vertices: Floats, faces: Index, voxel: float, cap: int) -> BrickGri
     sides = (high - low) / voxel
     shape = tuple(math.ceil((float(side) + 2 * _OUTER_BAND_VOXELS + 4.0) / BRICK_SIDE_NODES) for side in sides)
     voxel_count = float(np.prod(sides + 1))
-    # A thin sheet or a rod needs room for whole bricks.
+    # A thin sheet or a rod needs complete bricks.
     if voxel_count > cap or float(np.prod(shape)) * BRICK_NODES > 8.0 * cap:
         return _too_many_voxels(max(voxel_count, float(np.prod(shape)) * BRICK_NODES / 8), cap, voxel)
-    # Not a whole number of voxels from the mesh: sides of a box would run through nodes, where the field has no clear slope.
+    # Not an integer number of voxels from the mesh: sides of a box would pass through nodes, where the gradient is ambiguous.
     origin = low - (_OUTER_BAND_VOXELS + 1.0 + np.array(_RAY_OFFSETS_VOXELS)) * voxel
     corners = (corners - origin) / voxel
     shell = TriangleShell(corners)
@@ -69,6 +69,7 @@ def voxelise(vertices: Floats, faces: Index, voxel: float, cap: int) -> BrickGri
 
 
 def _too_many_voxels(voxel_count: float, cap: float, voxel: float) -> UnusableMesh:
+    """Return the reason for a mesh with too many voxels, with a suggested voxel size."""
     least = voxel * max((voxel_count / cap) ** (1 / 3), 1.1)
     digits = 1 - math.floor(math.log10(least))
     size = math.ceil(least * 10**digits) / 10**digits
@@ -165,12 +166,13 @@ def _crossings(shell: TriangleShell) -> tuple[Index, Index, Index, NDArray[np.in
 
 
 def _piece_crossings(tri: Index, grain: int, t: Index, x: Index, y: Index) -> tuple[Index, Index, Index, NDArray[np.int16]]:
+    """Return the crossings of some pairs of triangle `t` and line `x`, `y`, as `_crossings`."""
     px, py = x * grain, y * grain
     areas, above, below = [], np.ones(t.size, bool), np.ones(t.size, bool)
     for i, j in ((1, 2), (2, 0), (0, 1)):
         ax, ay, bx, by = tri[t, i, 0], tri[t, i, 1], tri[t, j, 0], tri[t, j, 1]
         area = (bx - ax) * (py - ay) - (by - ay) * (px - ax)
-        # A place on the line counts as moved by next to nothing along x, and by far less along y: no line is met at its end.
+        # Lines count as moved by an infinitesimal distance along x, and a smaller one along y, so none meets the end of an edge.
         tie = np.where(by != ay, ay - by, bx - ax)
         side = np.where(area != 0, area, tie)
         above &= side > 0

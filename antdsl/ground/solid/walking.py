@@ -25,19 +25,19 @@ from antdsl.numerics.kernel_vectors import Vec3, cross, dot
 
 Vectors = Array2[F64]
 
-MAX_STRIDE_VOXELS = 1.0  # voxels of one step at most
-MIN_STRIDE_VOXELS = 1 / 128  # voxels of one step, below which there is no way on
-# Voxels that the middle of a step may be off the surface: else an edge is cut, or a thin wall is passed
+MAX_STRIDE_VOXELS = 1.0  # largest partial step, in voxels
+MIN_STRIDE_VOXELS = 1 / 128  # smallest partial step, in voxels
+# Distance in voxels of the middle of a partial step from the surface; a larger one cuts an edge or passes a thin wall
 MAX_CHORD_ERROR_VOXELS = 0.12
-MIN_TURN_COSINE = -0.25  # cosine of the turn of the normal in one step, below which another wall may have been met
-MAX_STRIDE_STRETCH = 1.3  # lengths of one step that it may lead at most
-EDGE_STRIDE_VOXELS = 0.1  # voxels of a step so short that a sharp turn is an edge and no other wall
+MIN_TURN_COSINE = -0.25  # cosine between normals before and after a partial step, below which it may have reached another wall
+MAX_STRIDE_STRETCH = 1.3  # largest distance of a partial step, in multiples of its length
+EDGE_STRIDE_VOXELS = 0.1  # length in voxels below which a sharp turn of the normal is an edge, not another wall
 NEWTON_STEPS = 4
 MAX_BISECTIONS = 24
-REMAINING_TOLERANCE_VOXELS = 1e-6  # voxels of way left that are none
-MAX_STRIDES = 400  # steps of one move
-STANCE_REACH_PER_BODY = 0.4  # of a body: how far around its place the normal that it stands by looks, each way
-MIN_SMOOTH_GRADIENT = 0.1  # length of that gradient below which it says nothing: the normal of the place itself is taken
+REMAINING_TOLERANCE_VOXELS = 1e-6  # remaining distance in voxels that counts as zero
+MAX_STRIDES = 400  # most partial steps of a move
+STANCE_REACH_PER_BODY = 0.4  # in body lengths: distance to both sides over which the normal of the stance is measured
+MIN_SMOOTH_GRADIENT = 0.1  # length of that gradient below which the normal at the point itself is used
 
 _PREFETCH_GROUP_SIZE = 16  # agents with cells prefetched together
 
@@ -200,7 +200,7 @@ def _walk_agent(
             if stride < MIN_STRIDE_VOXELS:
                 if blocked:
                     break
-                # At the very bottom of a groove or the tip of a ridge: to its other wall, once in a move.
+                # At the bottom of a groove or the top of a ridge: change to the other wall, once per move.
                 beyond = 2 * MIN_STRIDE_VOXELS * voxel
                 _, g = distance_and_gradient_at(
                     table,
@@ -263,12 +263,13 @@ def _project_to_surface(
                 else:
                     near = q
             break
-        part = part * 0.2  # the wall opposite is nearer than that
+        part = part * 0.2  # the opposite wall is nearer
     return q, g, d
 
 
 @inlined
 def _turn_direction(direction: Vec3, old_normal: Vec3, new_normal: Vec3) -> Vec3:
+    """Return a direction rotated from the old to the new normal, projected onto the new tangent plane."""
     direction, _ = _project_tangent(_rotate_between(direction, old_normal, new_normal, direction), new_normal)
     return direction
 

@@ -15,6 +15,8 @@ _NAME_PATTERN = re.compile(r"[A-Za-z_][A-Za-z_0-9.]*")
 
 @dataclass(frozen=True, slots=True)
 class QuickFix:
+    """An edit that corrects a finding. `title`: its description in the editor."""
+
     title: str
     edit: TextEdit
     complaint: Diagnostic

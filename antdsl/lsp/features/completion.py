@@ -30,7 +30,7 @@ from antdsl.syntax.words import EXAMPLE_LINES, FIXED_FIELD_SETTINGS, LINE_WORDS_
 
 
 def complete(workspace: Workspace, document: OpenDocument, offset: int) -> list[CompletionItem]:
-    """The proposals at an offset of a program, each label once."""
+    """Return the proposals at an offset of a program, each label once."""
     context = context_at(document.text.text, offset)
     if context.quiet:
         return []
@@ -42,6 +42,7 @@ def complete(workspace: Workspace, document: OpenDocument, offset: int) -> list[
 
 
 def _items(request: CompletionRequest) -> Iterator[CompletionItem]:
+    """Yield the proposals for a position, possibly with repeated labels."""
     prefix, rule = request.prefix, request.context.rule
     number = re.search(r"(?<![A-Za-z_0-9.])[0-9][0-9.]*[ \t]*([a-zA-Z%/*^0-9]*)$", request.context.line)
     if number is not None and not prefix.endswith(".."):
@@ -70,6 +71,7 @@ def _items(request: CompletionRequest) -> Iterator[CompletionItem]:
 
 
 def _line_start(request: CompletionRequest, rule: str) -> Iterator[CompletionItem]:
+    """Propose the words and names that may begin a line. `rule`: the grammar rule of the block."""
     if rule == "top" and not request.document.text.text[: _statement_start(request)].strip():
         yield _word("ant")
     for word in LINE_WORDS_BY_RULE.get(rule, ()):
@@ -130,6 +132,7 @@ def _units(prefix: str) -> Iterator[CompletionItem]:
 
 
 def _targets(request: CompletionRequest) -> Iterator[CompletionItem]:
+    """Propose what may follow `->`: a state, a type or a value."""
     if re.match(r"behaviour\b", request.prefix):
         yield from _types(request)
     elif request.context.rule == "rule":
@@ -141,6 +144,7 @@ def _targets(request: CompletionRequest) -> Iterator[CompletionItem]:
 
 
 def _states(request: CompletionRequest, every: bool = False) -> Iterator[CompletionItem]:
+    """Propose states of the machine around the position. `every`: those of all machines."""
     table = request.names.species.get(request.species or "")
     tables = [table] if table is not None else list(request.names.species.values())
     for each in tables:
@@ -154,10 +158,12 @@ def _states(request: CompletionRequest, every: bool = False) -> Iterator[Complet
 
 
 def _comparison_values(request: CompletionRequest) -> Iterator[CompletionItem]:
+    """Propose the states that a state may be compared with."""
     return _states(request, every=True)
 
 
 def _event_or_field(request: CompletionRequest) -> Iterator[CompletionItem]:
+    """Propose the events that a handler may name."""
     yield CompletionItem("spawn", "keyword", "once, at birth")
     yield CompletionItem("collision", "keyword", "its body begins to touch another's", "", "collision(${1:other})", True)
     yield from _events(request)
@@ -192,6 +198,7 @@ def _amounts(request: CompletionRequest) -> Iterator[CompletionItem]:
 
 
 def _take_sources(request: CompletionRequest) -> Iterator[CompletionItem]:
+    """Propose what may follow `from`: `any` in a transition, otherwise a value to take from."""
     if re.match(r"(from|machine)\b", request.prefix.strip()) and "take" not in request.prefix:
         yield CompletionItem("any", "keyword", "from every state except …")
     else:

@@ -34,6 +34,7 @@ class CursorContext:
 
     @property
     def rule(self) -> str:
+        """Return the grammar rule of the innermost block."""
         return self.blocks[-1].rule if self.blocks else "top"
 
     def enclosing_name(self, rule: str, word: str) -> str | None:

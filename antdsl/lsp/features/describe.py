@@ -1,4 +1,4 @@
-"""What an editor shows about a name: its declaration in the language's own form, type, range, default and help."""
+"""The help that an editor displays for a name: its declaration as in the language, its type, range, default and help text."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from antdsl.syntax import nodes
 
 
 def describe(workspace: Workspace, document: OpenDocument, key: NameKey) -> str | None:
-    """What to show for a symbol, as Markdown; None when nothing is known."""
+    """Return the help for a symbol as Markdown; None if nothing is known."""
     if key[0] in HELP_RULES:
         return HELP_RULES[key[0]](key)
     if key[0] not in _DESCRIPTION_RULES:
@@ -41,7 +41,7 @@ class SymbolDeclaration(NamedTuple):
 
 
 def _checked_type(program: Program | None, key: NameKey) -> ValueType | None:
-    """The type that the checker found for a name of a species."""
+    """Return the type that the checker found for a name of a species; None if it found none."""
     species = program.species.get(key[1]) if program is not None else None
     if species is None:
         return None
@@ -49,6 +49,7 @@ def _checked_type(program: Program | None, key: NameKey) -> ValueType | None:
 
 
 def _kind_line(type: ValueType | None, *details: str) -> str:
+    """Return a type with its unit, then further details, on one line."""
     if type is None or type.kind is TypeKind.BAD:
         return "; ".join(details)
     unit = default_unit(type.dim) if type.kind in (TypeKind.NUMBER, TypeKind.VECTOR) else ""
@@ -56,6 +57,7 @@ def _kind_line(type: ValueType | None, *details: str) -> str:
 
 
 def _own(symbol: SymbolDeclaration, member: Any) -> str:
+    """Return the help for a param, attribute, let, latch or fuzzy value of a species."""
     key, node = symbol.key, declaration(member) or member
     typed = _checked_type(symbol.workspace.last_good_program(symbol.file.path), key)
     word = MEMBER_WORDS.get(type(member), "")
@@ -135,6 +137,7 @@ def _behaviour(symbol: SymbolDeclaration, node: nodes.Behaviour) -> str:
 
 
 def _inner(symbol: SymbolDeclaration, node: Any) -> str:
+    """Return the help for an argument or a local value of a behaviour."""
     key = symbol.key
     if isinstance(node, nodes.BehaviourArgument):
         default = flat(node.default.span.text) if node.default is not None else ""

@@ -1,4 +1,4 @@
-"""Formatting: what `antdsl fmt` would make of a document, as edits of the lines that differ."""
+"""Formatting of a document as by `antdsl fmt`, as edits of the lines that differ."""
 
 from __future__ import annotations
 

@@ -19,6 +19,8 @@ _DEFAULT_FPS = Fraction(24)
 
 @dataclass(frozen=True, slots=True)
 class InlayHint:
+    """A text that the editor displays beside a span. `is_before`: in front of the span instead of after it."""
+
     span: Span  # it stands before the start of this, or after its end
     is_before: bool
     text: str

@@ -43,21 +43,24 @@ _CANDIDATE_KINDS = {
 
 
 class RenameRefused(Exception):
-    """A rename that would change what a program means; the text says why."""
+    """Error for a rename that would change the meaning of a program. The message is the reason."""
 
 
 @dataclass(frozen=True, slots=True)
 class NameLocation:
+    """The location of a name in a document."""
+
     document: OpenDocument
     span: Span
 
     @property
     def range(self) -> TextRange:
+        """Return the lines and columns of the name."""
         return self.document.range(self.span)
 
 
 def find_declaration(workspace: Workspace, document: OpenDocument, key: NameKey) -> tuple[OpenDocument, Declaration] | None:
-    """Return where a symbol is declared. The document has priority over other files."""
+    """Return the declaration of a symbol and its document; None without one. `document` has priority over other files."""
     if key[0] in ("behaviour", "inner", "alias"):
         paths = [Path(key[1])]
     else:
@@ -76,7 +79,7 @@ def find_declaration(workspace: Workspace, document: OpenDocument, key: NameKey)
 
 
 def _candidate_keys(document: OpenDocument, key: NameKey) -> Iterator[NameKey]:
-    """The keys that an unknown name may stand for in another file."""
+    """Yield the keys that an unknown name may stand for in another file."""
     kinds = _CANDIDATE_KINDS.get(key[0])
     if kinds is None:
         yield key
@@ -87,6 +90,7 @@ def _candidate_keys(document: OpenDocument, key: NameKey) -> Iterator[NameKey]:
 
 
 def occurrence_at(document: OpenDocument, offset: int) -> NameOccurrence | None:
+    """Return the name at an offset, or None."""
     occurrences = document.at(offset)
     return occurrences[0] if occurrences else None
 
@@ -289,7 +293,7 @@ def _refuse_collision(workspace: Workspace, document: OpenDocument, key: NameKey
 
 
 def _share_scope(key: NameKey, other: NameKey) -> bool:
-    """Whether two names can be seen from one place."""
+    """Return whether two names are visible at a common position."""
     world = ("thing", "field", "species", "event")
     if key[0] in world or other[0] in world:
         return key[0] in world or key[0] in ("own", "let", "element", "inner")

@@ -31,12 +31,14 @@ class OutlineSymbol:
 
 
 def symbols(document: OpenDocument) -> list[OutlineSymbol]:
+    """Return the symbols of a program or a scene, in text order."""
     if not document.is_program:
         return list(_key_symbols(document.scene.document)) if document.scene.document is not None else []
     return [symbol for item in document.parsed[0].items if (symbol := _item_symbol(item)) is not None]
 
 
 def _item_symbol(item: Any) -> OutlineSymbol | None:
+    """Return the symbol of a top-level item; None if it has none."""
     if isinstance(item, nodes.World):
         inner = [OutlineSymbol(each.name.text, "thing", each.span, each.name.span, each.kind.text) for each in item.items]
         return OutlineSymbol("world", "world", item.span, Span(item.span.source, item.span.start, item.span.start + 5), "", inner)
@@ -55,6 +57,7 @@ def _item_symbol(item: Any) -> OutlineSymbol | None:
 
 
 def _member_symbols(members: Any) -> Iterator[OutlineSymbol]:
+    """Yield the symbols of a species' or machine's members."""
     for member in members:
         declared = declaration(member)
         if declared is not None:
@@ -80,6 +83,7 @@ def _member_symbols(members: Any) -> Iterator[OutlineSymbol]:
 
 
 def _key_symbols(node: DocumentNode) -> Iterator[OutlineSymbol]:
+    """Yield the keys of a scene's mapping, with the keys inside them."""
     if isinstance(node, MappingNode):
         for key, value in node.entries.items():
             span = node.keys[key]
@@ -97,7 +101,7 @@ def _key_symbols(node: DocumentNode) -> Iterator[OutlineSymbol]:
 
 @dataclass(frozen=True, slots=True)
 class FoldedRange:
-    """Lines from 0, both included."""
+    """A range of lines that the editor can fold. Lines count from 0; both are included."""
 
     first: int
     last: int
@@ -105,7 +109,8 @@ class FoldedRange:
 
 
 def folds(document: OpenDocument) -> list[FoldedRange]:
-    """Braces and brackets over several lines, and runs of comments; in a scene, values below their key."""
+    """Return the foldable ranges: brackets over several lines and runs of comments in a program, or values below keys in a
+    scene."""
     if not document.is_program:
         return _scene_folds(document)
     text, all_folds, stack = document.text, [], []
@@ -126,6 +131,7 @@ def folds(document: OpenDocument) -> list[FoldedRange]:
 
 
 def _run_folds(lines: list[int]) -> Iterator[FoldedRange]:
+    """Yield a range for each run of at least two consecutive comment lines."""
     first = None
     for number, line in enumerate(lines):
         first = line if first is None else first

@@ -36,6 +36,8 @@ class CompletionItem:
 
 @dataclass(frozen=True, slots=True)
 class CompletionRequest:
+    """A position in a program at which proposals are requested."""
+
     workspace: Workspace
     document: OpenDocument
     names: ProgramNames
@@ -43,19 +45,23 @@ class CompletionRequest:
 
     @property
     def prefix(self) -> str:
-        """The statement before the word that is being written."""
+        """Return the statement up to the beginning of the unfinished word."""
         return self.context.line.removesuffix(self.context.word)
 
     @property
     def species(self) -> str | None:
+        """Return the name of the species around the position, or None."""
         return self.context.enclosing_name("top", "species") or self.context.enclosing_name("spec_line", "each")
 
     @property
     def machine(self) -> str:
+        """Return the name of the machine around the position; `main` outside of a named one."""
         return self.context.enclosing_name("member", "machine") or "main"
 
 
 def make_thing_rule(*kinds: str) -> Callable[[CompletionRequest], Iterator[CompletionItem]]:
+    """Return a function that proposes things of these kinds, or all things without a kind."""
+
     def give(request: CompletionRequest) -> Iterator[CompletionItem]:
         for name, item in request.names.things.items():
             if not kinds or item.kind.text in kinds:
@@ -65,11 +71,13 @@ def make_thing_rule(*kinds: str) -> Callable[[CompletionRequest], Iterator[Compl
 
 
 def fields(request: CompletionRequest) -> Iterator[CompletionItem]:
+    """Propose the fields of the file."""
     for name, node in request.names.fields.items():
         yield CompletionItem(name, "thing", "field", help_text(node))
 
 
 def species(request: CompletionRequest) -> Iterator[CompletionItem]:
+    """Propose the species of the file."""
     for name in request.names.species:
         yield CompletionItem(name, "thing", "species")
 
@@ -112,6 +120,7 @@ def _type(request: CompletionRequest, name: str, local: Mapping[str, tuple[str, 
 
 
 def members(request: CompletionRequest) -> Iterator[CompletionItem]:
+    """Propose the members of the value before a dot."""
     prefix = request.prefix[:-1].rstrip()
     call = re.search(r"\b(?:nearest|random|first|pick)\(\s*([a-z_][a-z_0-9]*)[^()]*\)$", prefix)
     name = call or re.search(r"([a-z_][a-z_0-9]*)$", prefix)
@@ -153,6 +162,7 @@ def members(request: CompletionRequest) -> Iterator[CompletionItem]:
 
 
 def argument_names(request: CompletionRequest) -> Iterator[CompletionItem]:
+    """Propose the arguments that a call does not pass yet."""
     context = request.context
     if not re.search(r"(^|[,(])\s*[a-z_0-9]*$", "(" + context.arguments):
         return
@@ -187,6 +197,7 @@ def _argument_item(name: str, detail: str) -> CompletionItem:
 
 
 def _find_behaviour(request: CompletionRequest, called: str) -> nodes.Behaviour | None:
+    """Return the behaviour with this name, or with this name after the alias of a file; None if there is none."""
     alias, dot, name = called.partition(".")
     if dot:
         module = request.workspace.document(request.names.modules[alias]) if alias in request.names.modules else None
@@ -195,6 +206,7 @@ def _find_behaviour(request: CompletionRequest, called: str) -> nodes.Behaviour 
 
 
 def _known_behaviours(request: CompletionRequest) -> Iterator[tuple[str, nodes.Behaviour]]:
+    """Yield the behaviours of the used libraries, then those of the file."""
     for path in request.names.libraries.values():
         library = request.workspace.document(path.resolve())
         if library is not None:
@@ -203,6 +215,7 @@ def _known_behaviours(request: CompletionRequest) -> Iterator[tuple[str, nodes.B
 
 
 def behaviours(request: CompletionRequest) -> Iterator[CompletionItem]:
+    """Propose behaviours, and the files from which more can be used."""
     for behaviour in dict(_known_behaviours(request)).values():
         yield _call_item(behaviour)
     for alias in request.names.modules:
@@ -219,6 +232,7 @@ def _call_item(node: nodes.Behaviour) -> CompletionItem:
 
 
 def own_names(request: CompletionRequest, assignable: bool = False) -> Iterator[CompletionItem]:
+    """Propose the params and attributes of the species. `assignable`: only those that a statement may set."""
     table = request.names.species.get(request.species or "")
     for name, member in (table.own if table is not None else {}).items():
         if assignable and not isinstance(member, nodes.Declaration):
@@ -235,7 +249,7 @@ _INSIDE_EXPRESSIONS = (
 
 
 def values(request: CompletionRequest) -> Iterator[CompletionItem]:
-    """Everything that can be a value, or begin one."""
+    """Propose everything that is a value or may begin one."""
     for name, (what, _) in _local_names(request).items():
         yield CompletionItem(name, "variable", what)
     if request.context.enclosing_name("top", "behaviour") is None:

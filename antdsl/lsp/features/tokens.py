@@ -33,7 +33,7 @@ _PIECE_PATTERN = re.compile(
 
 @lru_cache(maxsize=1)
 def keywords() -> frozenset[str]:
-    """The words that the grammar itself knows."""
+    """Return the words that are part of the grammar."""
     text = grammar_file("antdsl.lark").read_text(encoding="utf-8")
     return frozenset(re.findall(r"^_?[A-Z]+\.1: /([a-z]+)\(", text, re.MULTILINE))
 

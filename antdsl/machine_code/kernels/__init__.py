@@ -29,7 +29,7 @@ Semantics, where Python or NumPy might give a different result:
   report it, other builds divide by 1.
 - Floats follow IEEE 754: `1.0 / 0.0` is infinity. The sign and the bits of a NaN are not defined.
 - Casts of floats to integers truncate and saturate; NaN becomes 0.
-- `min(a, b)` is `b if b < a else a`, `max(a, b)` is `b if b > a else a`: the first value where one is NaN or both are zeros.
+- `min(a, b)` is `b if b < a else a`, `max(a, b)` is `b if b > a else a`. So the result is `a` if one is NaN or both are zeros.
 - An index is at least 0 and below the length of its axis. The interpreter and the checked build report other indices.
 - In an `independent` loop, an index may be loop-invariant, or the iteration's number plus a loop-invariant number. Such an index
   must be in range for inactive lanes too.

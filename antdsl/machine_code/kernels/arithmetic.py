@@ -37,11 +37,11 @@ class ArithmeticEmitter(Vectors[Number]):
 
     @property
     def is_reached(self) -> bool:
-        """Return whether this code certainly runs for at least one iteration."""
+        """Return whether the current code is certain to run for at least one iteration."""
         return self.mask is None or self.mask.known is not None or self.mask is self.reached
 
     def active_mask(self) -> Number | None:
-        """Return the condition that this code runs for at least one iteration; None if it certainly does."""
+        """Return a condition: whether the current code runs for at least one iteration. None if it always does."""
         return None if self.mask is None or self.is_reached else self.any_lane(self.mask)
 
     def named_number(self, kind: str, name: str, lanes: int = 1, known: Any = None) -> Number:
@@ -95,6 +95,7 @@ class ArithmeticEmitter(Vectors[Number]):
         return self.convert(a, kind), self.convert(b, kind)
 
     def _as_float32(self, value: Number) -> Number:
+        """Return a literal as float32. Raises NotInSubset if float32 does not have this number."""
         if value.kind == FLOAT:
             return value
         if value.known is None:
@@ -117,6 +118,7 @@ class ArithmeticEmitter(Vectors[Number]):
         return converted_number
 
     def arithmetic(self, node: ast.AST, operator: ast.operator, a: Number, b: Number) -> Number:
+        """Return the result of a Python operator for two numbers. Operations on literals give a literal."""
         word = type(operator)
         folded = not (a.wide or b.wide)
         if (
@@ -220,6 +222,7 @@ class ArithmeticEmitter(Vectors[Number]):
         return self.op("sub", INT, Number(INT, "zeroinitializer" if a.wide else "0", lanes=a.lanes), a)
 
     def compare(self, word: str, a: Number, b: Number) -> Number:
+        """Return the condition of a comparison; `word` is its name, such as `lt`."""
         if a.known is not None and b.known is not None and not (a.wide or b.wide):
             x, y = a.known, b.known
             held = {"lt": x < y, "le": x <= y, "gt": x > y, "ge": x >= y, "eq": x == y, "ne": x != y}
@@ -231,6 +234,7 @@ class ArithmeticEmitter(Vectors[Number]):
         return self.op(f"{sign}{word}", TRUTH, a, b)
 
     def select(self, condition: Number, then: Number, other: Number) -> Number:
+        """Return `then` in lanes where the condition holds, and `other` elsewhere."""
         if condition.known is not None:
             return then if condition.known else other
         then, other = self.match_kinds(then, other) if then.kind != other.kind else self.alike(then, other)

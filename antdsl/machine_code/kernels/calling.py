@@ -27,7 +27,7 @@ class KernelDescription:
     """The signature of a kernel's text.
 
     - `gives`: the kinds of its results
-    - `several`: whether the results form a tuple
+    - `several`: whether the kernel returns a tuple
     - `stored`: the numbers of the arrays that the kernel writes to"""
 
     gives: tuple[str, ...]
@@ -114,7 +114,7 @@ def _word_count(spec: ArgumentSpec) -> int:
 def _plain(
     name: str, function: Any, types: Sequence[Any], specs: list[ArgumentSpec], words: int, result_kinds: list[str], several: bool
 ) -> Callable[..., Any]:
-    """Return the same function as `caller`, written in Python."""
+    """Return the function that `caller` describes, implemented in Python instead of machine code."""
     word_specs = [each for each in specs if each.count is None]
     results = struct.Struct("=" + "".join(_CTYPES_FORMATS[each] for each in result_kinds))
     truths = [k for k, each in enumerate(result_kinds) if each == "i1"]

@@ -13,7 +13,7 @@ from antdsl.machine_code.kernels.types import INT, TRUTH, ScalarType
 from antdsl.machine_code.kernels.values import Array, Number, constant
 from antdsl.machine_code.kinds import LANE_COUNT
 
-ALL_LANES = Number(TRUTH, "splat (i1 true)", True, LANE_COUNT)  # all turns
+ALL_LANES = Number(TRUTH, "splat (i1 true)", True, LANE_COUNT)  # all iterations are active
 
 
 class ElementAccess(ArithmeticEmitter):
@@ -30,7 +30,7 @@ class ElementAccess(ArithmeticEmitter):
             self.do("index", index, length, *([self.mask] if index.wide and self.mask is not None else []), x=count, node=node)
 
     def _check_span(self, array: Array, first: Number, count: int = LANE_COUNT) -> None:
-        """Check that elements that are read or stored at once lie in the array, for all iterations."""
+        """Check that consecutive elements, read or stored at once, are in the array in all iterations."""
         self.do("span", first, *array.lengths, x=count)
 
     def offset(self, node: ast.AST, array: Array, numbers: list[Number]) -> Number:
@@ -124,10 +124,11 @@ class ElementAccess(ArithmeticEmitter):
         return Array(of.of, address, of.lengths[1:], None if of.steps is None else of.steps[1:], of.origin)
 
     def _place(self, array: Array, at: Number) -> Number:
+        """Return the address of the element at an offset."""
         return self._element_address(array, array.address, at)
 
     def _element_address(self, array: Array, address: Number, at: Number | int) -> Number:
-        """Return the address of the element `at` elements after another one."""
+        """Return the address of the element that is `at` elements after `address`."""
         index = Number(INT, str(at)) if isinstance(at, int) else at
         return self.op("element", "ptr", address, index, x=array.of.stored, lanes=index.lanes)
 
@@ -227,6 +228,7 @@ class ElementAccess(ArithmeticEmitter):
         return ()
 
     def _gather(self, array: Array, at: Number) -> Number:
+        """Load the element at each lane's offset, one by one."""
         addresses = self._addresses(array, at)
         return self.combine_lanes(self.op("load", array.of.loaded, self.one(addresses, lane)) for lane in range(LANE_COUNT))
 

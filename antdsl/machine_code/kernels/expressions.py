@@ -36,19 +36,23 @@ class ExpressionEmitter(ElementAccess):
         raise NotImplementedError
 
     def call_function(self, node: ast.Call, function: Any, inputs: list[KernelItem]) -> KernelItem:
+        """Write the call of a kernel function, and return its result."""
         raise NotImplementedError
 
     def number(self, node: ast.expr) -> Number:
+        """Write an expression, and return its number. Raises NotInSubset for another item."""
         value = self.value(node)
         if not isinstance(value, Number):
             self.fail(node, "this must be a number")
         return value
 
     def truth(self, node: ast.expr) -> Number:
+        """Write an expression, and return its number as a condition."""
         value = self.number(node)
         return constant(bool(value.known)) if value.known is not None else self.convert(value, TRUTH)
 
     def value(self, node: ast.expr) -> KernelItem:
+        """Write an expression, and return its item. Raises NotInSubset for unsupported syntax."""
         match node:
             case ast.Constant(value=bool() | int() | float() as known):
                 return constant(known)
@@ -136,6 +140,7 @@ class ExpressionEmitter(ElementAccess):
         return self.load(place, TRUTH)
 
     def _conditional(self, node: ast.expr, test: ast.expr, then: ast.expr, other: ast.expr) -> KernelItem:
+        """Write `then if test else other`, which evaluates one of both."""
         condition = self.truth(test)
         if condition.known is not None:
             return self.value(then if condition.known else other)
@@ -174,6 +179,7 @@ class ExpressionEmitter(ElementAccess):
         return DOUBLE if DOUBLE in kinds else INT
 
     def _store_leaves(self, item: KernelItem, kinds: list[str], lanes: list[int], slots: list[Number]) -> None:
+        """Store the numbers of an item in stack slots, converted to the kinds and lanes of the slots."""
         for number, kind, each, place in zip(leaves(item), kinds, lanes, slots, strict=True):
             value = self.convert(number, kind)
             self.put(place, self.widened(value) if each > 1 else value)
@@ -193,6 +199,7 @@ class ExpressionEmitter(ElementAccess):
         self.mask = outer_mask
 
     def _boolean_wide(self, first: Number, every: bool, parts: list[ast.expr]) -> Number:
+        """Write `and` (with `every`) or `or` of conditions, the first of which differs between lanes."""
         first = self.widened(first)
         with self.where(first if every else self.invert(first)):
             rest = self._boolean(every, parts)
@@ -201,6 +208,7 @@ class ExpressionEmitter(ElementAccess):
         return self.op("or", TRUTH, *self.alike(first, rest))
 
     def _conditional_wide(self, node: ast.expr, condition: Number, then: ast.expr, other: ast.expr) -> KernelItem:
+        """Write `then if condition else other` with a condition for each lane, which evaluates both."""
         with self.where(condition):
             first = self.value(then)
         with self.where(self.invert(condition)):
@@ -217,6 +225,7 @@ class ExpressionEmitter(ElementAccess):
         return chosen(first, second)
 
     def _attribute(self, node: ast.expr, of: ast.expr, attribute: str) -> KernelItem:
+        """Return an attribute of a module, a field of a record, or the `shape` or `size` of an array."""
         if isinstance(of, ast.Name) and isinstance(self.world.get(of.id), ModuleType):
             return constant(getattr(self.world[of.id], attribute))
         value = self._unloaded_value(of)
@@ -238,6 +247,7 @@ class ExpressionEmitter(ElementAccess):
         return self.offset(node, array, [self.number(part) for part in parts])
 
     def _index_item(self, node: ast.expr, of: KernelItem, index: ast.expr) -> KernelItem:
+        """Return an element or slice of a tuple, or an element or row of an array."""
         if isinstance(of, tuple) and isinstance(index, ast.Slice):
             return of[slice(*(self._constant_index(node, end) for end in (index.lower, index.upper, index.step)))]
         if isinstance(of, tuple):
@@ -252,6 +262,7 @@ class ExpressionEmitter(ElementAccess):
         return self.load_element(of, self.at(node, of, index))
 
     def _constant_index(self, node: ast.AST, number: ast.expr | None) -> int | None:
+        """Return the integer literal of a tuple index; None if it is absent."""
         if number is None:
             return None
         known = self.number(number).known
@@ -260,6 +271,7 @@ class ExpressionEmitter(ElementAccess):
         return known
 
     def _call(self, node: ast.Call, function: ast.expr, arguments: list[ast.expr]) -> KernelItem:
+        """Write a call of a built-in function, a record class or a kernel function, and return its result."""
         known = self.resolve_name(node, function)
         if is_record(known):
             return self._record(node, known)
@@ -360,7 +372,7 @@ class ExpressionEmitter(ElementAccess):
         return ()
 
     def resolve_name(self, node: ast.AST, name: ast.expr) -> Any:
-        """Return the value of a name: of the module, of a package that the module imports, or of Python."""
+        """Return the object of a name in the kernel's module, an imported package or Python's built-ins."""
         if isinstance(name, ast.Attribute) and isinstance(name.value, ast.Name):
             package = self.world.get(name.value.id)
             if isinstance(package, ModuleType):

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from antdsl.machine_code.kernels.statements import StatementWriter
 
 
-_ROUNDING_MAGIC = 1.5 * 2.0**52  # added to a number, it leaves a whole one in the last bits of the sum
+_ROUNDING_MAGIC = 1.5 * 2.0**52  # a sum with it has the rounded integer in its last bits
 
 
 def independent(begin: int, end: int) -> Iterator[int]:
@@ -65,6 +65,8 @@ def as_float(bits: Any) -> Any:
 
 
 def _intrinsic(stem: str) -> Callable[..., Number]:
+    """Return the writer of an LLVM function of one number, such as `llvm.sqrt`."""
+
     def write(w: StatementWriter, a: Number) -> Number:
         a = w.to_float(a)
         return w.op(stem, a.kind, a)
@@ -106,6 +108,7 @@ def _is_nan(w: StatementWriter, a: Number) -> Number:
 
 
 def _make_conversion(kind: str) -> Callable[..., Number]:
+    """Return the writer of a conversion to a kind."""
     return lambda w, a: w.convert(a, kind)
 
 

@@ -19,13 +19,13 @@ CHECK_MESSAGES = {  # operations that are checks, with their messages
     "divisor": "integer division by 0",
 }
 Value = TypeVar("Value", bound=Number)
-MAX_CONSECUTIVE_ELEMENTS = 64  # consecutive elements at most
+MAX_CONSECUTIVE_ELEMENTS = 64  # elements in one load
 ZEROS_CONSTANT = Number("ptr", "@zeros")  # read by inactive lanes
 LANE_ORDERS_CONSTANT = Number("ptr", "@orders")  # the bytes of `LANES_BY_MASK`
 _LANE_SETS = [[lane for lane in range(LANE_COUNT) if bits >> lane & 1] for bits in range(1 << LANE_COUNT)]
 LANES_BY_MASK = [
     [*lanes, *[0] * (LANE_COUNT - len(lanes))] for lanes in _LANE_SETS
-]  # of each set of eight lanes their numbers, then zeros
+]  # for each mask of eight lanes: the numbers of its lanes, then zeros
 _NUMBER_TYPES = frozenset().union(*(TYPES_BY_CLASS[each] for each in "fib"))
 _VARIADIC_OPERATIONS = BLOCK_ENDS | {"load", "store", "call"}
 _GLOBAL_TYPES = {ZEROS_CONSTANT.name: "ptr", LANE_ORDERS_CONSTANT.name: "ptr"}
@@ -37,7 +37,7 @@ class NotInSubset(Exception):
 
 
 class InvalidCode(Exception):
-    """Error for instructions that do not fit together. It is a mistake in the code that writes them."""
+    """Error for instructions of which types or order are invalid. It is a mistake in the code that writes them."""
 
 
 class Instruction(NamedTuple):
@@ -82,14 +82,15 @@ class IrBuilder(ABC, Generic[Value]):
 
     def __init__(self, place: str, file: str) -> None:
         self.place, self.file = place, file
-        self.node: ast.AST = ast.Pass()  # the statement that is written
-        self.line = 0  # where it is
+        self.node: ast.AST = ast.Pass()  # the current statement
+        self.line = 0  # the line of the current statement
         self.slots: list[Instruction] = []
         self.blocks = [BasicBlock("entry", [])]
         self.block_now = self.blocks[0]
         self._numbers = 0
 
     def name(self, stem: str = "v") -> str:
+        """Return a new register name, which starts with `stem`."""
         self._numbers += 1
         return f"%{stem}{self._numbers}"
 
@@ -127,13 +128,16 @@ class IrBuilder(ABC, Generic[Value]):
         return self.op("load", kind, place, lanes=lanes)
 
     def put(self, place: Number, value: Number) -> None:
+        """Store a number at an address."""
         self.do("store", value, place)
 
     def label(self, stem: str) -> str:
+        """Return a new block label, which starts with `stem`."""
         self._numbers += 1
         return f"{stem}{self._numbers}"
 
     def begin(self, label: str) -> None:
+        """Begin a block, to which the next instructions are added."""
         self.block_now = BasicBlock(label, [])
         self.blocks.append(self.block_now)
 
@@ -144,12 +148,13 @@ class IrBuilder(ABC, Generic[Value]):
         self.do("branch", condition, x=(then, other))
 
     def fail(self, node: ast.AST, why: str) -> NoReturn:
+        """Raise NotInSubset with the location of a node."""
         line = getattr(node, "lineno", self.line)
         raise NotInSubset(f"{self.file}, line {line}, `{self.place}`: {why}")
 
 
 def verify(functions: Sequence[IrFunction], others: Mapping[str, IrFunction] | None = None) -> None:
-    """Raise InvalidCode for instructions that do not fit together.
+    """Verify the types and the order of instructions. Raises InvalidCode.
 
     Each operand must have a type that fits the operation. Each register is defined once, and before it is read. The only branch
     of a block is its last instruction. `others`: further functions that `functions` call."""
@@ -159,6 +164,8 @@ def verify(functions: Sequence[IrFunction], others: Mapping[str, IrFunction] | N
 
 
 class _Verifier:
+    """Verifies one function. `known`: the functions that it may call, by name."""
+
     def __init__(self, function: IrFunction, known: Mapping[str, IrFunction]) -> None:
         self.function, self.known = function, known
         self.types = {each.name: each.type for each in function.arguments}
@@ -180,6 +187,7 @@ class _Verifier:
         raise InvalidCode(f"{self.function.file}, line {each.line}, {self.function.name}: {why} ({each})")
 
     def instruction(self, each: Instruction) -> None:
+        """Check the operands and the result of an instruction."""
         op, result, operands, *_ = each
         known, types = self.types, tuple([operand.type for operand in operands])
         for operand in operands:
@@ -247,6 +255,7 @@ def split_type(type: str) -> tuple[int, str]:
 
 
 def _matches_class(letter: str, base: str, first: str) -> bool:
+    """Return whether a type belongs to the class of a letter; `first` is the type of the first operand."""
     if letter in "v*":
         return True
     return base == first if letter == "=" else base in (_NUMBER_TYPES if letter == "n" else TYPES_BY_CLASS.get(letter, (letter,)))

@@ -59,6 +59,8 @@ class KernelPart:
 
 
 def _part(attribute: str) -> Callable[[F], F]:
+    """Return a decorator that marks a function as a part of kernels with this attribute."""
+
     def decorate(function: F) -> F:
         function.part = KernelPart(function, attribute)  # type: ignore[attr-defined, arg-type]
         return function
@@ -75,7 +77,7 @@ class Kernel:
 
     Raises ValueError for an array with another type or memory layout than its annotation."""
 
-    # What is called is held by the instance, so that the interpreter goes to a built-in function and makes no frame for a call.
+    # `__call__` is an instance attribute, so the interpreter calls a built-in function without a Python frame.
     __slots__ = ("__call__", "__dict__", "__weakref__")
     __call__: Callable[..., Any]
 
@@ -208,6 +210,7 @@ def _description_name(name: str) -> str:
 
 
 def _guard(run: Any, code: machine.LoadedCode, checked: bool) -> Any:
+    """Return a call that raises KernelFault for failed checks if the build is checked, else the call itself."""
     return guard_call(run, code) if checked and run is not None else run
 
 

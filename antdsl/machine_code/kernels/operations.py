@@ -21,7 +21,7 @@ import numpy as np
 DTYPE_BY_TYPE: Final[Mapping[str, Any]] = {
     "double": np.float64, "float": np.float32, "i64": np.int64, "i32": np.int32, "i16": np.int16, "i8": np.int8, "i1": np.bool_,
 }  # fmt: skip
-# Classes of types: floats, whole numbers, conditions, addresses; numbers, and everything.
+# Classes of types: floats, integers, conditions, addresses; numbers, and all types.
 TYPES_BY_CLASS: Final[Mapping[str, frozenset[str]]] = {
     "f": frozenset({"double", "float"}),
     "i": frozenset({"i64", "i32", "i16", "i8"}),
@@ -68,16 +68,20 @@ def wrap(number: int | bool, dtype: Any = np.int64) -> Any:
 
 
 def _quotient(a: Any, b: Any) -> Any:
+    """Return the quotient of two integers, rounded to zero."""
     x, y = int(a), int(b)
     return wrap(abs(x) // abs(y) * (1 if (x < 0) == (y < 0) else -1), a.dtype)
 
 
 def _remainder(a: Any, b: Any) -> Any:
+    """Return the remainder of the quotient that is rounded to zero."""
     x, y = int(a), int(b)
     return wrap(abs(x) % abs(y) * (-1 if x < 0 else 1), a.dtype)
 
 
 def _saturating_cast(signed: bool) -> Callable[[Any, Any], Any]:
+    """Return the meaning of a cast from float to integer that truncates and saturates; NaN becomes 0."""
+
     def cast(a: Any, dtype: Any) -> Any:
         bounds, number = np.iinfo(dtype if signed else f"u{np.dtype(dtype).itemsize}"), float(a)
         least, most = int(bounds.min), int(bounds.max)
@@ -89,10 +93,12 @@ def _saturating_cast(signed: bool) -> Callable[[Any, Any], Any]:
 
 
 def _low_bits(a: Any, dtype: Any) -> Any:
+    """Return the low bits of an integer, as many as the type has."""
     return np.bool_(int(a) & 1) if np.dtype(dtype) == np.bool_ else a.astype(dtype)
 
 
 def _from_bits(a: Any, dtype: Any) -> Any:
+    """Return the number of another type with the same bits."""
     return a.view(dtype)
 
 
@@ -106,6 +112,7 @@ def _unsigned_cast(a: Any, dtype: Any) -> Any:
 
 
 def _binary(takes: str, meanings: Mapping[str, Callable[..., Any]]) -> dict[str, Operation]:
+    """Return operations of two operands with LLVM's names."""
     return {name: Operation(takes, "=", name + " {0.typed}, {1.name}", meaning) for name, meaning in meanings.items()}
 
 
@@ -125,6 +132,7 @@ def _casts(takes: str, gives: str, meanings: Mapping[str, Callable[..., Any]]) -
 
 
 def _functions(takes: str, meanings: Mapping[str, Callable[..., Any]]) -> dict[str, Operation]:
+    """Return the operations that call an LLVM function of the same name."""
     arguments = ", ".join(f"{{{k}.typed}}" for k in range(len(takes)))
     text = "call {r.type} @llvm.NAME.{0.suffix}(" + arguments + ")"
     return {name: Operation(takes, "=", text.replace("NAME", name), meaning) for name, meaning in meanings.items()}
@@ -172,7 +180,7 @@ OPERATION_BY_NAME: Final[Mapping[str, Operation]] = {
     **_casts("f", "f", {"fpext": _cast, "fptrunc": _cast}),
     "fptosi": Operation("f", "i", "call {r.type} @llvm.fptosi.sat.{r.suffix}.{0.suffix}({0.typed})", _saturating_cast(True)),
     "fptoui": Operation("f", "i", "call {r.type} @llvm.fptoui.sat.{r.suffix}.{0.suffix}({0.typed})", _saturating_cast(False)),
-    # Memory. `x`: the type of an element or of a place, or how what is read lies.
+    # Memory. `x`: the type of an element or of a stack slot, or the alignment of a load or store.
     "alloca": Operation("", "p", "alloca {x}", lanewise=False),
     "element": Operation("pi", "p", "getelementptr {x}, {0.typed}, {1.typed}", lanewise=False),
     "load": Operation("p", "v", "load {r.type}, {0.typed}{x}", lanewise=False),
@@ -184,7 +192,7 @@ OPERATION_BY_NAME: Final[Mapping[str, Operation]] = {
     "prefetch": Operation(
         "p", "", "call void @llvm.prefetch.p0({0.typed}, i32 0, i32 3, i32 1)", lanewise=False, extra_types=", i32, i32, i32"
     ),
-    # Lanes. `x`: the number of a lane, or the numbers of several.
+    # Lanes. `x`: one or several lane numbers.
     "insertelement": Operation("vv", "=", "insertelement {0.typed}, {1.typed}, i64 {x}", lanewise=False),
     "extractelement": Operation("v", "v", "extractelement {0.typed}, i64 {x}", lanewise=False),
     "shufflevector": Operation("v=", "v", "shufflevector {0.typed}, {1.typed}, {x}", lanewise=False),
@@ -193,19 +201,19 @@ OPERATION_BY_NAME: Final[Mapping[str, Operation]] = {
     **_reductions("i", {"smax": max, "add": operator.add}),
     **_reductions("f", {"fmin": np.fmin, "fmax": np.fmax}),
     "permd": Operation("ii", "=", "call {r.type} @llvm.x86.avx2.permd({0.typed}, {1.typed})", lanewise=False),  # of AVX2
-    # Functions, and what several numbers are given back in. `x`: the name of a function, or the number of a part.
+    # Calls, and structures of several results. `x`: the name of a function, or the index of a result.
     "call": Operation("*", "v", "call {r.type} {x}({all})", lanewise=False),
     "extractvalue": Operation("v", "v", "extractvalue {0.typed}, {x}", lanewise=False),
     "insertvalue": Operation("vv", "=", "insertvalue {0.typed}, {1.typed}, {x}", lanewise=False),
-    # Ends of blocks. `x`: the labels of the blocks that follow.
+    # Ends of blocks. `x`: the labels of the next blocks.
     "jump": Operation("", "", "br label %{x[0]}", lanewise=False),
     "branch": Operation("b", "", "br {0.typed}, label %{x[0]}, label %{x[1]}", lanewise=False),
     "return": Operation("*", "", "ret {all}", lanewise=False),
-    # Time: the processor's counter, what waits for all instructions before, and what none is moved past.
+    # Time: the processor's counter, a wait for all earlier instructions, and a barrier against reordering.
     "ticks": Operation("", "i", "call {r.type} @llvm.readcyclecounter()", lambda: np.int64(0), lanewise=False),
     "wait": Operation("", "", "call void @llvm.x86.sse2.lfence()", lanewise=False),  # of x86
     "border": Operation("", "", 'call void asm sideeffect "", ""()', lanewise=False),
-    # Checks, of a checked build and of the interpreter (`checks`). `x`: how many elements follow each other.
+    # Checks of the checked build and of the interpreter (`checks`). `x`: the number of consecutive elements.
     "index": Operation("ii*", "", "", lanewise=False),
     "span": Operation("i*", "", "", lanewise=False),
     "divisor": Operation("i*", "", "", lanewise=False),

@@ -46,6 +46,7 @@ def _parse_annotation(text: str) -> ast.expr:
 
 
 def _type(node: ast.expr | None, world: dict[str, Any]) -> Any:
+    """Return the type of an annotation's syntax tree."""
     if isinstance(node, ast.Name):
         if node.id in ("tuple", "Any"):
             return tuple if node.id == "tuple" else Any

@@ -67,8 +67,9 @@ def function_text(
 
 
 def _line(each: Instruction, declared: dict[str, str]) -> str:
+    """Return the text of an instruction. Add the LLVM function or table that it uses to `declared`."""
     op, result, operands, extra, _ = each
-    if op in ("jump", "branch"):  # their labels are in no other line
+    if op in ("jump", "branch"):  # the cache does not need lines with unique labels
         return "  " + OPERATION_BY_NAME[op].text.format(*operands, x=extra)
     text, called = _pattern(op, tuple([operand.type for operand in operands]), "void" if result is None else result.type, extra)
     names = tuple([operand.name for operand in operands])

@@ -44,7 +44,7 @@ class SimdWriter(StatementWriter):
         self.gives = part.types().get("return", Any)
         self.turns: list[LoopTurns] = []
         self.results: list[StackVariable] = []
-        self.fresh: set[Number] = set()  # places that no turn has written to yet
+        self.fresh: set[Number] = set()  # slots that no iteration has written to yet
         if mask is not None:
             self.mask = mask
             self._enter()
@@ -70,7 +70,7 @@ class SimdWriter(StatementWriter):
     def assign(self, node: ast.AST, name: str, item: KernelItem) -> None:
         is_consecutive = self.mask is not None and isinstance(item, Number) and bool(item.first)
         if is_consecutive and self.mask == ALL_LANES and name not in self.variables and stored_names(self.definition)[name] == 1:
-            self.variables[name] = item  # stays known to follow from turn to turn
+            self.variables[name] = item  # stays known as consecutive over iterations
         else:
             super().assign(node, name, item)
 
@@ -127,6 +127,7 @@ class SimdWriter(StatementWriter):
             self.mask = self.logical_and(self.mask, self.load(self.turns[-1].now, TRUTH, LANE_COUNT))
 
     def _clear_mask(self, place: Number) -> None:
+        """Remove the active iterations from the mask in a stack slot."""
         assert self.mask is not None
         self.put(place, self.op("and", TRUTH, self.load(place, TRUTH, LANE_COUNT), self.invert(self.widened(self.mask))))
 
@@ -265,6 +266,7 @@ class SimdWriter(StatementWriter):
             self._clear_mask(turns.inside)
 
     def _widen(self, item: KernelItem) -> KernelItem:
+        """Return an item with its numbers broadcast to all lanes."""
         return rebuild_like(item, map(self._widen, item)) if isinstance(item, tuple) else self.widened(item)
 
     def end(self) -> None:
@@ -301,7 +303,7 @@ class SimdWriter(StatementWriter):
             self.turns.pop()
             self.mask, self.open, self.variables, self.loops = None, True, dict(known), loops
         super().count_loop(name, middle, end, 1, body)
-        self.variables = known  # what a turn has named is its own
+        self.variables = known  # names of an iteration are local to it
 
     def call_function(self, node: ast.Call, function: Any, inputs: list[KernelItem]) -> KernelItem:
         part = getattr(function, "part", None)

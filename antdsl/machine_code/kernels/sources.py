@@ -30,8 +30,8 @@ class _UnknownSource(Exception):
 
 
 def key(part: Any, types: list[Any]) -> str | None:
-    """Return a key for the text of a kernel with arguments of these types; None if there is none. No text begins as a key
-    does."""
+    """Return a key for the text of a kernel with arguments of these types; None if there is none. A key
+    differs from the start of every text."""
     parts: list[str] = [_writers(), f"checked {CHECKS_ENABLED}", *map(_type_text, types)]
     known: dict[int, int] = {}
     try:
@@ -65,6 +65,7 @@ def _writers() -> str:
 
 
 def _digest(path: str) -> str:
+    """Return the hash of a file; it is computed again after a change of time or size."""
     file_stat = os.stat(path)
     return _digest_of(path, file_stat.st_mtime_ns, file_stat.st_size)
 
@@ -102,6 +103,7 @@ def _code_names(code: CodeType) -> Iterator[str]:
 
 
 def _describe_value(value: Any, names: list[str], parts: list[str], known: dict[int, int]) -> None:
+    """Append the description of a value that kernels use. Raises _UnknownSource if it has none."""
     part = None if is_record(value) else getattr(value, "part", None)
     if part is not None:
         _describe_function(part, parts, known)

@@ -15,7 +15,7 @@ from antdsl.machine_code.kernels.types import DOUBLE, FLOAT, INT, TRUTH, UNSIGNE
 from antdsl.machine_code.kernels.units import KernelUnit, LoopLabels, StackVariable, result_type
 from antdsl.machine_code.kernels.values import Array, KernelItem, Number, constant, has_arrays, leaves, type_key
 
-_MAX_UNROLLED_TURNS = 4  # turns up to which a loop over constants in the text is unrolled
+_MAX_UNROLLED_TURNS = 4  # longer loops over constants are not unrolled
 
 
 class StatementWriter(ExpressionEmitter):
@@ -28,8 +28,8 @@ class StatementWriter(ExpressionEmitter):
         self.loops: list[LoopLabels] = []
         self.result: KernelItem = None
         self.returns = False
-        self.gives: Any = Any  # the type of what it gives back
-        self.open = True  # whether the text has come to a place that is reached
+        self.gives: Any = Any  # the annotated result type
+        self.open = True  # whether the current position can be reached
 
     def run(self, inputs: list[KernelItem]) -> None:
         """Write the body of the function for these arguments."""
@@ -58,6 +58,7 @@ class StatementWriter(ExpressionEmitter):
         return self.variables[name]
 
     def _constants(self, value: Any) -> KernelItem:
+        """Return a value of the module as literals."""
         if isinstance(value, tuple):
             return rebuild_like(value, (self._constants(each) for each in value))
         return constant(value)
@@ -78,6 +79,7 @@ class StatementWriter(ExpressionEmitter):
         self._assign_into(node, name, self.variables[name], item)
 
     def _allocate(self, item: KernelItem) -> Any:
+        """Return new variables for the numbers of an item; arrays stay unchanged."""
         if isinstance(item, tuple):
             return rebuild_like(item, (self._allocate(each) for each in item))
         return item if isinstance(item, Array) else self.variable(item)
@@ -87,6 +89,7 @@ class StatementWriter(ExpressionEmitter):
         return StackVariable(item.kind, self.slot(item.kind, item.lanes), item.lanes)
 
     def _assign_into(self, node: ast.AST, name: str, destination: Any, item: KernelItem) -> None:
+        """Assign an item to existing variables. Raises NotInSubset for another type."""
         if isinstance(destination, tuple) and type(destination) is type(item) and len(destination) == len(item):
             for one, other in zip(destination, item, strict=True):
                 self._assign_into(node, name, one, other)
@@ -106,6 +109,7 @@ class StatementWriter(ExpressionEmitter):
         self.put(variable.place, value)
 
     def _assign_target(self, node: ast.AST, target: ast.expr, item: KernelItem) -> None:
+        """Assign an item to a name, a tuple of targets or an element of an array."""
         match target:
             case ast.Name(id="_"):
                 pass
@@ -127,6 +131,7 @@ class StatementWriter(ExpressionEmitter):
                 self.fail(node, "cannot be assigned to")
 
     def _store(self, node: ast.AST, array: Array, at: Number, item: Number) -> None:
+        """Store a number as an element of an array, and record that the kernel writes to the array."""
         self.unit.written.add(array.origin)
         self.store_element(node, array, at, item)
 
@@ -144,12 +149,14 @@ class StatementWriter(ExpressionEmitter):
     # --- statements ----------------------------------------------------------------------------------------------------
 
     def block(self, body: list[ast.stmt]) -> None:
+        """Write statements up to the first that cannot be reached."""
         for each in body:
             if not self.open:
                 return
             self.statement(each)
 
     def statement(self, node: ast.stmt) -> None:
+        """Write one statement. Raises NotInSubset for unsupported syntax."""
         self.node, self.line = node, node.lineno
         match node:
             case ast.Expr(value=ast.Constant()) | ast.Pass():
@@ -198,6 +205,7 @@ class StatementWriter(ExpressionEmitter):
         self.assign(node, name.id, self.arithmetic(node, operator, old_value, self.number(value)))
 
     def if_(self, test: ast.expr, then: list[ast.stmt], other: list[ast.stmt]) -> None:
+        """Write an `if`; with a literal condition, only one branch."""
         condition = self.truth(test)
         if condition.known is not None:
             self.block(then if condition.known else other)
@@ -220,6 +228,7 @@ class StatementWriter(ExpressionEmitter):
             self.begin(end)
 
     def while_(self, test: ast.expr, body: list[ast.stmt]) -> None:
+        """Write a `while` loop."""
         head, inner, end = self.label("while"), self.label("body"), self.label("end")
         self.jump(head)
         self.begin(head)
@@ -238,6 +247,7 @@ class StatementWriter(ExpressionEmitter):
         self.open = True
 
     def _for(self, node: ast.For, target: ast.expr, over: ast.expr, body: list[ast.stmt]) -> None:
+        """Write a `for` loop over a range, an array or a tuple, and unroll it if it is short."""
         if isinstance(over, ast.Call):
             known, numbers = self.resolve_name(over, over.func), [self.number(each) for each in over.args]
             if known not in (range, independent) or not isinstance(target, ast.Name):
@@ -281,6 +291,7 @@ class StatementWriter(ExpressionEmitter):
         raise NotImplementedError
 
     def unrolled_loop(self, node: ast.AST, target: ast.expr, items: list[KernelItem], body: list[ast.stmt]) -> None:
+        """Write the body once for each item."""
         end = self.label("end")
         for item in items:
             following = self.label("next")
@@ -302,7 +313,7 @@ class StatementWriter(ExpressionEmitter):
             self.fail(node, "cannot be bound")
 
     def unbind(self, target: ast.expr) -> None:
-        """Remove the names of a loop after the loop, because it is not known which iteration was the last."""
+        """Remove the variables of a loop after the loop, because its last iteration is unknown."""
         for each in ast.walk(target):
             if isinstance(each, ast.Name):
                 self.variables.pop(each.id, None)
@@ -318,7 +329,7 @@ class StatementWriter(ExpressionEmitter):
         at = self.load(number, INT)
         self.branch(self.op("slt" if step > 0 else "sgt", TRUTH, at, end), inner, exit_label)
         self.begin(inner)
-        if isinstance(self.variables.get(name), Number):  # left behind by a loop that was written out
+        if isinstance(self.variables.get(name), Number):  # from an unrolled loop
             del self.variables[name]
         self.assign(self.definition, name, at)
         self._body(LoopLabels(following, exit_label), write)
@@ -328,6 +339,7 @@ class StatementWriter(ExpressionEmitter):
         self.begin(exit_label)
 
     def return_item(self, node: ast.AST, item: KernelItem) -> None:
+        """Write `return`. Raises NotInSubset if an earlier result has another type."""
         if self.returns and type_key(item) != type_key(self.result):
             item = self.match_item(node, item, self.result)
         if has_arrays(item):

@@ -1,4 +1,4 @@
-"""State that the functions of a kernel share while they are written, and the state of one function."""
+"""The state of a kernel while its functions are written; variables and loop labels of one function."""
 
 from __future__ import annotations
 
@@ -20,6 +20,7 @@ class StackVariable:
 
     @property
     def wide(self) -> bool:
+        """Return whether the variable has a number for each lane."""
         return self.lanes > 1
 
 
@@ -33,7 +34,7 @@ class LoopLabels:
 
 @dataclass(slots=True, eq=False)
 class KernelUnit:
-    """All functions of a text.
+    """The functions of a text, while they are written.
 
     - `lanes`: the number of lanes of independent loops, 1 or 8
     - `specialisations`: the name and result of each function, by key

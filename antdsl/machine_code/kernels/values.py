@@ -39,6 +39,7 @@ class Number:
 
     @property
     def wide(self) -> bool:
+        """Return whether the number has several lanes."""
         return self.lanes > 1
 
     @property
@@ -48,6 +49,7 @@ class Number:
 
     @property
     def typed(self) -> str:
+        """Return type and name, as an operand in LLVM's language."""
         return f"{self.type} {self.name}"
 
     @property
@@ -82,7 +84,7 @@ def constant(value: Any) -> Number:
     kind = type(value).__name__
     if kind == "uint64":
         return Number(UNSIGNED, literal(value, I64), int(value))
-    if isinstance(value, float):  # float64 of NumPy is one too
+    if isinstance(value, float):  # includes np.float64
         return Number(DOUBLE, literal(value, F64), float(value))
     if isinstance(value, int) or kind in ("int64", "int32", "intp"):
         integer = int(value)
@@ -113,7 +115,7 @@ def has_arrays(item: KernelItem) -> bool:
 
 
 def type_key(item: KernelItem) -> str:
-    """Return the text of an item's type; a function is written once for each such text."""
+    """Return the types of an item as text. A function is written once for each such text of its arguments."""
     if isinstance(item, tuple):
         record = "" if type(item) is tuple else f"{type(item).__module__}.{type(item).__qualname__}"
         return f"{record}({','.join(type_key(each) for each in item)})"

@@ -50,6 +50,7 @@ def row_hash(ids: NDArray[np.int64] | None, columns: Sequence[NDArray[Any]]) -> 
 
 
 def _to_digest(sums: Sequence[int]) -> bytes:
+    """Return both sums as 16 bytes."""
     return b"".join((int(each) & _MASK_64).to_bytes(8, "little") for each in sums)
 
 
@@ -57,7 +58,7 @@ class RowHasher:
     """Repeated `row_hash` of tables that mostly have the same addresses. The addresses are looked up once."""
 
     def __init__(self) -> None:
-        self._arrays: list[NDArray[Any]] = []  # the ids first, where there are any
+        self._arrays: list[NDArray[Any]] = []  # the ids first, if there are ids
         self._table: HashTable | None = None
         self._whole: list[NDArray[Any]] = []
         self._parts: list[NDArray[Any]] = []
@@ -76,7 +77,7 @@ class RowHasher:
         must be contiguous."""
         arrays = list(columns) if ids is None else [ids, *columns]
         count = len(arrays[0])
-        if not count:  # arrays without rows have any strides
+        if not count:  # arrays without rows have arbitrary strides
             return _to_digest((0, 0))
         table = self._table
         if table is None or len(arrays) != len(self._arrays) or not table.rebind(arrays, self._arrays):
@@ -111,7 +112,7 @@ def keys(number: int) -> Int64Array:
     return np.array(halves, np.int64)
 
 
-_WordPart = tuple[int, int, int]  # which column, how many bytes from its begin on, and from one value to the next
+_WordPart = tuple[int, int, int]  # column, byte offset from its start, bytes between values
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -151,14 +152,14 @@ class HashTable:
         if half:
             words.append((HALVES_WORD, half * 2))
         table: list[int] = []
-        self._slots: list[list[tuple[int, int]]] = [[] for _ in columns]  # of each column: words with its address, and how far on
+        self._slots: list[list[tuple[int, int]]] = [[] for _ in columns]  # for each column: words with its address, and offsets
         for number, (kind, parts) in enumerate(words):
             for place, (k, offset, _) in zip((1, 3), parts, strict=False):
                 self._slots[k].append((len(table) + place, offset))
             steps = [word for _, _, step in parts for word in (0, step)]
             table += [kind, *steps, *[0] * (4 - len(steps)), *keys(number).tolist()]
         self._table = np.array(table, np.int64)
-        self._heads: Int64Array = np.zeros((0, TABLE_HEADER_WORDS), np.int64)  # of each chunk
+        self._heads: Int64Array = np.zeros((0, TABLE_HEADER_WORDS), np.int64)  # one header per chunk
         self._chunks: Int64Array = np.zeros((0, 3), np.int64)
         self.rebind(columns, [None] * len(columns))
 
@@ -168,7 +169,7 @@ class HashTable:
         for k, (column, other) in enumerate(zip(columns, previous, strict=True)):
             if column is other:
                 continue
-            form, piece = self._forms[k], column.flags.c_contiguous  # which one row always is
+            form, piece = self._forms[k], column.flags.c_contiguous  # always true for a single row
             if column.dtype is not form.dtype or column.strides != form.strides or column.shape[1:] != form.trailing_shape:
                 return False
             if piece != form.piece:
@@ -194,5 +195,6 @@ class HashTable:
 
 @cache
 def _function() -> Callable[[int, int, int], None]:
+    """Return the compiled function that sums rows."""
     function: Callable[[int, int, int], None] = text.code().function("rows")
     return function

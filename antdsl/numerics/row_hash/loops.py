@@ -15,9 +15,9 @@ from antdsl.machine_code.module import LlvmModule
 CONTIGUOUS_WORD, STRIDED_WORD, ROW_NUMBER_WORD, HALVES_WORD = range(4)  # kinds of words
 # Words of a table for each of the row's words: kind, two addresses each before the bytes of a step, four keys
 TABLE_WORDS_PER_WORD = 9
-TABLE_HEADER_WORDS = 4  # words of the table of a call: both sums, how many words a row has, and where the table of these begins
-ROWS_PER_STEP = 8  # rows that are looked at together
-_BLOCK_ROWS = 1_024  # rows
+TABLE_HEADER_WORDS = 4  # words of a call's table: both sums, number of words per row, address of the table of words
+ROWS_PER_STEP = 8  # rows processed together
+_BLOCK_ROWS = 1_024  # rows per block
 _MIX_MULTIPLIERS = (0xFF51AFD7ED558CCD - 2**64, 0xC4CEB9FE1A85EC53 - 2**64)
 _LONG_LANES_TYPE, _HALF_LANES_TYPE = f"<{ROWS_PER_STEP} x i64>", f"<{ROWS_PER_STEP} x i32>"
 _LANE_NUMBERS = "<" + ", ".join(f"i64 {k}" for k in range(ROWS_PER_STEP)) + ">"
@@ -31,17 +31,21 @@ class _TextBuilder:
         self._count = 0
 
     def do(self, line: str) -> None:
+        """Append an instruction."""
         self.lines.append("  " + line)
 
     def at(self, label: str) -> None:
+        """Begin a block of code with a label."""
         self.lines.append(f"{label}:")
 
     def put(self, value: str) -> str:
+        """Append an instruction with a result, and return the result's name."""
         self._count += 1
         self.do(f"%v{self._count} = {value}")
         return f"%v{self._count}"
 
     def place(self, begin: str, of: str, number: str) -> str:
+        """Append a pointer computation, and return the pointer's name."""
         return self.put(f"getelementptr {of}, ptr {begin}, i64 {number}")
 
     def broadcast(self, value: str, kind: str = "i64") -> str:
@@ -54,6 +58,7 @@ class _TextBuilder:
 
 
 def _constant(value: int) -> str:
+    """Return a vector constant with a number in all lanes."""
     return "<" + ", ".join([f"i64 {value}"] * ROWS_PER_STEP) + ">"
 
 
@@ -67,14 +72,14 @@ def text(target: machine.Target) -> str:
     w.do("%table.at = getelementptr i64, ptr %t, i64 3\n  %table = load ptr, ptr %table.at")
     for name in ("lane0", "lane1", "values"):
         w.do(f"%{name} = alloca [{_BLOCK_ROWS} x i64], align 64")
-    w.do("call void @llvm.memset.p0.i64(ptr align 64 %values, i8 0, i64 64, i1 false)")  # of lanes without a row
+    w.do("call void @llvm.memset.p0.i64(ptr align 64 %values, i8 0, i64 64, i1 false)")  # for lanes without a row
     w.do("br label %blocks")
     w.at("blocks")
     w.do("%first = phi i64 [ %begin, %entry ], [ %next, %mixed ]")
     for lane in (0, 1):
         w.do(f"%sum{lane} = phi i64 [ 0, %entry ], [ %mix.sum{lane}, %mixed ]")
     w.do("%left = sub i64 %end, %first\n  %more = icmp sgt i64 %left, 0\n  br i1 %more, label %block, label %over")
-    # The rows left in the end, fewer than lanes, are a separate block: all words of it are gathered.
+    # The remaining rows, fewer than lanes, form a separate block; all its words are gathered.
     w.at("block")
     w.do(f"%long = icmp slt i64 %left, {_BLOCK_ROWS}\n  %most = select i1 %long, i64 %left, i64 {_BLOCK_ROWS}")
     w.do(f"%few = icmp slt i64 %most, {ROWS_PER_STEP}\n  %even = and i64 %most, {-ROWS_PER_STEP}")
@@ -198,6 +203,7 @@ def _loop(w: _TextBuilder, label: str, predecessor: str, step: int, count: str) 
 
 
 def _end(w: _TextBuilder, label: str) -> None:
+    """Jump back to the label of a loop, and begin the block of code after it."""
     w.do(f"br label %{label}")
     w.at(f"{label}.end")
 

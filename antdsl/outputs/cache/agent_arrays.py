@@ -117,6 +117,7 @@ def _write_ages(world: World, population: Population, out: NDArray[np.float32]) 
 
 
 def _columns(population: Population, name: str) -> tuple[NDArray[np.float32], ...]:
+    """Return the registers for x, y and z of a vector."""
     return tuple(population.now[f"{name}.{axis}"] for axis in AXES)
 
 

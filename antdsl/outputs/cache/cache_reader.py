@@ -41,6 +41,7 @@ def frame_path(folder: Path, frame: int) -> Path:
 
 
 def checkpoint_path(folder: Path, frame: int) -> Path:
+    """Return the path of a frame's checkpoint file."""
     return folder / f"checkpoints/checkpoint.{frame:04d}.npz"
 
 
@@ -95,8 +96,8 @@ class Cache:
         return _read(checkpoint_path(self.folder, number), number)
 
     def static(self) -> Arrays:
-        """Return the arrays of `static.npz`, in scene units. Raises CacheError, also if an array that the manifest needs is
-        missing.
+        """Return the arrays of `static.npz`, in scene units. Raises CacheError if the file is damaged or lacks an array that
+        the manifest needs.
 
         Among them are meshes (`mesh.NAME.vertices`, `.faces`) and positions of field cells (`field.NAME.P`)."""
         arrays = _read(self.folder / STATIC, None)
@@ -146,6 +147,7 @@ def open_cache(folder: Path) -> Cache:
 
 
 def _read_problem(read: Callable[[], object]) -> str | None:
+    """Return the message of the CacheError that `read` raises, or None."""
     try:
         read()
     except CacheError as why:

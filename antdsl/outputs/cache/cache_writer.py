@@ -50,8 +50,7 @@ class ForeignFolder(Exception):
 
 
 class PathBlocked(Exception):
-    """Something in a cache's folder, such as a folder or a link, has the path of one of the cache's files. The message names
-    it."""
+    """A folder, a link or another object has the path of one of the cache's files. The message names the path."""
 
 
 class DifferentInputs(Exception):
@@ -143,7 +142,7 @@ class IntactPart:
 
     `points`: checkpoints to continue from, the latest first.
     `last_frame`: the last frame in the cache.
-    `broken`: what is wrong with the first incomplete frame; None if nothing is wrong."""
+    `broken`: a message on the first incomplete frame; None if all frames are complete."""
 
     cache: Cache
     points: list[int]
@@ -201,9 +200,9 @@ class CacheWriter:
     `made_with`: returns the provenance for the manifest. It reads all of antdsl's files, so the writing thread calls it.
     `report`: a callback for the results of each frame. It is called some frames later, and always before `__exit__` returns.
 
-    Once a frame is written, its results contain `hash` and the greatest `surface_error` of all frames so far. The surface error
-    is
-    None if the error of earlier frames is unknown. `seconds` has the time spent, by name."""
+    Once a frame is written, its results contain `hash`, `surface_error` and `seconds`.
+    `surface_error`: the greatest of all frames so far, in body lengths; None if the error of earlier frames is unknown.
+    `seconds`: the time spent, by name."""
 
     def __init__(
         self, folder: Path, manifest: Manifest, made_with: Callable[[], Provenance], report: Callable[[Mapping[str, Any]], None]
@@ -228,6 +227,7 @@ class CacheWriter:
         self._lock.__exit__(kind, value, trace)
 
     def _end(self, behind: BackgroundWorker, *, is_complete: bool) -> None:
+        """Stop the thread. If the run is complete, sync the files first, and raise the error of a failed job."""
         try:
             if is_complete:
                 behind.hand_over(self._scribe.sync)

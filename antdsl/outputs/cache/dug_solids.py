@@ -26,6 +26,7 @@ class _DugSolid:
     drawn: Solid | None = None
 
     def surface(self, name: str, offset: NDArray[np.float64], scale: float, cut: CutPlane | None) -> Solid:
+        """Return the current surface in scene units. Only bricks that changed are meshed again, unless a plane cuts the solid."""
         if cut is not None:
             opened = cut.cut_volume(self.volume, offset, scale)
             vertices, faces = join_pieces([(v, f) for _, v, f in opened.surface(changed_only=False)])
@@ -69,6 +70,7 @@ class DugSolids:
             yield name, solid.volume, np.asarray(self._static[f"solid.{name}.offset"])
 
     def _dig(self, frame: int) -> None:
+        """Dig the balls of one frame. A frame that cannot be read is skipped."""
         try:
             arrays = self.cache.frame(frame)
         except CacheError:  # other frames can be drawn without a missing one

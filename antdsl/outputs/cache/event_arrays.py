@@ -41,11 +41,13 @@ def events_of(world: World, kinds: tuple[str, ...], scale: float) -> Arrays:
 
 
 def _emits(world: World, scale: float) -> Arrays:
+    """Return the arrays of emitted events since the previous frame."""
     emissions = take_emissions(world)
     return emissions | {"P": scene_places(emissions["P"], scale)}
 
 
 def _contacts(world: World, scale: float) -> Arrays:
+    """Return the arrays of overlapping bodies, sorted by species and id."""
     if len(world) < 2:
         return {column.field: np.zeros((0, *column.dimensions()), column.type) for column in CONTACT}
     crowd = CapsuleCrowd(world)

@@ -156,6 +156,7 @@ def static_arrays(world: World, setting: WorldSetting) -> Arrays:
 
 
 def _start_positions(field: PheromoneField) -> NDArray[np.float64]:
+    """Return the positions (n, 3) in mm of the cells that a field has at the start."""
     cells = field.cells
     return cells.position[: cells.at_start] if isinstance(cells, GrowingCells) else cells.position
 
@@ -251,6 +252,7 @@ def _mesh_entry(setting: WorldSetting, name: str, kind: str, looks: Mapping[str,
 
 
 def _looks(looks: Look | Mapping[str, Look] | None, names: list[str]) -> tuple[Look | None, ...]:
+    """Return the look of each item, in the order of `names`; empty if the scene sets none."""
     if not looks:
         return ()
     return tuple(looks if isinstance(looks, str) else looks.get(name) for name in names)

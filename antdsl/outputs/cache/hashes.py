@@ -4,8 +4,10 @@ For each frame, `hashes.jsonl` has hashes of the complete state, of the frame fi
 the hash of `static.npz`.
 
 The hash of a file covers its headers only, which contain the CRC-32 of each array. Writing the file computes the CRC-32s anyway,
-so the hash costs almost nothing. Damaged content is missed once in 2^32. Older caches have hashes of all bytes, without the
-name of the method in front, and are checked by these. Neither kind detects forgeries."""
+so the hash costs almost nothing. Damaged content is missed with a probability of 2^-32.
+
+Older caches have hashes of all bytes, without the name of the method in front, and are checked by these. Neither kind detects
+forgeries."""
 
 from __future__ import annotations
 

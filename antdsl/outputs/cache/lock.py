@@ -79,6 +79,8 @@ class FolderLock:
         return True
 
     def _wait(self, handle: int) -> None:
+        """Lock the open file. Raises FolderLocked if another process holds the lock, after waiting for the writer of a run
+        that has ended."""
         began = time.monotonic()
         while True:
             try:
@@ -118,7 +120,7 @@ def _holder(handle: int) -> tuple[str, str]:
 
 
 def _has_ended(holder: str, host: str) -> bool:
-    """Return whether a process of this host is known to have ended. A process with an unread exit code has ended too."""
+    """Return whether a process of this host is known to have ended. A zombie process has ended too."""
     if os.name == "nt" or host not in ("", _host()) or not (holder.isascii() and holder.isdigit()):
         return False  # Windows frees a lock with the one process that holds it
     try:

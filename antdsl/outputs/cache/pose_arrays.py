@@ -1,4 +1,4 @@
-"""Arrays for poses in the frames of a cache: clips, what agents show in addition to clips, and feet.
+"""Arrays for poses in the frames of a cache: clips, layers, channels, looks, leans and feet.
 
 Each row is an agent of the species, by id. Indices of clips count the species' clips in the manifest; -1 means no clip.
 
@@ -178,6 +178,7 @@ def driven_values(species: SpeciesEntry, arrays: Arrays, ids: NDArray[np.int64],
 
 
 def _crowds(population: Population, setting: WorldSetting) -> Iterator[CrowdData]:
+    """Yield the scene's crowd lines of a species."""
     return (crowd for crowd in setting.crowds if crowd.species == population.name)
 
 
@@ -201,4 +202,5 @@ def _scene_layer_masks(
 
 
 def _bit(layers: tuple[str, ...], layer: str) -> np.uint64:
+    """Return the mask with the bit of one layer; 0 for a layer that the body lacks."""
     return np.uint64(1 << layers.index(layer)) if layer in layers else np.uint64(0)

@@ -23,7 +23,7 @@ Piece = tuple[NDArray[np.float64], NDArray[np.int32]]
 
 
 class PieceMaker:
-    """Builder of the arrays of solids in frames. It asks each volume for the changes since its last request."""
+    """Builder of the arrays of solids in frames. It reads from each volume the changes since the previous call."""
 
     def __init__(self, first: int, every: int, scale: float) -> None:
         self.first, self.every, self.scale = first, every, scale

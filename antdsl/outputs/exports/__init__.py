@@ -31,8 +31,8 @@ _SUBJECTS = {each.name.partition(".")[0]: each.of for each in FRAME}  # by the f
 class ExportFormat:
     """An export to files with some `endings`.
 
-    `forms`: by name, the functions that write frames of a cache into a file; the first is the default. They return sentences on
-    what was left out or changed.
+    `forms`: by name, the functions that write frames of a cache into a file; the first is the default. They return
+    messages about omissions and changes.
     `each`: the forms that write one file per frame, with the frame number in the name.
     `options`: by form, the dataclass of its additional options.
     `barred`: strings that file names must not contain, because they have a special meaning for the export's libraries."""
@@ -118,4 +118,5 @@ class AgentSubset(Cache):
 
 
 def _subject(name: str) -> str | None:
+    """Return the kind of row that an array has (`one`, `pair`, `event`), by the first word of its name; None for others."""
     return _SUBJECTS.get(name.partition(".")[0]) if "." in name else None

@@ -139,8 +139,8 @@ def _played_clips(gallery: Gallery, arrays: Arrays) -> Iterator[tuple[int, Speci
 def _slots(machines: Iterable[MachineClips], count: int) -> list[Slot]:
     """Return two slots per machine, for the outgoing and the current clip: clip number, turns, weight.
 
-    Houdini normalises the weights at each joint. In antdsl, a machine's clips replace the clips of earlier machines by their
-    total weight. The returned weights give the same result for up to two machines."""
+    Houdini normalises the weights at each joint. In antdsl, a machine's clips replace a share of the earlier machines'
+    clips, equal to their total weight. The returned weights give the same result for up to two machines."""
     slots, below = [], np.zeros(count)
     for machine in machines:
         fade = np.clip(machine.fade, 0, 1).astype(np.float64)

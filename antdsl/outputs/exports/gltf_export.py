@@ -33,7 +33,9 @@ Floats = NDArray[np.float64]
 
 
 def export_gltf(gallery: Gallery, frames: Iterable[int], path: Path) -> list[str]:
-    """Write agents with joints, meshes, items and the camera, animated over these frames. Return sentences on what glTF lacks.
+    """Write agents with joints, meshes, items and the camera, animated over these frames.
+
+    Return messages about features that glTF lacks.
 
     Raises ExportUnavailable beyond the limits of one glTF file, CacheError for a damaged frame, OSError if writing fails."""
     frames = list(frames)
@@ -72,6 +74,7 @@ class _BodyCollector:
 
     @staticmethod
     def gather(gallery: Gallery, frames: list[int]) -> _BodyCollector:
+        """Return the agents of some frames. Raises ExportUnavailable beyond the limits of agents or bytes."""
         bodies: dict[BodyKey, _BodyRecord] = {}
         output = _BodyCollector(bodies)
         size = 0
@@ -93,6 +96,7 @@ class _BodyCollector:
         return output
 
     def _add(self, key: BodyKey, body: _BodyRecord, crowd: Crowd, number: int) -> None:
+        """Append one frame's rows of a crowd to its body."""
         rows = posed_rows(crowd) | {"frame": np.full(len(crowd.position), number, np.int64)}
         for name in ("id", "frame", "place", "local", "channels"):
             body.arrays.setdefault(name, []).append(rows[name])
@@ -101,9 +105,11 @@ class _BodyCollector:
                 self.turned.add(key[0])
 
     def colours(self, key: BodyKey) -> dict[int, tuple[float, ...]]:
+        """Return the display colours of the agents with a body, by id."""
         return self.bodies[key].colour
 
     def notes(self) -> list[str]:
+        """Return messages on features of the agents that glTF lacks."""
         messages = [] if self.bodies else [NO_AGENTS_MESSAGE]
         messages += [
             f"agents of `{species}` keep the colour of their first state: glTF has no colours over time"

@@ -65,7 +65,7 @@ class GltfStage:
         self._camera()
 
     def add_note(self, sentence: str) -> None:
-        """Add a sentence on what is left out, unless it was added before."""
+        """Add a message about an omission, unless it was added before."""
         if sentence not in self.notes:
             self.notes.append(sentence)
 

@@ -79,9 +79,9 @@ class SceneActors:
     `mesh`: the bodies at the middle of these times.
     `near` bool (h · w,): pixels in which a body may be visible.
     `tiny` bool (h · w,): pixels with a body so small that rays through pixel centres may miss it.
-    `tall`: the greatest distance at which shadows are searched.
-    `size`: the distance around a body within which it darkens the ground.
-    `throw`: the greatest distance for which the softness of shadow edges is computed.
+    `tall`: the greatest distance in world units at which shadows are searched.
+    `size`: the distance in world units within which a body darkens the ground.
+    `throw`: the greatest distance in world units for which the softness of shadow edges is computed.
     `boxes`: lowest and highest corners (b, 3) of the bodies while the shutter is open."""
 
     rays: tuple[PictureRays, ...]
@@ -239,6 +239,7 @@ def _cells_in_rectangles(first: NDArray[np.int64], last: NDArray[np.int64], wide
 
 
 def _crowd(crowd: Crowd, view: CameraView, least: float, enlarged: float) -> list[BodyMesh]:
+    """Return the posed bodies of a crowd: close-up, normal and distant bodies by their size in the picture."""
     scale = np.asarray(crowd.scale, np.float64)
     finite = np.isfinite(crowd.position).all(axis=1) & np.isfinite(crowd.orient).all(axis=1) & np.isfinite(scale) & (scale > 0)
     position = np.where(finite[:, None], crowd.position, 0.0)
@@ -294,6 +295,7 @@ def _part(
     colour: Floats,
     gloss: float,
 ) -> BodyMesh:
+    """Return a `BodyMesh` of bodies that share `faces`, with one gloss for all vertices."""
     bodies, own = local.shape[:2]
     every = (faces[None] + (np.arange(bodies, dtype=np.int32) * own)[:, None, None]).reshape(-1, 3)
     shine = np.full(bodies * own, gloss, np.float32)
@@ -312,6 +314,7 @@ def _is_in_sight(points: Array, depth: Array, margin: Array, view: CameraView) -
 
 
 def item_mesh(item: Item, up: tuple[float, float, float], ground: StaticSetting | None = None) -> ActorMesh:
+    """Return an item's body at its position and remaining size. `ground`: loose soil is fitted to it."""
     vertices, faces, colour = placed(item.shape)
     size = item.radius * min(max(item.left, 0.0), 1.0) ** (1 / 3)
     upward = np.array([up]) / np.linalg.norm(up)

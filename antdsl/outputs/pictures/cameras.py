@@ -104,7 +104,7 @@ def camera_at_eye_level(
 ) -> Camera | None:
     """Return a camera a few body lengths from an agent, at the height of its back. None if there is no such agent.
 
-    The view is free, with many agents behind the chosen one. With `close`, the agent fills the picture.
+    Nothing hides the agent, and many agents are behind it. With `close`, the agent fills the picture.
     `agent`: an id; None chooses an agent with others nearby.
     `species`: the agent's species; by default, the first that has the id."""
     crowds = [crowd for crowd in picture.crowds if len(crowd.position) and species in (None, crowd.species)]
@@ -132,7 +132,7 @@ def camera_at_eye_level(
 
 
 def _crowded_rows(crowd: Crowd) -> NDArray[np.int64]:
-    """Return the rows of agents with many others within twelve body lengths. Not all of these rows are at one position."""
+    """Return the rows of agents with many others within twelve body lengths. The rows are spread over several positions."""
     from scipy.spatial import cKDTree
 
     points = np.where(np.isfinite(crowd.position), crowd.position, 1e12)

@@ -1,4 +1,4 @@
-"""The legend beside a picture, and sheets of several pictures.
+"""The legend next to a picture, and sheets of several pictures.
 
 The legend has the frame number, the states of each species with colours and counts, and fields with a scale of numbers. A sheet
 has equal tiles with a line of text below each."""
@@ -66,7 +66,7 @@ def with_strip(image: Image, picture: Picture, wide: int, show: tuple[str, ...])
 
 
 def _fitting_size(draw: ImageDraw.ImageDraw, picture: Picture, available_width: int, size: int) -> int:
-    """Return the font size at which every state name fits beside its count, but at least 70 % of `size`."""
+    """Return the font size at which every state name fits next to its count, but at least 70 % of `size`."""
     small = size
     while small > max(8, round(0.7 * size)) and any(
         draw.textlength(row.name, font=font(small)) + draw.textlength(f"{row.count:,}", font=font(small)) > available_width

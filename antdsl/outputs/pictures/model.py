@@ -179,7 +179,7 @@ class Picture:
     """One frame, ready to draw.
 
     `up`: the world's up.
-    `legend`, `frame`: written beside the picture, with the scales of the trails.
+    `legend`, `frame`: written next to the picture, with the scales of the trails.
     `grain`: the reference length of the ground's grain and pebbles; None means the body length of the first crowd."""
 
     solids: tuple[Solid, ...] = ()

@@ -27,7 +27,7 @@ class FirstPass:
 
     `light` (h · w, 3): display-linear light.
     `behind` (h · w, 3): the same without moving bodies.
-    `opened` (h · w,): the unoccluded share of the surroundings.
+    `opened` (h · w,): the unoccluded share of the hemisphere above the surface.
     `front` (h · w,): whether a moving body is in front.
     `swept` (h · w,): whether a moving body is in front at any shutter time, or a tiny one may be there."""
 

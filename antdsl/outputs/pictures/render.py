@@ -109,6 +109,7 @@ class Renderer:
         sun: SunLight,
         scales: PictureScales,
     ) -> _CameraCache:
+        """Return the cached samples for a camera, or compute and cache them."""
         key = (id(still), camera, picture.up, scales)
         if key not in self._kept:
             new_stage = stage(still, camera_view, sun, scales, self.threads)
@@ -120,6 +121,7 @@ class Renderer:
         return self._kept[key]
 
     def _light(self, camera_cache: _CameraCache, cast: SceneActors, lighting: PictureLighting) -> Image:
+        """Return the picture as sRGB bytes: one sample per pixel, then more samples at edges and moving bodies."""
         still = camera_cache.stage
         first = sample_middles(still, lighting, camera_cache.dyes)
         most = 2 * self.samples**2 * (2 if len(cast.rays) > 1 else 1) if self.samples > 1 else 1

@@ -58,14 +58,17 @@ def still_light(
 
 
 def lamp_light(facing: Floats, direct: Floats, opened: Floats) -> Floats:
-    """Return the light (n, 3) of a lamp beside the camera, where neither sun nor sky reach. It makes tunnels and chambers
-    visible."""
+    """Return the light (n, 3) of a lamp next to the camera, at points without light from the sun or the sky.
+
+    It makes tunnels and chambers visible."""
     dark = np.clip(1.15 - 1.5 * opened, 0, 1) * np.clip(1 - 3 * direct, 0, 1)
     return np.asarray(LAMP_LIGHT * (dark * (0.25 + 0.75 * np.clip(facing, 0, 1)))[:, None])
 
 
 def sun_visibility(lighting: PictureLighting, samples: SurfaceSamples, time_index: int, spot: Floats) -> Floats:
-    """Return (n,) 1, or 0 where a moving body is between a sample and the point `spot` of the sun's disc, at one shutter time."""
+    """Return 1 for each sample (n,) that sunlight reaches, and 0 where a moving body hides the sun.
+
+    `spot`: the point of the sun's disc; `time_index`: the shutter time."""
     visible = np.ones(len(samples), np.float32)
     if lighting.cast.size > 0:
         lit = np.flatnonzero(samples.sun > 0)

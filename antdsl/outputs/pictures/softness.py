@@ -1,6 +1,6 @@
 """Soft edges of shadows and of shade, without noise.
 
-Neighbouring pixels use different directions, and share their results where the surface continues. This is interleaved sampling
+Neighbouring pixels cast rays in different directions. Pixels of one surface share their results. This is interleaved sampling
 (Keller and Heidrich, Eurographics Workshop on Rendering, 2001). The weights of its filters cancel the pattern."""
 
 from collections.abc import Sequence

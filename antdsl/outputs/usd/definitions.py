@@ -29,7 +29,7 @@ class SkelDefinition:
     `joints`: paths of the joints, in the rig's order.
     `channels`: the channels that weight blend shapes.
     `tinted`: meshes below `path` in the colour of the agent.
-    `notes`: sentences on what UsdSkel cannot represent.
+    `notes`: messages about features that UsdSkel cannot represent.
     `number`: the index of the body among those of its species, from 1."""
 
     path: str
@@ -181,7 +181,7 @@ def _write_shape(
 
 
 def _note_differences(skel_definition: SkelDefinition, binding: Binding, shape: Shape, steps: list[str]) -> None:
-    """Add notes on what UsdSkel does differently from a binding."""
+    """Add notes on the differences between a binding and its form in UsdSkel."""
     if "dualquatblendskinning" in steps:
         skel_definition.notes.append(
             f"`{shape.name}` blends linear and dual quaternion skinning: UsdSkel has one of them, dual quaternions"

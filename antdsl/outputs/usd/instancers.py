@@ -73,7 +73,7 @@ class InstancerWriter:
             self._targets = len(self._bank.paths)
 
     def _prototypes(self, agents: SpeciesSample, shutter_agents: SpeciesSample) -> NDArray[np.int32]:
-        """Return the prototype of each agent. It is constant while the shutter of a frame is open, since motion blur needs one
+        """Return the prototype of each agent. It does not change while the shutter is open, since motion blur needs one
         mesh."""
         prototypes = self._bank.prototype_numbers(agents)
         if agents.ids is not shutter_agents.ids:

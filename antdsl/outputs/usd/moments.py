@@ -103,8 +103,9 @@ class TimeSamples:
         return TimeSample(time, share, self.gallery.dt, picture, agents, *self._beside(first), self._frame(frame)[1])
 
     def _beside(self, frame: int) -> tuple[tuple[SpeciesSample, ...] | None, tuple[SpeciesSample, ...] | None]:
-        """Return the agents of the next frame, and of the previous frame only if there is no next. None for a frame that does not
-        exist."""
+        """Return the agents of the next and of the previous frame; None for a frame that does not exist.
+
+        The second result is also None if there is a next frame."""
         next_agents = self._frame(frame + 1)[1] if frame + 1 in self._known else None
         return next_agents, self._frame(frame - 1)[1] if next_agents is None and frame - 1 in self._known else None
 

@@ -32,7 +32,7 @@ _MAX_IGNORED_SHEAR = 1e-4  # of a joint, above which what UsdSkel omits is repor
 
 
 class SkeletonWriter:
-    """Writer of one species: an instance for each agent, with its animation beside it.
+    """Writer of one species: an instance for each agent, with its animation as a sibling.
 
     With `copies`, agents are full copies, and their meshes have the state colours. Some programs need this, because they do not
     pose instances or inherit primvars."""
@@ -51,7 +51,7 @@ class SkeletonWriter:
 
     @property
     def notes(self) -> list[str]:
-        """Return sentences on what UsdSkel cannot represent of the bodies."""
+        """Return messages about features of the bodies that UsdSkel cannot represent."""
         messages = [note for _, definition in self._bodies.values() for note in definition.notes]
         if self._sheared:
             messages.append(f"joints of `{self._species.name}` are sheared: UsdSkel has no shear, it is left out")
@@ -202,6 +202,7 @@ class _AgentPrim:
         self._seen = Visibility(out, root, first, time)
 
     def place(self, time: float, agents: SpeciesSample, row: int, colour: NDArray[np.floating]) -> None:
+        """Write position, orientation, scale, colour, state and numbers at a time."""
         self._place.set(time, agents.position[row])
         turn = agents.orient[row] * (-1.0 if agents.orient[row] @ self._before[0] < 0 else 1.0)
         self._before = (turn, self._before[1])
@@ -216,6 +217,7 @@ class _AgentPrim:
         self._seen.set(time, True)
 
     def pose(self, time: float, joints: list[Any], weights: Any) -> None:
+        """Write the transforms of the joints and the weights of blend shapes at a time."""
         positions, turns, scales = joints
         previous = self._before[1]
         if previous is not None:
@@ -239,4 +241,5 @@ class _AgentPrim:
         self._numbers[name].set(time, np.reshape(value, 1))
 
     def hide(self, time: float) -> None:
+        """Hide the agent from a time on."""
         self._seen.set(time, False)

@@ -69,7 +69,7 @@ CrowdWriter = InstancerWriter | SkeletonWriter | XformWriter
 
 
 def export_instances(gallery: Gallery, frames: Iterable[int], path: Path, options: UsdOptions = _DEFAULT_OPTIONS) -> list[str]:
-    """Write these frames into a USD file, atomically. Return messages about what USD cannot represent.
+    """Write these frames into a USD file, atomically. Return messages about features that USD cannot represent.
 
     A species of few agents is written as skeletons, a species of many as a point instancer.
 

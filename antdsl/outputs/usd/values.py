@@ -38,7 +38,7 @@ def root(stage: Any, origin: NDArray[np.float64]) -> Any:
 class ValueSamples:
     """The values of one attribute over time. A constant value is written at its start and end, since USD interpolates linearly.
 
-    `always`: write a value at every time, for readers that use the attribute only at the times of other attributes."""
+    `always`: write a value at every time. Some readers use the attribute only at the times of other attributes."""
 
     def __init__(self, out: StageOutput, attribute: Any, convert: Callable[[Array], Any], kind: Any, always: bool) -> None:
         self._out, self._convert, self._kind, self._always = out, convert, kind, always

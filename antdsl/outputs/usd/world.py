@@ -111,6 +111,7 @@ class _CameraWriter:
         )
 
     def frame(self, frame: int) -> None:
+        """Write the camera's transform and lens in a frame."""
         camera = self._gallery.camera(frame)
         assert camera is not None
         eye, aim = np.asarray(camera.at), np.asarray(camera.look_at)
@@ -151,6 +152,7 @@ class _MeshWriter:
         self._mapped = np.zeros((0, 2), np.float32)
 
     def frame(self, frame: int, solid: Solid) -> None:
+        """Write the mesh in a frame."""
         if solid is not self._drawn:
             if self._drawn is None or self._drawn.faces is not solid.faces:
                 self._mapped = _uv_from_above(solid.vertices, self._up)  # constant while the faces are the same
@@ -189,6 +191,7 @@ class _FieldWriter:
         self._extent.set(frame, np.zeros((2, 3)))
 
     def frame(self, frame: int, trail: Trail) -> None:
+        """Write the field's points and widths in a frame."""
         rows = np.flatnonzero(trail.strength > 0)
         points, strength = trail.position[rows], trail.strength[rows]
         full = trail.full or float(strength.max(initial=0.0)) or 1.0

@@ -72,6 +72,7 @@ class _AgentPrim:
         self._seen = Visibility(out, xform, first, time)
 
     def set(self, time: float, place: Any, turn: Any, size: float, colour: Any, state: int) -> None:
+        """Write translation, angles (degrees), scale, colour and state at a time."""
         for samples, value in zip(self._ops, (place, turn, np.full(3, size)), strict=True):
             samples.set(time, value)
         self._colour.set(time, colour)
@@ -80,4 +81,5 @@ class _AgentPrim:
         self._seen.set(time, True)
 
     def hide(self, time: float) -> None:
+        """Hide the agent from a time on."""
         self._seen.set(time, False)

@@ -16,7 +16,7 @@ from antdsl.program import model
 from antdsl.source import Span
 
 OperandTuple = tuple[PlanNode | None, ...]
-STEER_TEMP, GAZE_TEMP = "~steer", "~gaze"  # temps begin with a sign that no name of an author has
+STEER_TEMP, GAZE_TEMP = "~steer", "~gaze"  # `~` cannot occur in names of the program
 
 
 def write(w: PlanWriter, statements: Sequence[model.Statement], site: str, machine: str = "") -> None:
@@ -34,6 +34,7 @@ def write(w: PlanWriter, statements: Sequence[model.Statement], site: str, machi
 
 
 def complain(w: PlanWriter, missing: UnsupportedConstruct) -> None:
+    """Report a construct that cannot run yet."""
     w.report.error("not-yet", f"{missing.what} is not supported yet", missing.span, missing.help)
 
 
@@ -122,8 +123,8 @@ def _operand(w: PlanWriter, arg: model.Expr, per_second: bool) -> PlanNode:
 
 
 def _carve_ball(w: PlanWriter, size_of: model.Expr | None, toward: model.Expr | None) -> OperandTuple:
-    """Return the operands of a ball to carve. It is half a body and half its radius ahead, and its lowest point is level with the
-    feet. So an agent that moves ahead stays level."""
+    """Return the operands of a ball to carve. Its centre is half a body length and half its radius ahead of the agent. Its lowest
+    point is level with the feet, so an agent that moves ahead stays level."""
     assert size_of is not None
     b = w.b
     radius = scalar(w, size_of)

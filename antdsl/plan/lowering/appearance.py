@@ -21,7 +21,7 @@ from antdsl.plan.lowering.values import VectorNodes
 from antdsl.plan.lowering.writer import AXES, PlanWriter
 from antdsl.program import model
 
-DEFAULT_LOOK_ANGLE, DEFAULT_LOOK_SECONDS = pi / 3, 0.2  # rad, s: how far a part turns and how soon where the line does not say
+DEFAULT_LOOK_ANGLE, DEFAULT_LOOK_SECONDS = pi / 3, 0.2  # rad, s: defaults of `within` and `over`
 _LOOK_AHEAD = (1.0, 0.0, 0.0)
 
 
@@ -66,7 +66,7 @@ def begin(w: PlanWriter, starts: Sequence[model.State]) -> None:
 
 
 def settle(w: PlanWriter) -> None:
-    """Apply the requests of all machines after their actions, and turn looks by one step."""
+    """Store the requested layers and channels after all machines have acted, and turn look directions by one step."""
     _store_display(w)
     b = w.b
     for group in looks_of(w.species):
@@ -114,7 +114,7 @@ def _look(w: PlanWriter, line: model.Look, site: str) -> None:
     held = VectorNodes(least, b("mul", local_direction.y, far), b("mul", local_direction.z, far))
     wish = values.choose(b, b("lt", local_direction.x, least), held, local_direction)
     ahead = VectorNodes(*(b.number(part) for part in _LOOK_AHEAD))
-    known = b("and", is_present, b("gt", aside, b.number(1e-6)))  # what is straight behind has no side to turn to
+    known = b("and", is_present, b("gt", aside, b.number(1e-6)))  # for a point straight behind, neither side is nearer
     w.store_vector(register, values.choose(b, known, wish, ahead), line.span)
     w.store(f"{register}.over", b.number(DEFAULT_LOOK_SECONDS) if line.over is None else scalar(w, line.over), line.span)
 

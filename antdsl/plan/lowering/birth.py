@@ -18,7 +18,7 @@ from antdsl.program.tables.columns import REGISTERS
 from antdsl.program.traverse import inside
 
 VECTOR_ATTRIBUTES = tuple(name for name, column in REGISTERS.items() if column.shape)
-# The given ones in an order in which each can be made from those before it; `group` is set by the runtime, by the scene's line.
+# Built-in attributes, each after those that its default reads. The runtime sets `group`, the line of the scene's `crowd`.
 BIRTH_ATTRIBUTES = ("size", "mass", "radius", "clearance", "max_speed", "min_speed", "response", "max_turn", "max_force")
 
 
@@ -51,8 +51,8 @@ def given_default(w: PlanWriter, name: str) -> PlanNode:
         return b.number(_PLAIN_DEFAULTS[name])
     if name == "radius":
         return b("mul", w.read("size"), b.number(0.5))
-    # From standing to full speed within `response`. A kinematic animal (response of a step or less) may turn right round at once,
-    # which takes twice the change.
+    # `max_force` reaches full speed within `response`. A kinematic agent (response of at most one step) may reverse at once,
+    # which needs twice the force.
     dt = w.run("dt")
     time = b("max", w.read("response"), dt)
     strength = b("div", b("mul", w.read("mass"), w.read("max_speed")), time)

@@ -145,5 +145,6 @@ def _is_named(layer: model.Layer, name: str) -> bool:
 
 
 def declare(w: PlanWriter) -> None:
+    """Declare the temp register `push`."""
     for axis in AXES:
         w.declare(f"{PUSH_REGISTER}.{axis}", ValueKind.F32, "temp")

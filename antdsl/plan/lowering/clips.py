@@ -29,17 +29,17 @@ from antdsl.plan.lowering.writer import AXES, PlanWriter
 from antdsl.program import model
 from antdsl.source import Span
 
-FULL_LEAN_TURN, FULL_LEAN_SLOPE = pi / 2, 0.5  # rad/s, and the sine of the angle: what counts whole
-LEAN_SMOOTHING_SECONDS = 0.15  # s in which both follow
-DEFAULT_FADE_SECONDS = 0.15  # s, in which one clip gives way to the next where no change says otherwise
+FULL_LEAN_TURN, FULL_LEAN_SLOPE = pi / 2, 0.5  # rad/s, sine of the slope: values that count as 1
+LEAN_SMOOTHING_SECONDS = 0.15  # time constant of the turn and the slope
+DEFAULT_FADE_SECONDS = 0.15  # default duration of a cross-fade
 NO_CLIP = -1
-_START_OFFSET_TURNS = 1e-6  # turns: where a clip that begins was before, so that it comes past a mark at its start
+_START_OFFSET_TURNS = 1e-6  # turns before the start, so that a mark at the start is passed
 _START_REGISTER, _LAST_REGISTER, _BEGINS_REGISTER, _WAITS_REGISTER = "~clip.start", "~clip.last", "~clip.begins", "~clip.waits"
 _CLIP_NUMBER_REGISTERS = (
     "clip_turns", "clip_last", "clip_weight", "clip_before_turns", "clip_before_weight", "clip_fade",
     "clip_earlier_turns", "clip_earlier_weight", "clip_earlier_fade",
 )  # fmt: skip
-# Which registers take over from which as another clip begins, in this order.
+# Copies between registers as another clip begins, in this order.
 _FADE_REGISTER_COPIES = (
     ("clip_earlier", "clip_before"), ("clip_earlier_turns", "clip_before_turns"), ("clip_earlier_weight", "clip_before_weight"),
     ("clip_earlier_fade", "clip_fade"), ("clip_earlier_fading", "clip_fading"), ("clip_before", "clip"),
@@ -91,21 +91,21 @@ def begin(w: PlanWriter, machine: model.Machine) -> None:
 
 
 def give_way(w: PlanWriter, machine: model.Machine, over: model.Expr | None, span: Span) -> None:
-    """Store the fade time of the clip of the state that a transition leaves."""
+    """Store the fade time of the current clip, because a transition leaves its state. `over`: the time; None: the default."""
     w.store(f"{machine.name}.clip_over", w.b.number(DEFAULT_FADE_SECONDS) if over is None else scalar(w, over), span)
     w.store(f"{machine.name}.clip_waits", w.b.false, span)
 
 
 def enter(w: PlanWriter, machine: model.Machine, state: model.State) -> None:
-    """Restart the clip of a state for agents that enter the state and for which the clip's `again` holds, even if it plays
-    already."""
+    """Request a restart of the clip of a state, for agents that enter the state. The clip restarts if its `again` holds, even if
+    it plays already."""
     line = next((line for line in state.body if isinstance(line, model.Play)), None)
     if line is not None and line.again is not None:
         w.store(f"{machine.name}.clip_waits", truth(w, line.again), line.span)
 
 
 def rest(w: PlanWriter, machine: model.Machine, state: model.State) -> None:
-    """Write a state without a clip, of a machine that has clips: the previous clip fades out to none."""
+    """Fade out the previous clip in a state without a clip, if the machine has clips in other states."""
     if plays_clips(machine) and not any(isinstance(line, model.Play) for line in state.body):
         _step(w, machine.name, w.b.row(NO_CLIP), None, w.b.number(0), state.span)
 
@@ -165,7 +165,7 @@ def lower_clip_test(w: PlanWriter, e: model.ClipTest) -> PlanNode:
 
 
 def _first_turns(w: PlanWriter, machine: str, clip: PlanNode, step: PlanNode) -> tuple[PlanNode, PlanNode]:
-    """Return the first turns of another clip, and the turns before that.
+    """Return the turns at which a new clip begins, and the turns one step earlier.
 
     It begins at 0. If both clips cover ground, it begins at the progress of the previous clip and advances by `step` turns."""
     b, previous_clip, turns = w.b, w.read(f"{machine}.clip"), w.read(f"{machine}.clip_turns")

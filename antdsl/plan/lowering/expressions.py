@@ -156,7 +156,7 @@ def _local(w: PlanWriter, e: model.BindingRef) -> LoweredValue:
 
 
 def _let(w: PlanWriter, binding: model.Binding) -> LoweredValue:
-    """Lower a `let` once, not at each use. Its memories advance wherever it is used.
+    """Lower a `let` once and return its value. Each use advances the memories in it.
 
     A snapshot holds for the whole step. Other lets, and all lets at birth, hold until the next store."""
     lasting = binding.snapshot and not w.born
@@ -177,7 +177,7 @@ def _let(w: PlanWriter, binding: model.Binding) -> LoweredValue:
 
 
 def _needed_lets(w: PlanWriter, binding: model.Binding, known: Container[model.Binding]) -> list[model.Binding]:
-    """Return the lets to lower first, innermost first. This avoids deep recursion for a long chain of lets."""
+    """Return a let and the lets that it uses, innermost first. Lowering them in this order avoids deep recursion."""
     order: list[model.Binding] = []
     stack: list[tuple[model.Binding, bool]] = [(binding, False)]
     visited: set[model.Binding] = set()
@@ -319,7 +319,7 @@ def own_attribute(w: PlanWriter, name: str, type: model.ValueType) -> LoweredVal
 
 
 def measures_pushes(program: model.Program) -> bool:
-    """Return whether species need the register `moved`: whether the program reads how far contacts pushed an agent."""
+    """Return whether the program reads how far contacts pushed an agent. If so, species have the register `moved`."""
     asking = parts([*program.species.values(), *program.specs])
     return any(isinstance(part, model.AttributeRef) and part.name == "moved" for part in asking)
 

@@ -29,7 +29,7 @@ from antdsl.plan.traverse import find_shared_senses, operands, required_nodes, s
 from antdsl.program import model
 from antdsl.program.tables.things import KIND_BY_WORD
 
-# Frames of our own recursion over expressions; their nesting is capped by the parser and the checker
+# Python frames for the recursion over expressions; the parser and the checker limit their nesting.
 MAX_RECURSION_FRAMES = 20_000
 
 
@@ -132,6 +132,7 @@ def _lower_birth(w: PlanWriter, machines: list[MachineWriter]) -> Block:
 
 
 def _decide(w: PlanWriter, machines: list[MachineWriter]) -> None:
+    """Write the block `decide`: relaxations, latches, handlers, then the transitions of all machines."""
     for attribute in w.species.attributes:
         if attribute.each:
             pair_values.relax(w, attribute)
@@ -282,4 +283,5 @@ def _met(species: model.Species) -> dict[str, model.Handler]:
 
 
 def _touch_registers(species: model.Species, of: str) -> Sequence[str]:
+    """Return the names of the registers with the ids of touched agents of the species `of`."""
     return [f"{species.name}.touched.{of}#{number}" for number in range(1, limits.MAX_TOUCHED_AGENTS + 1)]

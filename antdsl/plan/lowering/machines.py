@@ -32,6 +32,8 @@ class _StateChange:
 
 
 class MachineWriter:
+    """Writes the registers and statements of one machine."""
+
     def __init__(self, w: PlanWriter, machine: model.Machine) -> None:
         self.w, self.machine, self.name = w, machine, machine.name
         self.site = f"{w.species.name}.{machine.name}"
@@ -51,10 +53,12 @@ class MachineWriter:
 
     @property
     def pending(self) -> str:
+        """Return the register with the number of the winning transition; 0: none."""
         return f"~{self.name}.pending"
 
     @property
     def won(self) -> str:
+        """Return the register that is set if the claim of a take succeeded."""
         return f"~{self.name}.won"
 
     def plan(self) -> ir.MachinePlan:
@@ -89,6 +93,7 @@ class MachineWriter:
         clips.begin(self.w, self.machine)
 
     def enter_start(self) -> None:
+        """Write the enter actions of the start state, at birth."""
         start = self.machine.states[self.machine.start]
         write(self.w, start.enter, f"{self.site}.{start.name}.enter")
 
@@ -110,6 +115,7 @@ class MachineWriter:
         return self.w.b("eq", self.w.read(self.pending), self.w.b.row(change.number))
 
     def _weigh(self, changes: list[_StateChange]) -> None:
+        """Store the number of the first transition of a state that holds."""
         winner = self.w.b.row(0)
         weighed = [(c, self._fires(c)) for c in changes]
         for change, fires in weighed:
@@ -119,6 +125,7 @@ class MachineWriter:
         self.w.store(self.pending, winner, changes[0].state.span)
 
     def _fires(self, change: _StateChange) -> PlanNode:
+        """Return whether all conditions of a transition hold."""
         w, t = self.w, change.transition
         w.b.span = t.span
         try:
@@ -212,6 +219,7 @@ class MachineWriter:
         self._per_state(self.machine.states, self._enter)
 
     def _target(self, change: _StateChange) -> PlanNode:
+        """Return the index of the state that a transition leads to; a `choose` draws it."""
         w, t, b = self.w, change.transition, self.w.b
         if t.previous:
             return w.read(f"{self.name}.previous")
@@ -231,8 +239,8 @@ class MachineWriter:
         return target
 
     def _enter(self, state: model.State) -> None:
-        """Reset counters of `held`. A state's own counter is reset on entry into it; a shared one on entry into a state without
-        the transition."""
+        """Reset the counters of `held`, then write the enter actions. The counter of a single state is reset on entry into it.
+        A counter that several states share is reset on entry into a state without the transition."""
         own_keys = {t.key for t in state.transitions}
         for key in dict.fromkeys(c.transition.key for c in self.changes if c.transition.held is not None):
             counter = f"{key}.held"
@@ -242,6 +250,7 @@ class MachineWriter:
         clips.enter(self.w, self.machine, state)
 
     def advance(self) -> None:
+        """Add one step to the time in the state."""
         advance(self.w, self.name)
 
 

@@ -16,7 +16,7 @@ from antdsl.plan.lowering.writer import PlanWriter
 from antdsl.plan.registers import slot_names
 from antdsl.program import model
 
-REST_TOLERANCE = 1e-9  # base units from the value of rest: nearer values have no slot
+REST_TOLERANCE = 1e-9  # base units; values nearer to rest have no slot
 
 
 def declare(w: PlanWriter, attribute: model.AttributeDecl) -> None:
@@ -142,8 +142,8 @@ def _freeze_value(w: PlanWriter, name: str, value: PlanNode, s: model.Assign) ->
 def _put(
     w: PlanWriter, attribute: model.AttributeDecl, other_id: PlanNode, value: PlanNode, s: model.Assign, known: bool
 ) -> None:
-    """Store a value about an agent. A pass over the slots keeps the stronger value in each slot and carries the weaker on, so the
-    weakest of all is dropped.
+    """Store a value about an agent. Each slot in turn retains the stronger value and passes the weaker one to the next slot. The
+    weakest value is dropped.
 
     `known`: the agent may have a slot already, which is freed first."""
     b, rest = w.b, rest_value(w, attribute)
@@ -163,7 +163,7 @@ def _put(
     names = slot_names(attribute.name, attribute.strongest)
     for (who_name, value_name), (who, stored_value) in zip(
         reversed(names), reversed(changed), strict=True
-    ):  # none needs what follows it
+    ):  # in reverse, so that no store changes a value that a later one reads
         held = _freeze_value(w, f"~{attribute.name}.slot", who, s)
         w.store(value_name, stored_value, s.span)
         w.store(who_name, held, s.span)

@@ -17,9 +17,9 @@ from antdsl.program import model
 from antdsl.program.model import Dimension
 
 T = TypeVar("T")
-ANY_DIRECTION_COSINE = -2.0  # a cosine that every direction reaches
+ANY_DIRECTION_COSINE = -2.0  # below every cosine, so every direction is inside
 FULL_TURN_ANGLE = 2 * pi - 1e-5
-_MAX_COUNT_ARGUMENT = {"neighbours": 2, "all": 1}  # which of a set's arguments says how many count at most
+_MAX_COUNT_ARGUMENT = {"neighbours": 2, "all": 1}  # index of the argument with the maximum count
 
 
 def quantum_exponent(dim: Dimension) -> int:
@@ -35,7 +35,7 @@ def quantum_exponent(dim: Dimension) -> int:
 
 
 def lower_set(w: PlanWriter, e: model.SetExpr) -> ElementGroup | RayHits:
-    """Return a set with its condition, ready for a reduction."""
+    """Return the elements of a set with their condition, or the rays of feelers."""
     if e.source == "feelers":
         hits = lower_feelers(w, e)
         narrowed_hits = tuple(_narrow_hit(w, hit, e.element, e.where) for hit in hits)
@@ -208,7 +208,8 @@ def _narrow_hit(w: PlanWriter, hit: RayHit, element: model.Binding, where: model
 
 
 def _assume_hit(w: PlanWriter, hit: RayHit) -> RayHit:
-    """Return the hit as present, for the body of a reduction. The results of rays without a hit are discarded later."""
+    """Return the ray with a hit that is assumed to exist, for the body of a reduction. Results of missed rays are discarded
+    later."""
     return RayHit(w.b.true, hit.distance, hit.normal, hit.direction)
 
 

@@ -22,7 +22,7 @@ from antdsl.syntax.words import NUMBER_REGEX, UNITS_REGEX
 
 _JOINING_OPERATIONS = frozenset(("and", "or", "not", "is_some", "is_none", "lt", "le", "gt", "ge", "eq", "ne"))
 _NUMBER_WITH_UNIT = re.compile(rf"(?<![\w.]){NUMBER_REGEX}[ \t]*({UNITS_REGEX})")
-_MAX_NOTED_DEPTH = 6  # parts of parts of a condition that are noted
+_MAX_NOTED_DEPTH = 6  # levels of nested parts that are noted
 _BOOL_TYPE = model.ValueType(model.TypeKind.BOOL)
 _NUMBER_TYPE = model.ValueType(model.TypeKind.NUMBER)
 
@@ -108,7 +108,7 @@ class SteerNote:
     site: str
     text: str
     push: tuple[PlanNode, PlanNode, PlanNode]
-    holds: PlanNode | None = None  # whether the condition of a layer does
+    holds: PlanNode | None = None  # whether the condition of a layer holds
 
 
 @dataclass(slots=True, eq=False)

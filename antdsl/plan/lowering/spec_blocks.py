@@ -152,6 +152,7 @@ class _SpecWriter(PlanWriter):
         return name
 
     def plan(self) -> SpeciesPlan:
+        """Return the plan of the species with the registers and stores of the spec."""
         decide, act, blend = (Block(tuple(self.blocks[name])) for name in ("decide", "act", "blend"))
         lazy_senses = find_shared_senses(decide, act, blend)
         return SpeciesPlan(self.species.name, self.registers, (), Block(()), decide, act, blend, (), (), lazy_senses)
@@ -177,6 +178,7 @@ class _SpecLowering:
         return model.Species(name, "", (), (), (), (), (), (), self._nobody, self._nobody.span)
 
     def agent_writer(self, species: str, span: Span | None = None) -> _SpecWriter:
+        """Return the writer of a species. Raise UnsupportedConstruct if the scene does not contain it."""
         if species not in self.lowered.species:
             assert span is not None
             words = f"a spec on `{species}`, which the scene does not contain,"
@@ -186,6 +188,7 @@ class _SpecLowering:
         return self.writers[species]
 
     def item_writer(self, items: str) -> _SpecWriter:
+        """Return the writer of a group of items, which has their values as registers."""
         if items not in self.writers:
             names = ("position.x", "position.y", "position.z", "radius", *self.lowered.items[items].attributes)
             self.writers[items] = _SpecWriter(
@@ -194,6 +197,7 @@ class _SpecLowering:
         return self.writers[items]
 
     def cell_writer(self, field: str) -> _SpecWriter:
+        """Return the writer of a field, which has the register `value`."""
         if field not in self.writers:
             self.writers[field] = _SpecWriter(
                 self, self._find_species(field), {"value": Register("value", ValueKind.F32, "attribute")}

@@ -10,7 +10,7 @@ from antdsl.plan.ir import PlanNode
 from antdsl.program.model import TypeKind
 from antdsl.program.tables.things import KIND_BY_WORD, KindOfThing
 
-MIN_VECTOR_LENGTH = 1e-30  # shortest vector (mm, mm/s, …) that still has a direction: 1/x stays finite
+MIN_VECTOR_LENGTH = 1e-30  # mm, mm/s, …: shorter vectors have no direction; keeps 1/x finite
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -94,6 +94,7 @@ def zip_with(f: Callable[..., PlanNode], *vectors: VectorNodes) -> VectorNodes:
 
 
 def zero(b: PlanBuilder) -> VectorNodes:
+    """Return the zero vector."""
     return VectorNodes(b.number(0), b.number(0), b.number(0))
 
 
@@ -110,6 +111,7 @@ def neg(b: PlanBuilder, v: VectorNodes) -> VectorNodes:
 
 
 def scale(b: PlanBuilder, v: VectorNodes, s: PlanNode) -> VectorNodes:
+    """Return the vector times a scalar."""
     return zip_with(lambda p: b("mul", p, s), v)
 
 
@@ -125,6 +127,7 @@ def cross(b: PlanBuilder, u: VectorNodes, v: VectorNodes) -> VectorNodes:
 
 
 def length(b: PlanBuilder, v: VectorNodes) -> PlanNode:
+    """Return the length of a vector."""
     return b("sqrt", dot(b, v, v))
 
 
@@ -147,6 +150,7 @@ def limit(b: PlanBuilder, v: VectorNodes, most: PlanNode) -> VectorNodes:
 
 
 def choose(b: PlanBuilder, condition: PlanNode, then: VectorNodes, other: VectorNodes) -> VectorNodes:
+    """Return `then` where the condition holds, else `other`."""
     return zip_with(lambda p, q: b("where", condition, p, q), then, other)
 
 

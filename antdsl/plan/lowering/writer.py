@@ -20,7 +20,7 @@ from antdsl.program import model
 from antdsl.source import Span
 
 AXES = ("x", "y", "z")
-HELD_VECTOR_TEMP = "~held"  # a vector on its way into its registers
+HELD_VECTOR_TEMP = "~held"  # holds the new components while the registers change
 KIND_BY_TYPE_KIND = {
     model.TypeKind.NUMBER: ValueKind.F32, model.TypeKind.BOOL: ValueKind.BOOL, model.TypeKind.STATE: ValueKind.I32,
     model.TypeKind.ITEM: ValueKind.I32,
@@ -62,14 +62,14 @@ class PlanWriter:
         self.registers: dict[str, Register] = {}
         self.born = False
         self.measures_pushes = False  # whether agents have the register `moved`
-        self.begun_with: frozenset[str] = frozenset()  # attributes that the scene may give at birth
+        self.begun_with: frozenset[str] = frozenset()  # attributes that the scene may set at birth
         self.snapshot = False
         self.elements: list[model.Binding] = []
         self.environment: dict[model.Binding, values.LoweredValue] = {}
         self.lets: dict[model.Binding, tuple[values.LoweredValue, tuple[model.Binding, ...]]] = {}
         self.fleeting: dict[model.Binding, tuple[values.LoweredValue, tuple[model.Binding, ...]]] = {}
         self.memories: dict[model.Binding, tuple[tuple[str, PlanNode, Span], ...]] = {}
-        self.met: list[model.Binding] = []  # memories met since a `let` was begun
+        self.met: list[model.Binding] = []  # memories that the current `let` uses
         self.statements: list[PlanStatement] = []
         self._written: set[str] = set()
         self._remembered: set[model.Binding] = set()
@@ -132,6 +132,7 @@ class PlanWriter:
         return self.b("snap", attrs=(name,), kind=self.registers[name].kind)
 
     def read_vector(self, name: str) -> VectorNodes:
+        """Return the value of three registers at the current place."""
         return VectorNodes(*(self.read(f"{name}.{axis}") for axis in AXES))
 
     def mark_written(self, name: str) -> None:
@@ -154,7 +155,7 @@ class PlanWriter:
 
     # --- notes -------------------------------------------------------------------------------------------------------
 
-    # Called as parts of the text are lowered; `NotingWriter` stores what explains a step.
+    # Called during lowering. `NotingWriter` overrides these to record notes for `explain`.
 
     def note_transition(self, machine: str, number: int, state: model.State, t: model.Transition, fires: PlanNode) -> None:
         """Record a transition of a state, and whether it fires."""
@@ -176,6 +177,7 @@ class PlanWriter:
     # --- statements --------------------------------------------------------------------------------------------------
 
     def add(self, statement: PlanStatement) -> None:
+        """Append a statement to the current block."""
         self.statements.append(statement)
 
     def store(self, name: str, value: PlanNode, span: Span | None, infinite: bool = False) -> None:

@@ -27,8 +27,11 @@ WATCHER_BY_BREAK_KIND: Mapping[type, Callable[[Session, Any, SpecObserver], Brea
 
 @dataclass(slots=True, eq=False)
 class Breakpoint:
-    """A breakpoint. `ask`: the request. `waits`: the watcher, None while the breakpoint does not match the program. `why`: the
-    reason then."""
+    """A breakpoint.
+
+    `ask`: the request.
+    `waits`: the watcher; None while the breakpoint does not match the program.
+    `why`: the error if it does not match."""
 
     ask: Break
     waits: BreakpointWatcher | None = None
@@ -48,8 +51,10 @@ def breakpoint_text(ask: Break) -> str:
 
 
 class Breakpoints:
-    """Checks the breakpoints after each played step. `tell` receives a message for each breakpoint that does not match a program,
-    and a message with all breakpoints whenever they are built again."""
+    """Checks the breakpoints after each played step.
+
+    `tell`: receives a message for each breakpoint that does not match the program, and one with all breakpoints when they are
+    built again."""
 
     def __init__(self, specs: SpecObserver, tell: Callable[[dict[str, Any]], None] = lambda message: None) -> None:
         self.specs, self.tell = specs, tell
@@ -69,6 +74,7 @@ class Breakpoints:
         self._make_watchers(session)
 
     def message(self) -> dict[str, Any]:
+        """Return the message with all breakpoints, each with the reason why it does not match the program, or ""."""
         reasons = [(each.ask.model_dump(), _reason_text(each.why)) for each in self.breaks]
         return {"op": "breaks", "breaks": [{"made": ask_fields, "why": why} for ask_fields, why in reasons]}
 
@@ -78,6 +84,7 @@ class Breakpoints:
             self._make_watchers(session)
 
     def before_step(self, session: Session) -> None:
+        """Let the watchers record the current frame if they have not received it yet."""
         if self.breaks and not self._is_seen(session):
             if session.shot is not self._shot:
                 self._make_watchers(session)
@@ -87,6 +94,7 @@ class Breakpoints:
             self._seen = session.world, session.frame
 
     def after_step(self, session: Session) -> PauseReason | None:
+        """Return the joined reasons of all breakpoints that were hit, or None."""
         if not self.breaks or self._seen is None or session.world is not self._seen[0]:
             return None  # none waits, or the step led into another program: that is looked at before the next
         looked = [each.waits.check_frame(session) for each in self.breaks if each.waits is not None]
@@ -98,9 +106,11 @@ class Breakpoints:
         return replace(first_stop, line=" · ".join(stop.line for stop in stops))
 
     def _is_seen(self, session: Session) -> bool:
+        """Return whether the watchers have received the session's current frame."""
         return self._seen is not None and self._seen[0] is session.world and self._seen[1] == session.frame
 
     def _make_watchers(self, session: Session) -> None:
+        """Build the watchers for the session's program, and report breakpoints that do not match it."""
         self._shot, self._seen = session.shot, None
         for each in self.breaks:
             try:

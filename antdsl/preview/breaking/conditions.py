@@ -28,8 +28,9 @@ _ONE_CONDITION_HELP = "write one condition, such as `count(state == carry) > 10`
 
 
 class ConditionWatcher:
-    """Hit at a frame at which the condition holds and did not hold at the previous frame. A condition about each agent is
-    evaluated per agent, and the hit names the agents."""
+    """Hit when the condition holds, but did not hold at the previous frame.
+
+    A condition about each agent is evaluated per agent, and the hit names the agents."""
 
     def __init__(self, session: Session, ask: ConditionBreak) -> None:
         self.text = " ".join(ask.text.split())
@@ -118,8 +119,10 @@ def _is_one_line(file: nodes.File) -> bool:
 
 
 def _raise_first_error(report: Report, suggestion: str = "") -> None:
-    """Raise BreakpointError with the first error in the text of the condition. The error for a file that contains only a spec is
-    ignored. `suggestion`: a correction for a condition about the complete world that only applies to an agent."""
+    """Raise BreakpointError with the first error in the text of the condition.
+
+    The error for a file that contains only a spec is ignored.
+    `suggestion`: a correction for a condition about the complete world that only applies to an agent."""
     for error in report.sorted():
         if error.severity == "error" and error.code != "empty-program":
             help = (error.help or "").replace("never: ", "")

@@ -60,6 +60,8 @@ def _unknown_name_error(what: str, name: str, known: list[str]) -> BreakpointErr
 
 
 class SpecWatcher:
+    """Hit at the first frame at which a spec fails."""
+
     def __init__(self, session: Session, ask: SpecBreak, specs: SpecObserver) -> None:
         known = dict(specs.plans_by_name(session.shot, session.compiler.scene))
         if ask.spec not in known:

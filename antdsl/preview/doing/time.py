@@ -12,11 +12,13 @@ if TYPE_CHECKING:
 
 
 def play(live: Live, ask: requests.Play, client: Client) -> None:
+    """Play from the displayed frame on."""
     live.show_exact_frame()
     live.play()
 
 
 def pause(live: Live, ask: requests.Pause, client: Client) -> None:
+    """Pause."""
     live.pause()
 
 
@@ -28,6 +30,7 @@ def step(live: Live, ask: requests.Step, client: Client) -> None:
 
 
 def speed(live: Live, ask: requests.Speed, client: Client) -> None:
+    """Set the speed of play."""
     live.set_pace(ask.times)
 
 
@@ -43,6 +46,7 @@ def seek(live: Live, ask: requests.Seek, client: Client) -> None:
 
 
 def restart(live: Live, ask: requests.Restart, client: Client) -> None:
+    """Simulate the current files again from the first frame."""
     live.pause()
     live.show_stored_frame(live.session.frame)
     result = live.session.restart()

@@ -40,28 +40,35 @@ class StretchHistory:
 
     @property
     def shot(self) -> Shot:
+        """Return the shot that simulated the stretch."""
         return self.stretch.shot
 
     def points(self) -> Sequence[int]:
+        """Return the frames with a checkpoint, ascending."""
         return sorted({*self.stretch.checkpoints, *self.near})
 
     def world(self, point: int) -> World | None:
+        """Return a new world with the state of a checkpoint."""
         arrays = self.near[point] if point in self.near else self.stretch.checkpoints[point]
         return self.stretch.world(arrays, self.session.options, self.session.compiler.built)
 
     def hash(self, frame: int) -> str | None:
-        """Return the hash of the session's current frame; None for other frames. Also return None if a param was set at the
-        frame, because the new value takes effect only in the next step."""
+        """Return the hash of the session's current frame; None for other frames.
+
+        Also return None if a param was set at the frame, since its new value takes effect only in the next step."""
         is_current = self.session.timeline.at(frame) is self.stretch and self.session.frame == frame
         return self.session.hash if is_current and all(change.frame != frame for change in self.stretch.changes) else None
 
     def apply_interventions(self, world: World) -> None:
+        """Set the params that change at the world's frame."""
         self.stretch.before_step(world)
 
     def missing_error(self, frame: int) -> ExplainError:
+        """Return the error for a frame that is no longer stored."""
         return ExplainError(f"the history of frame {frame} is no longer stored", f"stored from {self.session.first} on")
 
     def difference_error(self, frame: int) -> ExplainError:
+        """Return the error for a frame that is not reproduced bit by bit."""
         return ExplainError(f"frame {frame} is computed differently than before", "this is a bug in antdsl: please report it")
 
 
@@ -73,8 +80,9 @@ class Explainer:
         self._replays: list[tuple[SimulationStretch, tuple[ParamChange, ...], Replay]] = []
 
     def explain(self, agents: Sequence[tuple[str, int]], frame: int) -> list[LocatedExplanation | None]:
-        """Return explanations of the step to a frame for agents (species, id), with their states over time. An agent that did
-        nothing in the step has None. Raises ExplainError if no explanation is possible."""
+        """Return explanations of the step to a frame for agents (species, id), with their states over time.
+
+        The result is None for an agent without decisions in the step. Raises ExplainError if no explanation is possible."""
         replay = self._find_replay(frame)
         for species, _ in agents:
             _check_species(species, replay.shot)

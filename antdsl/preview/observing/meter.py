@@ -36,6 +36,7 @@ class CostReporter:
         """Do nothing: the session's meter starts automatically."""
 
     def after_step(self, session: Session) -> PauseReason | None:
+        """Send the costs if a page requests them and enough time has passed. Never pause."""
         if self._asked:
             self._asked &= self._live.clients.keys()  # the others have left
             self._measure(session)
@@ -46,10 +47,12 @@ class CostReporter:
         """Do nothing: the session moves its meter to the new world."""
 
     def _measure(self, session: Session) -> None:
+        """Measure steps while any page requests the costs."""
         if bool(self._asked) != (session.meter is not None):
             session.measure(bool(self._asked))
 
     def _tell(self, session: Session) -> None:
+        """Send the latest costs to the pages that request them."""
         now = monotonic()
         if session.meter is None or now - self._told_at < _MESSAGE_INTERVAL_SECONDS:
             return

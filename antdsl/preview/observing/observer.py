@@ -20,6 +20,8 @@ class PauseReason:
 
 
 class Observer(Protocol):
+    """An object that receives the steps of a session."""
+
     def before_step(self, session: Session) -> None:
         """Prepare for a step. `after_step` follows."""
 

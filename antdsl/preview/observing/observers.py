@@ -1,5 +1,6 @@
-"""The list of all observers of a running session, and the observer that prints deviations from the request on the terminal, such
-as missing machine code. Each sentence is printed once."""
+"""The list of all observers of a running session, and the observer that prints the backend's messages on the terminal.
+
+A message reports a deviation from the request, such as missing machine code. Each message is printed once."""
 
 from __future__ import annotations
 
@@ -45,6 +46,7 @@ class NoteObserver:
         """Do nothing: messages are printed after the step."""
 
     def after_step(self, session: Session) -> PauseReason | None:
+        """Print new messages of the backend. Never pause."""
         for sentence in session.world.backend.messages():
             if sentence not in self._said:
                 self._said.add(sentence)

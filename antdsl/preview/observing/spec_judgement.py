@@ -1,5 +1,5 @@
 """Judges the specs of a scene while it runs, and stores the results as curves. Each frame is judged once, when it is first
-simulated. After an edit, judgement starts again at the edited frame: for a run of two programs, expectations are not defined."""
+simulated. After an edit, judgement starts again at the edited frame, since expectations apply to one program."""
 
 from __future__ import annotations
 
@@ -46,9 +46,11 @@ class SpecStatus:
 
     @property
     def failure(self) -> Failure | None:
+        """Return the first failure of the spec, or None."""
         return self.judge.failures[0] if self.judge is not None and self.judge.failures else None
 
     def as_json(self) -> dict[str, Any]:
+        """Return the status as the message `specs` lists it."""
         failed = self.failure
         return {
             "name": self.name,
@@ -75,6 +77,7 @@ class SpecObserver:
         self._began = 0.0
 
     def message(self) -> dict[str, Any]:
+        """Return the message with the status of all specs."""
         return {"op": "specs", "specs": [each.as_json() for each in self.judged]}
 
     def require(self, names: Collection[str]) -> None:
@@ -91,10 +94,12 @@ class SpecObserver:
         """Do nothing: the next step detects another world by its stretch."""
 
     def before_step(self, session: Session) -> None:
+        """Judge the frame before the step if necessary, and start timing the step."""
         self._judge_frame(session)
         self._began = perf_counter()
 
     def after_step(self, session: Session) -> PauseReason | None:
+        """Judge the new frame, and send the statuses if they changed. Never pause."""
         took = perf_counter() - self._began
         self._judge_frame(session)
         for each in self.judged:
@@ -144,8 +149,9 @@ class SpecObserver:
                 each.seconds += thread_time() - began
 
     def _stop_if_slow(self, each: SpecStatus, step: float) -> None:
-        """Stop judging a spec that takes too long, unless it has failed or a breakpoint waits for it. `step`: seconds of the last
-        step."""
+        """Stop judging a spec that takes too long, unless it has failed or a breakpoint needs it.
+
+        `step`: seconds of the last step."""
         if each.judge is None or each.frames < _MEASURED_FRAMES or each.name in self.wanted or each.failure is not None:
             return
         takes = each.seconds / (each.frames - _WARM_UP_FRAMES)

@@ -30,9 +30,11 @@ class ListeningSockets:
 
     @property
     def port(self) -> int:
+        """Return the port, which all sockets share."""
         return int(self.sockets[0].getsockname()[1])
 
     def close(self) -> None:
+        """Close all sockets."""
         for each in self.sockets:
             each.close()
 
@@ -62,8 +64,10 @@ def listen(host: str | None = None, port: int | None = None) -> ListeningSockets
 
 
 def _bind_sockets(addresses: Iterable[str], port: int) -> tuple[tuple[socket.socket, ...], int]:
-    """Return sockets at all addresses, on one port, and the port. An address that this machine lacks is left out if there is
-    another. Raises OSError if another program holds one of the addresses; otherwise `localhost` could lead to that program."""
+    """Return sockets at all addresses, on one port, and the port.
+
+    An address that this machine lacks is left out if there is another. Raises OSError if another program uses one of the
+    addresses; otherwise `localhost` could lead to that program."""
     sockets: list[socket.socket] = []
     absent: OSError | None = None
     try:
@@ -86,6 +90,7 @@ def _bind_sockets(addresses: Iterable[str], port: int) -> tuple[tuple[socket.soc
 
 
 def _socket(place: str, port: int) -> socket.socket:
+    """Return a socket that listens at one address. Raises OSError if it cannot be bound."""
     six = ":" in place
     server_socket = socket.socket(socket.AF_INET6 if six else socket.AF_INET, socket.SOCK_STREAM)
     try:

@@ -15,7 +15,7 @@ from antdsl import limits
 
 class ConnectionGate:
     """All connections of a server. Only the newest connections that are not admitted yet stay open. So a client that opens
-    thousands and sends nothing displaces its own connections, not a page that authenticates in time."""
+    thousands displaces its own connections, not a page that authenticates in time."""
 
     def __init__(self) -> None:
         self._waiting: dict[GatedConnection, None] = {}
@@ -26,17 +26,21 @@ class ConnectionGate:
         return GatedConnection(self, *args, **options)
 
     def let_in(self, connection: ServerConnection, *, invited: bool) -> None:
+        """Admit a connection. `invited`: whether it used a code that is valid once."""
         assert isinstance(connection, GatedConnection)
         self._waiting.pop(connection, None)
         self._in[connection] = invited
 
     def is_in(self, connection: ServerConnection) -> bool:
+        """Return whether a connection is admitted."""
         return connection in self._in
 
     def is_invited(self, connection: ServerConnection) -> bool:
+        """Return whether an admitted connection used a code that is valid once."""
         return isinstance(connection, GatedConnection) and self._in.get(connection, False)
 
     def add(self, connection: GatedConnection) -> None:
+        """Add a connection that is not admitted yet. Close the oldest such connections above the limit."""
         self._waiting[connection] = None
         if len(self._waiting) > limits.MAX_UNADMITTED_CONNECTIONS:
             oldest = next(iter(self._waiting))
@@ -44,17 +48,20 @@ class ConnectionGate:
             oldest.transport.abort()
 
     def close_all(self) -> None:
+        """Close all connections."""
         for each in (*self._waiting, *self._in):
             each.transport.abort()
 
     def remove(self, connection: GatedConnection) -> None:
+        """Remove a closed connection."""
         self._waiting.pop(connection, None)
         self._in.pop(connection, None)
 
 
 class GatedConnection(ServerConnection):
-    """A connection that is closed if the client sends frames too fast (pings included) or splits a message into too many
-    fragments. A limit of bytes is not enough, because fragments may be empty."""
+    """A connection that is closed if the client sends too many frames per second or too many fragments of a message.
+
+    Pings count as frames. A limit of bytes is not enough, because fragments may be empty."""
 
     def __init__(self, gate: ConnectionGate, *args: Any, **options: Any) -> None:
         super().__init__(*args, **options)
@@ -77,6 +84,7 @@ class GatedConnection(ServerConnection):
         super().process_event(event)
 
     def _is_within_limits(self, frame: Frame) -> bool:
+        """Count a frame. Return whether the client is within its rate and its number of fragments."""
         if frame.opcode in (Opcode.TEXT, Opcode.BINARY):
             self._pieces = 0
         elif frame.opcode is Opcode.CONT:

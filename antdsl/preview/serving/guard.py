@@ -3,10 +3,10 @@ the terminal displays.
 
 The three are checked separately. The host name is never compared with the origin: after DNS rebinding both are the attacker's.
 
-After a restart, a server of the same scene on the same port admits the pages of the previous server again, although it has a new
-token. A page receives a key when it is admitted, and never sends the key: it only signs challenges with it. So if another program
-listens at the port in between, it learns nothing useful. The keys of the last few starts are in a file that only the user may
-read. If no such file is possible, no keys are stored, and the user has to open the page again.
+After a restart, a server has a new token. It still admits the pages of the previous server of the same scene on the same port.
+An admitted page receives a key. The page never sends the key, but only signs challenges with it. So another program that listens
+at the port in between learns nothing useful. The keys of the last few starts are in a file that only the user may read. If no
+such file is possible, no keys are stored, and the user has to open the page again.
 """
 
 from __future__ import annotations
@@ -86,6 +86,8 @@ def _write_keys(place: Path, keys: Sequence[str]) -> None:
 
 
 class ConnectionVerdict(Enum):
+    """The decision about a request to open a socket."""
+
     IN = "in"
     INVITED = "invited"  # by a code that is good for this once: it has to receive the token
     STRANGER = "stranger"  # called by a wrong name, from a page of others, or by no page and without the token
@@ -106,8 +108,9 @@ class RequestGuard:
     returning: ReturningPages | None = None
 
     def invite(self) -> str:
-        """Return a code that replaces the token once. It is for the address that a browser is started with, because other users
-        of this machine can read that address in the list of processes."""
+        """Return a code that replaces the token once, for the address that a browser is started with.
+
+        Other users of this machine can read that address in the list of processes."""
         code = secrets.token_urlsafe(32)
         self._codes.add(code)
         return code

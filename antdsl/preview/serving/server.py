@@ -74,6 +74,7 @@ class RefusedRequest:
     help: str = ""
 
     def message_out(self) -> dict[str, Any]:
+        """Return the message that reports the rejection to the page."""
         return {"op": "refused", "of": self.of, "message": self.message, "help": self.help}
 
 
@@ -119,6 +120,7 @@ class PreviewServer:
 
     @asynccontextmanager
     async def running(self) -> AsyncIterator[None]:
+        """Serve while the context is active. On exit, close all connections."""
         async with AsyncExitStack() as stack:
             for each in self._listening.sockets:
                 await stack.enter_async_context(

@@ -1,5 +1,6 @@
-"""Packs what the bodies of agents do in a frame into few bytes: up to three clips per machine with progress and weight, the
-positions of feet, and the pose of the trunk above them."""
+"""Packs the actions of bodies in a frame into few bytes.
+
+These are up to three clips per machine with progress and weight, the positions of feet, and the pose of the trunk."""
 
 from __future__ import annotations
 
@@ -140,6 +141,7 @@ def blend_weights(
 
 @lru_cache(maxsize=8)
 def channel_table(definition: Definition) -> tuple[ClipTable, Mapping[str, TransformGroup]]:
+    """Return the sampled clips of a definition, and its transform groups by name."""
     alone = channels_only(definition)
     return clip_table(alone), alone.groups
 
@@ -184,7 +186,7 @@ def stance_arrays(legs: LegSolver, feet: Feet, light: Arrays, stands: Floats) ->
     `light`: the displayed positions and directions of these agents.
     `stands`: [n], the weight with which clips leave feet on the ground.
 
-    Bodies are oriented as pages do it, by directions of three bytes, so that a standing foot does not shake with their rounding.
+    Bodies are oriented by directions of three bytes, as on pages. So rounding does not shake a standing foot.
     """
     size = np.where(light["size"] > 0, light["size"], 1).astype(np.float32)
     rise = feet.rise / size * stands

@@ -30,6 +30,7 @@ class AgentPackets:
         self._last: tuple[World | None, int, int | None, PageInterest] = (None, 0, None, PageInterest())
 
     def packets(self, view_state: ViewState) -> SlotPackets:
+        """Yield the packet of the frame if the frame, the world or the displayed columns changed."""
         world = view_state.world
         key = (world, world.frame if view_state.light is None else view_state.light, view_state.light, view_state.interest)
         if key[0] is self._last[0] and key[1:] == self._last[1:]:
@@ -100,7 +101,7 @@ def _items(world: World, program: Program) -> Arrays:
 
 
 def _renumber_states(arrays: Arrays, then: Plan, now: Plan) -> Arrays:
-    """Return the states, renumbered from the stored program to the one that pages know. States that it does not have become
+    """Return the states, renumbered from the stored program to the program that pages know. States missing there become
     255."""
     for name, species in then.species.items() if then is not now else ():
         known = {machine.name: machine.states for machine in now.species[name].machines} if name in now.species else {}

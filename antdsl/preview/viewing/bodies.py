@@ -40,6 +40,7 @@ class RigPackets:
         self._given: dict[str, tuple[BodyOutfit, tuple[str, ...]]] = {}
 
     def packets(self, view_state: ViewState) -> SlotPackets:
+        """Yield the packets of species with a new body or new clips."""
         for name, population in view_state.world.populations.items():
             rig_key = outfit(view_state.world, view_state.shot, population), tuple(playing(population))
             if self._given.get(name) != rig_key:
@@ -74,8 +75,9 @@ def outfit(world: World, shot: Shot, population: Population) -> BodyOutfit:
 
 
 def rig_packet(species: str, worn: BodyOutfit, machines: tuple[str, ...] = ()) -> bytes:
-    """Return the packet of a species: its clips, and its meshes for crowds and for near agents. `idle`: the number and duration
-    (s) of the base clip below all others; absent if there is no such clip."""
+    """Return the packet of a species: its clips, and its meshes for crowds and for near agents.
+
+    `idle` in its header: the number and duration (s) of the base clip below all others; absent without such a clip."""
     arrays, header = _rig(worn)
     return pack(f"rig:{species}", arrays, machines=list(machines), **header)
 
@@ -101,6 +103,7 @@ class BodyTraits:
 
     @property
     def count(self) -> int:
+        """Return the number of traits."""
         return len(self.targets) + len(self.scales) + len(self.materials)
 
 
@@ -299,6 +302,7 @@ class ItemBodyPackets:
         self._given: set[tuple[str, str, int]] = set()
 
     def packets(self, view_state: ViewState) -> SlotPackets:
+        """Yield the packets of items with a new body."""
         for kind, items in view_state.world.items.items():
             for index, name in enumerate(items.names):
                 if (kind, name, index) in self._given:

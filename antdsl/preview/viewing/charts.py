@@ -22,6 +22,7 @@ class ChartMessages:
         return all(_without_positions(chart) in self._laid for chart in graphs.charts(program))
 
     def of(self, program: Program) -> list[dict[str, Any]]:
+        """Return one message per state machine of a program. Layouts that do not exist yet are computed."""
         machines = [(name, m.name) for name, species in program.species.items() for m in species.machines if m.states]
         charts = graphs.charts(program)
         missing = [plain for chart in charts if (plain := _without_positions(chart)) not in self._laid]

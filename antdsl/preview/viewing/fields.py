@@ -53,6 +53,7 @@ class FieldPackets:
         self._last = -1.0
 
     def packets(self, view_state: ViewState) -> SlotPackets:
+        """Yield the meshes and values that changed, at a limited rate."""
         world = view_state.world
         field_names = sorted(view_state.interest.fields & world.fields.keys())
         if world is not self._world:  # the same cells, often, and other values
@@ -165,8 +166,9 @@ def make_field_mesh(world: World, name: str) -> FieldMesh:
 
 
 def _cut_ground(world: World, name: str, cell: float) -> tuple[Floats, NDArray[np.int64], tuple[MovingVertices, ...], float]:
-    """Return the vertices and faces of the field's meshes at the first frame, cut to edges of about one cell. Also return their
-    moving vertices, and the length of the longest edge."""
+    """Return the field's meshes at the first frame, cut to edges of about one cell.
+
+    The results are the vertices, the faces, the moving vertices, and the length of the longest edge."""
     requested_names, setting = world.plan.fields[name].surfaces, world.setting
     mesh_names = [each for each in setting.surfaces if not requested_names or each in requested_names]
     rest = [setting.surfaces[each].vertices - world.origin for each in mesh_names]

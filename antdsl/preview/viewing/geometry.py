@@ -1,4 +1,4 @@
-"""Packets of geometry. Ground and obstacles are meshes, sent once. Moving ones are sent in each frame; removed ones are sent
+"""Packets of geometry. Ground and obstacles are meshes, sent once. Moving meshes are sent in each frame, removed meshes
 without faces. Curves are sent as points, and flows as arrows on the ground. Solids are sent in pieces of a few bricks each. A
 piece is sent again after agents dig in it."""
 
@@ -31,6 +31,7 @@ class MeshPackets:
         self._given: dict[str, tuple[MeshData, bytes] | None] = {}  # None: it moves
 
     def packets(self, view_state: ViewState) -> SlotPackets:
+        """Yield the meshes that are new, changed, moving or removed."""
         world, moves = view_state.world, view_state.world.setting.moves.meshes
         if world is self._world and (not moves or world.frame == self._frame):
             return
@@ -79,6 +80,7 @@ class CurvePackets:
         self._frame = 0
 
     def packets(self, view_state: ViewState) -> SlotPackets:
+        """Yield the curves that are new or moving."""
         world = view_state.world
         moves = world.setting.moves
         if world is self._world and (not moves.curves or world.frame == self._frame):
@@ -103,6 +105,7 @@ class FlowPackets:
         self._solved = 0.0
 
     def packets(self, view_state: ViewState) -> SlotPackets:
+        """Yield the displayed flows that are new or were computed again."""
         world = view_state.world
         if world is not self._world:
             self._world, self._given = world, set()
@@ -131,6 +134,7 @@ class SolidPackets:
         self._last = -1.0
 
     def packets(self, view_state: ViewState) -> SlotPackets:
+        """Yield the pieces that agents have dug in, at a limited rate."""
         if not view_state.interest.solids or (view_state.going and view_state.now - self._last < _UPDATE_INTERVAL_SECONDS):
             return
         self._last = view_state.now

@@ -24,6 +24,7 @@ def hello(live: Live) -> JsonMessage:
 
 
 def scene_file_name(live: Live) -> str:
+    """Return the page's name of the scene file."""
     return live.screen.names.of(live.compiler.scene)
 
 
@@ -61,6 +62,7 @@ def _problems(live: Live, report: Report) -> list[JsonMessage]:
 
 
 def outcome(live: Live, of: str, result: Outcome, file: str = "") -> JsonMessage:
+    """Return the message with the result of an edit. `of`: the op of the request; `file`: the file to write the text into."""
     entries = _problems(live, result.report)
     details = {"did": result.did, "line": result.line, "text": result.text, "file": file}
     return {"op": "outcome", "of": of, "ok": result.ok, **details, "problems": entries}

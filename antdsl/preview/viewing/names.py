@@ -1,5 +1,6 @@
-"""Short names of files for the page, which never receives a path of this machine. Also computes positions in texts as browsers
-count them."""
+"""Short names of files for the page, which never receives a path of this machine.
+
+This module also converts positions in texts to UTF-16 units, which browsers count."""
 
 from __future__ import annotations
 
@@ -80,8 +81,10 @@ def utf16_length(text: str) -> int:
 
 
 def open_text(path: Path, opened: Callable[[Path], int]) -> str | None:
-    """Return the text of a program or a scene, even if it has errors; None if there is no such file. Line ends are those that the
-    readers of programs and scenes use. `opened` returns a handle on a regular file, or raises OSError."""
+    """Return the text of a program or a scene, even if it has errors; None if there is no such file.
+
+    Line ends are those that the readers of programs and scenes use.
+    `opened`: returns a handle on a regular file, or raises OSError."""
     try:
         data = read_handle(opened(path), MAX_SHOWN_TEXT_BYTES)
     except OSError:

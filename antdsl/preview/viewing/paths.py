@@ -23,6 +23,7 @@ class PathPackets:
         self._sent = 0.0
 
     def packets(self, view_state: ViewState) -> SlotPackets:
+        """Yield the planned paths if they changed, at a limited rate."""
         if view_state.interest.planned is None:
             if self._last is not None:
                 self._last = None

@@ -44,14 +44,15 @@ def scene(live: Live, box: BoundingBox, charts: list[dict[str, Any]], charts_nee
 
 
 class BoundingBox:
-    """The box around all ground, solids and agents, relative to the world's origin. It does not change as long as ground and
-    solids do not. Pages reset their view when the box changes."""
+    """The box around all ground, solids and agents, relative to the world's origin. It changes only with ground and
+    solids. Pages reset their view when the box changes."""
 
     def __init__(self) -> None:
         self._about: tuple[list[list[float]], bool] = [], False
         self._box: tuple[list[float], list[float]] | None = None
 
     def of(self, session: Session) -> tuple[list[float], list[float]]:
+        """Return the lowest and the highest corner of the box for a session, in mm."""
         world = session.world
         meshes = [mesh.vertices for mesh in (*world.setting.surfaces.values(), *world.setting.obstacles.values())]
         meshes += [solid.mesh.vertices for solid in world.setting.solids.values()]

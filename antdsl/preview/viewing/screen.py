@@ -1,5 +1,6 @@
-"""The state of all pages: what they have received, and what is due. Updates have a limited rate, contain only changes, and stop
-without clients."""
+"""The state of all pages: the data that they have received, and the updates that are due.
+
+Updates have a limited rate, contain only changes, and stop without clients."""
 
 from __future__ import annotations
 
@@ -68,6 +69,7 @@ class PageScreen:
     # --- what happened -----------------------------------------------------------------------------------------------
 
     def on_step(self) -> None:
+        """Note a step, and store the poses of its frame if a page is connected."""
         self._steps.append(monotonic())
         self._moved = True
         if self.live.clients:
@@ -86,8 +88,7 @@ class PageScreen:
         self._program = self._moved = True
 
     def on_seek_end(self) -> None:
-        """Note that the session reached its target frame. Values set by hand may differ from those at the frame where the seek
-        began."""
+        """Note that the session reached its target frame. Values set by hand may differ from those before the seek."""
         self._program = True
         self.on_action()
 
@@ -104,6 +105,7 @@ class PageScreen:
         self.on_action()
 
     def on_look(self) -> None:
+        """Note that the data that pages display may have changed."""
         self._wanted = PageInterest.by(self.live.clients.values())
         self._moved = True
 
@@ -182,8 +184,9 @@ class PageScreen:
         return sent
 
     def _tell_scene(self, laid: bool) -> bool:
-        """Send the scene message if it changed, and return `laid`. `laid`: lay out the current charts; otherwise the message
-        repeats the previous charts."""
+        """Send the scene message if it changed, and return `laid`.
+
+        `laid`: lay out the current charts; otherwise the message repeats the previous charts."""
         scene_message = self._scene_message(laid)
         if scene_message != self._scene:
             self._scene = scene_message

@@ -17,7 +17,7 @@ SlotPackets = Iterator[tuple[str, bytes]]
 
 @dataclass(frozen=True, slots=True)
 class PageInterest:
-    """The union of what all pages display."""
+    """All data that at least one page displays."""
 
     columns: frozenset[tuple[str, str]] = frozenset()  # species and attribute
     fields: frozenset[str] = frozenset()
@@ -29,6 +29,7 @@ class PageInterest:
 
     @classmethod
     def by(cls, looks: Iterable[Look]) -> PageInterest:
+        """Return the union of what the pages with these requests display."""
         looks = list(looks)
         followed = dict.fromkeys(look.follow for look in looks if look.follow is not None)
         planned = [look.planned for look in looks if look.planned is not None]
@@ -45,10 +46,10 @@ class PageInterest:
 
 @dataclass(frozen=True, slots=True)
 class ViewState:
-    """A snapshot of what views depend on.
+    """A snapshot of the inputs of all views.
 
     `session` and `ahead`: the session, and its simulated future frames.
-    `interest`: what pages display.
+    `interest`: the data that pages display.
     `light`: the stored frame that is displayed instead of the session's own, or None.
     `now`: the time in seconds.
     `going`: whether the session plays or is on its way to a frame.

@@ -18,29 +18,29 @@ from antdsl.program.checks.writers import check_writers
 
 Check = Callable[[CheckContext, Report], None]
 CHECKS: tuple[Check, ...] = (
-    check_empty,  # a file that does nothing says so before anything else is looked for in it
-    check_writers,  # two machines that set the same attribute
-    check_layering,  # what the states steer must have its line
-    check_step_units,  # for `--strict`: what is said in steps
+    check_empty,  # a program that declares nothing that acts
+    check_writers,  # two machines that set one attribute
+    check_layering,  # a missing layer `state`
+    check_step_units,  # for `--strict`: uses of the unit `step`
 )
 
-# What can only be said of a program without errors: it reads meaning out of what is written, and out of what is not. Where
-# something is wrong, what seems idle may be what was meant there.
+# Checks for programs without errors only. They report unused or ineffective code, and after an error such code may be what the
+# author meant to use.
 OF_SOUND: tuple[Check, ...] = (
-    check_reachability,  # states that nothing leads to, and that nothing leads out of
-    check_shadowed,  # changes that can never be looked at
-    check_events,  # raised and never noticed, noticed and never raised
-    check_unused,  # declared and never used
-    check_firing,  # their conditions never hold, or always
-    check_flicker,  # two states that send the animal to each other
-    check_draws,  # numbers drawn in a condition
-    check_per_frame,  # values that change by so much a frame
+    check_reachability,  # states that no transition enters or leaves
+    check_shadowed,  # transitions that an earlier one always precedes
+    check_events,  # events that are emitted but never handled, or the reverse
+    check_unused,  # declarations that are never used
+    check_firing,  # conditions that never or always hold
+    check_flicker,  # two states that lead to each other for the same values
+    check_draws,  # random draws in conditions
+    check_per_frame,  # changes that depend on the frame rate
     check_wide_radius,  # neighbours that include all agents
-    check_idle_layers,  # lines that no strength is left for
+    check_idle_layers,  # layers for which no strength is left
     check_unused_memory,  # attributes and fields that are only set, or only read
 )
 
-# Those that look at each species alone, at nothing but its own parts and the params.
+# Checks that examine each species separately: only its own parts and the params.
 OF_EACH = frozenset(
     (
         check_shadowed,
@@ -54,7 +54,7 @@ OF_EACH = frozenset(
         check_idle_layers,
     )
 )
-# And of these, those that look at each state alone, and at the layers.
+# Of these, the checks that examine each state separately, and the layers.
 OF_STATES = frozenset((check_firing, check_draws, check_per_frame))
 
 __all__ = ["CHECKS", "OF_EACH", "OF_SOUND", "OF_STATES", "Check", "CheckContext"]

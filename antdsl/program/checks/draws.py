@@ -14,10 +14,11 @@ from antdsl.program.types.folding import constant_behind
 _DRAW_OPERATIONS = frozenset(("uniform", "normal", "pick"))
 _ARITHMETIC_OPERATIONS = frozenset(("neg", "add", "sub", "mul", "div", "abs", "clamp", "min", "max", "mix", "if"))
 _COMPARISON_OPERATIONS = frozenset(("lt", "le", "gt", "ge", "eq", "ne"))
-_FILM_FPS = 24  # of film
+_FILM_FPS = 24  # frames per second of film
 
 
 def check_draws(checked: CheckContext, report: Report) -> None:
+    """Report conditions that depend on a random draw in each step."""
     for species in checked.program.species.values():
         tests = [change.condition for machine in species.machines for state in machine.states for change in state.transitions]
         tests += [layer.condition for layer in species.layers.layers]
@@ -29,7 +30,7 @@ def check_draws(checked: CheckContext, report: Report) -> None:
 def _check_test(test: Expr, report: Report) -> None:
     within = [part for part in _walk_through(test, ("and", "or", "not")) if isinstance(part, OperationExpr)]
     if any(part.name == "event" for part in within):
-        return  # an event is there for one step only
+        return  # an event lasts one step
     for part in within:
         if part.name in _COMPARISON_OPERATIONS and _has_draw(part):
             rate = _chance_rate(part)

@@ -26,6 +26,7 @@ from antdsl.program.types.folding import constant_behind
 
 
 def check_layering(checked: CheckContext, report: Report) -> None:
+    """Report species that steer in states but have no layer `state`."""
     for species in checked.program.species.values():
         lines = [line for m in species.machines for state in m.states for line in state.body]
         steering = next((line for line in lines if isinstance(line, Steer | FaceLine)), None)
@@ -39,6 +40,7 @@ def check_layering(checked: CheckContext, report: Report) -> None:
 
 
 def check_idle_layers(checked: CheckContext, report: Report) -> None:
+    """Report layers that never have an effect."""
     reader = ConditionReader(checked.program.params)
     for species in checked.program.species.values():
         for layer in species.layers.layers:
@@ -50,7 +52,7 @@ def check_idle_layers(checked: CheckContext, report: Report) -> None:
 
 def _check_priorities(reader: ConditionReader, species: Species, report: Report) -> None:
     """Report layers below a layer that always uses the complete priority budget. Layers that are summed are not reported."""
-    lines = tuple(layer for layer in species.layers.layers if not layer.faces)  # to face a way takes no strength
+    lines = tuple(layer for layer in species.layers.layers if not layer.faces)  # `face` lines use no strength
     enough = {"budget": 1.0, "first": 1e-6}.get(species.layers.mode)
     if enough is None:
         return

@@ -27,6 +27,7 @@ _SIMPLE_TERM_PATTERN = re.compile(r"[\w.]+(\([^()]*\))?")
 
 
 def check_per_frame(checked: CheckContext, report: Report) -> None:
+    """Report assignments, memories and added amounts of which the speed depends on the frame rate."""
     for species in checked.program.species.values():
         for machine in species.machines:
             for state in machine.states:
@@ -121,7 +122,7 @@ def _added_rate_text(value: Expr, own: str) -> str:
     assert left is not None and right is not None
     if value.name == "add" and is_own(right, own) and not reads(left, own):
         return f"+= {_per_second_text(_source_text(left.span))}"
-    spine = [value]  # `x + a - b` is a difference of which the left side is a sum
+    spine = [value]  # left operands in turn: `x + a - b` is (x + a) - b
     while isinstance(inner := spine[-1].args[0], OperationExpr) and inner.name in ("add", "sub"):
         spine.append(inner)
     first, rest = spine[-1].args

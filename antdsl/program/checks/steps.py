@@ -14,10 +14,11 @@ from antdsl.program.types.descriptions import quote_source
 from antdsl.source import Span
 from antdsl.syntax import nodes
 
-FILM_FPS = 24  # of film: what is written instead is as much, or as long, at this rate
+FILM_FPS = 24  # frames per second of film, at which replacements have equal values
 
 
 def check_step_units(checked: CheckContext, report: Report) -> None:
+    """Report each quantity with the unit `step`, with a replacement if there is one."""
     if not checked.declared.strict:
         return
     for file in _all_files(checked.files):

@@ -16,6 +16,7 @@ from antdsl.source import Span
 
 
 def check_reachability(checked: CheckContext, report: Report) -> None:
+    """Report states that cannot be reached, and states that cannot be left."""
     for species in checked.program.species.values():
         for machine in species.machines:
             reached = _reachable_states(machine)
@@ -53,10 +54,11 @@ def _is_stuck(state: State) -> bool:
 
 
 def check_shadowed(checked: CheckContext, report: Report) -> None:
+    """Report transitions that never happen because an earlier one of the state always happens first."""
     reader = ConditionReader(checked.program.params)
     for species in checked.program.species.values():
         for machine in species.machines:
-            above: dict[Span, list[Transition | None]] = {}  # `from any` stands in many states, and may count in some
+            above: dict[Span, list[Transition | None]] = {}  # a `from any` is in many states, and may matter in some of them only
             changes: dict[Span, Transition] = {}
             for state in machine.states:
                 for place, change in enumerate(state.transitions):
@@ -81,7 +83,7 @@ def _is_hiding(reader: ConditionReader, first: Transition, change: Transition) -
     if first.take is not None or not _is_earlier(first.delay, change.delay) or not _is_earlier(first.held, change.held):
         return False
     if change.condition is not None and is_never(reader, change.condition):
-        return False  # that one is reported already, whatever is above it
+        return False  # a condition that never holds is already reported
     return implies(reader, change.condition, first.condition)
 
 
@@ -94,6 +96,7 @@ def _is_earlier(first: Expr | None, other: Expr | None) -> bool:
 
 
 def check_firing(checked: CheckContext, report: Report) -> None:
+    """Report transitions of which the condition never or always holds."""
     reader = ConditionReader(checked.program.params)
     for species in checked.program.species.values():
         for machine in species.machines:

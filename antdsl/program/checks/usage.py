@@ -23,16 +23,18 @@ _DECLARING = re.compile(r"\b(species|behaviour)\b")
 
 
 def check_empty(checked: CheckContext, report: Report) -> None:
+    """Report files that declare neither a species nor a behaviour."""
     for file in checked.files:
         source, items = file.node.source, file.node.items
         if not items or any(isinstance(item, (nodes.Species, nodes.Behaviour)) for item in items):
             continue
-        # if the word is there, a declaration could not be read, which was reported already
+        # with such a word, a declaration could not be parsed, which is already reported
         if not any(_DECLARING.search(line.partition("#")[0]) for line in source.text.splitlines()):
             report.error("empty-program", "no species and no behaviour is declared", items[0].span, "write `species ant { … }`")
 
 
 def check_unused(checked: CheckContext, report: Report) -> None:
+    """Report params, attributes, lets and behaviours that are never used."""
     for species in checked.program.species.values():
         _check_species(checked, species, report)
     for field in checked.program.fields.values():
@@ -73,6 +75,7 @@ def _check_behaviours(checked: CheckContext, report: Report) -> None:
 
 
 def check_unused_memory(checked: CheckContext, report: Report) -> None:
+    """Report attributes and fields that are only set, or only read."""
     for species in checked.program.species.values():
         for attribute in species.attributes:
             if not attribute.is_builtin:
@@ -116,9 +119,10 @@ def _check_attribute(checked: CheckContext, species: Species, attribute: Attribu
 
 
 def check_events(checked: CheckContext, report: Report) -> None:
+    """Report events that are emitted but not handled, and events that are handled but not emitted."""
     declared = checked.declared
     if any(species.node is None for species in declared.species.values()):
-        return  # a species of another file may raise or notice what this one does not
+        return  # a species of another file may emit or handle the event
     for event, span in declared.events.items():
         _report_unheard(checked, event, span, report)
         raised = any(checked.is_used(op, event) for op in feeding_effects("event"))

@@ -13,11 +13,12 @@ from antdsl.program.traverse import parts
 from antdsl.program.types.descriptions import quote_source
 from antdsl.program.types.folding import constant_behind
 
-_MAX_BODY_LENGTHS = 1000  # of a body: beyond so many no neighbour is sensed
-_DEFAULT_BODY_SIZE_MM = 4.0  # mm, of a body where the program does not say
+_MAX_BODY_LENGTHS = 1000  # body lengths; a larger radius is reported
+_DEFAULT_BODY_SIZE_MM = 4.0  # mm; body size if the program does not set it
 
 
 def check_wide_radius(checked: CheckContext, report: Report) -> None:
+    """Report neighbour searches with a constant radius above 1000 body lengths."""
     for species in checked.program.species.values():
         size = _max_body_size(species, checked.program.params)
         every = list(parts(species))

@@ -12,6 +12,7 @@ from antdsl.source import Span
 
 
 def check_writers(checked: CheckContext, report: Report) -> None:
+    """Report attributes that one machine sets and another machine changes too."""
     for species in checked.program.species.values():
         first: dict[str, tuple[Machine, Span, bool]] = {}
         for machine in species.machines:

@@ -79,7 +79,7 @@ def _rate_text(node: nodes.Expr, text: str) -> str:
         and isinstance(node.right, nodes.NameRef)
         and node.right.name.text == "dt"
     ):
-        return " ".join(node.left.span.text.split())  # a rate is taken times dt as it is
+        return " ".join(node.left.span.text.split())  # a rate is multiplied by dt anyway
     return f"{_bracket(node, text)} * 1 /s"
 
 

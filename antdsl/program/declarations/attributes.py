@@ -70,7 +70,7 @@ def _check_speeds(
     if least is None or most is None or (least.u, least.step) != (most.u, most.step) or least.number <= most.number:
         return
     place, fastest = declared["min_speed"].value.span, declared["max_speed"]
-    usual = fastest.span == fastest.name.span  # it is what it is where nothing is written
+    usual = fastest.span == fastest.name.span  # the default, not in the source
     text = f"`{BUILTIN_ATTRIBUTE_BY_NAME['max_speed'].default}`" if usual else quote_source(fastest.value.span)
     scope.report.error("out-of-range", f"`min_speed` is more than `max_speed`, which is {text}", place, f"write {text} or less")
 
@@ -81,7 +81,7 @@ def _is_settable(scope: NameScope, member: nodes.AnimalProperty) -> bool:
         return True
     known = [n for n, g in BUILTIN_ATTRIBUTE_BY_NAME.items() if g.settable]
     if row is None and scope.species and isinstance(member.value, nodes.NameRef) and is_state_name(scope, member.value.name.text):
-        known = ["start"]  # `strat search`: only that word is followed by a state
+        known = ["start"]  # `strat search`: only `start` is followed by a state
         if nearest_name(name.text, known):
             scope.report.error("unknown-property", f"an animal has no property `{name.text}`", name.span, "did you mean `start`?")
             return False
@@ -97,7 +97,7 @@ def _is_settable(scope: NameScope, member: nodes.AnimalProperty) -> bool:
             _correct_place(name.text)
             or did_you_mean(name.text, known, f"write an attribute of your own as `{name.text} = {text}`"),
         )
-        is_known_missing(scope, "name", name)  # it was to be declared here
+        is_known_missing(scope, "name", name)  # the misspelt line was meant to declare it
     value(scope.with_changes(runs_once=True), member.value)
     return False
 
@@ -113,6 +113,7 @@ def _correct_place(word: str) -> str | None:
 
 
 def is_state_name(scope: NameScope, word: str) -> bool:
+    """Return whether a word is the name of a state of the species."""
     return scope.species is not None and any(word in machine.states for machine in scope.species.machines.values())
 
 

@@ -29,7 +29,7 @@ from antdsl.syntax import nodes
 
 _STORABLE_KINDS = frozenset({TypeKind.NUMBER, TypeKind.VECTOR, TypeKind.BOOL, TypeKind.ITEM, TypeKind.AGENT, TypeKind.BAD})
 _DRAWING_FUNCTIONS = frozenset({"uniform", "normal", "pick", "random"})
-_MAX_NESTED_OPERATIONS = 100  # of behaviours inside behaviours, counted in operations
+_MAX_NESTED_OPERATIONS = 100  # size limit of an expanded behaviour, in operations
 
 
 # --- what a behaviour costs ------------------------------------------------------------------------------------------
@@ -122,7 +122,7 @@ def check_behaviour(declared: Declarations, info: BehaviourInfo, complain: bool 
             check_behaviour(declared, called)
     sound = info.state == "sized"
     if sound:
-        info.state = "ok"  # a circle was found before, so it cannot come back here
+        info.state = "ok"  # cycles were rejected earlier, so the recursion ends
         _check_parts(declared, info, report)
         sound = report.ok
     info.state = "ok" if sound else "broken"
@@ -149,7 +149,7 @@ def _check_parts(declared: Declarations, info: BehaviourInfo, report: Report) ->
     if not is_compatible(result.type, returns):
         report_mismatch(report, node.result, result.type, returns, f"`{name}`")
     if not report.ok or info.file.node.broken:
-        return  # what is wrong may have been their use
+        return  # the erroneous lines may have used them
     for argument in node.arguments:
         if ("local", f"{argument.name.span}:{argument.name.text}") not in declared.used:
             message = f"`{name}` never uses its argument `{argument.name.text}`"
@@ -168,6 +168,7 @@ def returned_type(scope: NameScope, node: nodes.Behaviour) -> ValueType:
 
 
 def declared_type(scope: NameScope, written_type: nodes.TypeName) -> ValueType:
+    """Return the type for a type name in the source; report an unknown one."""
     name = written_type.name
     if written_type.of is not None:
         scope.bind_thing(written_type.of)
@@ -298,7 +299,7 @@ def _is_allowed(scope: NameScope, info: BehaviourInfo, node: nodes.Call) -> bool
         scope.report.error("draw-in-set", message, node.span, "call it outside of the set")
         return False
     if scope.behaviour is not None:
-        return True  # its size was counted with the behaviour that calls it
+        return True  # its size is included in that of the calling behaviour
     previous_size, declared.expanded = declared.expanded, declared.expanded + info.size
     if declared.expanded > limits.MAX_TREE_NODES:
         if previous_size <= limits.MAX_TREE_NODES:

@@ -40,6 +40,7 @@ class _ParamNumber:
 
 
 def param(scope: NameScope, node: nodes.Declaration) -> model.Param | None:
+    """Check a param and its range. Return None if its value is not constant."""
     names, name = scope.species, node.name.text
     assert names is not None
     names.params[name] = BAD_TYPE

@@ -357,7 +357,7 @@ def _layer(scope: NameScope, node: nodes.Layer, counts: dict[str, int]) -> model
         push = facing_direction(scope, node.push)
     elif isinstance(node.push, nodes.NameRef) and is_state_name(scope, word) and own and word not in taken:
         message = f"`{word}` is a state, but a layer must be a wish"
-        scope.report.error("state-as-value", message, node.push.span, "did you mean `state`?")  # whatever the state steers
+        scope.report.error("state-as-value", message, node.push.span, "did you mean `state`?")  # probably means the steering
         push = bad_expression(node.push.span)
     elif not steered:
         push = value_of_type(scope, node.push, PUSH_TYPE, "a layer")

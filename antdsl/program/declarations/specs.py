@@ -34,7 +34,7 @@ from antdsl.syntax.words import FIXED_FIELD_SETTINGS
 MAX_SEEDS = 1000
 _COMPARISON_OPERATIONS = ("lt", "le", "gt", "ge", "eq", "ne")
 _REFERENCE_KINDS = (TypeKind.ITEM, TypeKind.AGENT)
-_SETTING_WORDS = ("seeds", "pass", "set", "until")  # what is expected is another matter
+_SETTING_WORDS = ("seeds", "pass", "set", "until")  # words of lines that set up the run
 
 
 @dataclass(slots=True)
@@ -50,7 +50,7 @@ class _SpecCheck:
     changes: list[SpecChange] = field(default_factory=list)
     expectations: list[Expectation] = field(default_factory=list)
     share: float | None = None
-    compares: bool = False  # with another run
+    compares: bool = False  # whether the spec has a reference run
     against: ComparisonRun | None = None
     blocks: int = 0
 
@@ -318,7 +318,7 @@ def _readings(expr: Expr, node: nodes.Expr) -> Iterator[ExpectationReading]:
             and part.args[0] is not None
             and part.args[0].type.kind in _REFERENCE_KINDS
         ):
-            yield ExpectationReading(part.args[0], "")  # who it is, or none
+            yield ExpectationReading(part.args[0], "")  # the reference itself, or none
         elif isinstance(part, OperationExpr) and part.name in ("and", "or", "not", *_COMPARISON_OPERATIONS):
             stack += [arg for arg in reversed(part.args) if arg is not None]
         elif part.rate > ChangeRate.RUN or isinstance(part, AggregateExpr | AtStart | MotionMeasure | OtherRun | BodyMeasure):

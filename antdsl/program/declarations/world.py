@@ -292,7 +292,7 @@ def _stencil_size(setting_values: dict[str, Expr | None]) -> int:
     return int(chosen_value.number) if isinstance(chosen_value, Constant) else STENCIL_SIZES[0]
 
 
-STENCIL_SIZES = (4, 8)  # of how many cells round about, the usual one first
+STENCIL_SIZES = (4, 8)  # numbers of neighbour cells, the default first
 
 
 SETTING_RULES: dict[str, Callable[[NameScope, nodes.Setting], Expr | None]] = {

@@ -64,11 +64,12 @@ class FileLoader:
         self.report = report
         self.library = library
         self.modules = modules or {}
-        self.complained = modules is not None  # missing files were reported by the code that looked for them
+        self.complained = modules is not None  # the caller has reported missing files
         self.known: dict[int, FileNames] = {}
         self.libraries: dict[str, FileNames | None] = {}
 
     def file(self, node: nodes.File, above: tuple[nodes.File, ...] = ()) -> FileNames:
+        """Return the names of a file. `above`: the files that use it, outermost first, to detect cycles."""
         if id(node) in self.known:
             return self.known[id(node)]
         names = self.known[id(node)] = FileNames(node)
@@ -117,7 +118,7 @@ class FileLoader:
             self.libraries[name.text] = None if node is None else self.file(node, above)
         file_names = self.libraries[name.text]
         if file_names is None:
-            names.wanting.add(nearest_name(name.text, LIBRARY_NAMES) or "")  # this covers all that is missing from there
+            names.wanting.add(nearest_name(name.text, LIBRARY_NAMES) or "")  # suppresses errors about names of this library
             self.report.error(
                 "unknown-library",
                 f"no library `{name.text}`",

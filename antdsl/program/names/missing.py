@@ -1,4 +1,4 @@
-"""Finds the line of `world` that declares an unknown name, where the name must be a thing of the world."""
+"""Suggests the line of `world` that would declare an unknown name, if a thing of the world is expected at the place."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from antdsl.program.tables.things import KIND_BY_WORD, replacements
 from antdsl.source import Span
 from antdsl.syntax import nodes
 
-# What the line begins with, by the kind that is needed, and the kinds of things that may be there.
+# The first word of the declaring line and the allowed kinds of things, by the expected kind.
 _DECLARATION_LINES: dict[TypeKind, tuple[str, tuple[str, ...]]] = {
     **{TypeKind(row.word): (row.word, replacements(row.word)) for row in KIND_BY_WORD.values() if row.scene},
     TypeKind.PLACE: ("items", tuple(row.word for row in KIND_BY_WORD.values() if row.scene and row.nearest)),
@@ -25,7 +25,7 @@ def missing_thing(scope: NameScope, name: str, want: ValueType | None) -> tuple[
         return None
     word, kinds = _DECLARATION_LINES[want.kind]
     known = [thing.name for thing in scope.declared.things.values() if thing.kind in kinds]
-    if want.kind is TypeKind.PLACE:  # also values that are places
+    if want.kind is TypeKind.PLACE:  # values with a position are allowed too
         own = scope.species if scope.behaviour is None else None
         known += [*scope.declared.species, *scope.locals, *(own.bindings if own else ()), *(own.attributes if own else ())]
     near = nearest_name(name, known)
@@ -46,7 +46,7 @@ def _append_fix(world: Span, line: str) -> Fix | None:
     last = len(text[:-1].rstrip())
     if "\n" in text[last:]:
         indent = " " * (source.line_column(world.start)[1] + 1)
-        comment = text.find("\n", last)  # behind what stands at the end of that line
+        comment = text.find("\n", last)  # after a comment at the end of the line
         at, new = world.start + comment, f"\n{indent}{line}"
     else:
         at, new = world.start + last, f"{' ' if text[:last].endswith('{') else '; '}{line}"

@@ -1,5 +1,6 @@
-"""The meaning of names at a place of the text. `Declarations`: the declarations of all files. `NameScope`: the names that are
-visible at one place."""
+"""The meaning of names at a place of the text.
+
+`Declarations` has the declarations of all files. `NameScope` has the names that are visible at one place."""
 
 from __future__ import annotations
 
@@ -36,9 +37,9 @@ class SpeciesNames:
     name: str
     node: nodes.Species | None
     attributes: dict[str, ValueType] = field(default_factory=dict)
-    each: dict[str, str] = field(default_factory=dict)  # attributes with a value per pair, and the species of the other
+    each: dict[str, str] = field(default_factory=dict)  # pair values, with the species of the other agent
     params: dict[str, ValueType] = field(default_factory=dict)
-    bindings: dict[str, Binding] = field(default_factory=dict)  # lets and latches, once they are checked
+    bindings: dict[str, Binding] = field(default_factory=dict)  # lets and latches that are checked
     pending: set[str] = field(default_factory=set)  # declared names without a known type yet
     machines: dict[str, MachineNames] = field(default_factory=dict)
 
@@ -67,10 +68,11 @@ class FileNames:
     library: dict[str, BehaviourInfo] = field(default_factory=dict)
     aliases: dict[str, FileNames] = field(default_factory=dict)
     libraries: list[str] = field(default_factory=list)
-    missing: bool = False  # stands for a file that could not be read
-    wanting: set[str] = field(default_factory=set)  # libraries with missing `use`, reported already
+    missing: bool = False  # the file could not be read
+    wanting: set[str] = field(default_factory=set)  # libraries for which a missing `use` is reported
 
     def behaviour(self, name: str) -> BehaviourInfo | None:
+        """Return the behaviour that a name calls in this file, or None."""
         return self.own.get(name) or self.library.get(name)
 
 
@@ -82,24 +84,24 @@ class Declarations:
     report: Report
     strict: bool = False
     home: Callable[[str], str | None] = lambda name: None  # the library that has a behaviour of a name
-    shipped: Callable[[str, str], BehaviourInfo | None] = lambda library, name: None  # a library's behaviour, used or not
+    shipped: Callable[[str, str], BehaviourInfo | None] = lambda library, name: None  # a behaviour, by library and name
     things: dict[str, WorldThing] = field(default_factory=dict)
     fields: dict[str, nodes.FieldDecl] = field(default_factory=dict)
     species: dict[str, SpeciesNames] = field(default_factory=dict)
     events: dict[str, Span] = field(default_factory=dict)
-    bound: list[NameUse] = field(default_factory=list)  # names with what they were resolved to, in the order of checking
+    bound: list[NameUse] = field(default_factory=list)  # resolved names, in the order of checking
     used: set[tuple[str, str]] = field(default_factory=set)
     written: set[str] = field(default_factory=set)  # attributes, as `species.name`
-    unclear: set[str] = field(default_factory=set)  # things of the world of unknown kind, reported already
-    unknown: dict[tuple[str, ...], list[Span]] = field(default_factory=dict)  # names by where they are missing: all places
-    expanded: int = 0  # operations of all behaviours that were put in place
-    memo: CheckMemo | None = None  # what an earlier check found
-    outside: int = 0  # stands for all that a part of the program can see of the others, as far as it is known
+    unclear: set[str] = field(default_factory=set)  # reported things of unknown kind
+    unknown: dict[tuple[str, ...], list[Span]] = field(default_factory=dict)  # all uses of each missing name, by kind and place
+    expanded: int = 0  # operations in all expanded behaviours
+    memo: CheckMemo | None = None  # results of an earlier check
+    outside: int = 0  # number of the declarations that parts can see of other parts
 
 
 def is_known_missing(scope: NameScope, kind: str, name: nodes.Name, owner: str = "") -> bool:
-    """Return whether a missing name was reported earlier. If not, mark it as reported, and the caller reports it. All its places
-    are recorded.
+    """Return whether a missing name is already reported. If not, mark it as reported, because the caller then reports it. Every
+    call records the place of the name.
 
     - `kind`: separates names of different kinds.
     - `owner`: the species to which the name belongs wherever it is used; "" for the species at this place."""
@@ -123,6 +125,7 @@ class StableKeys:
         self.counts: dict[str, int] = {}
 
     def next(self, word: str, sign: str = ".") -> str:
+        """Return the next key for a word: `PATH.word#1`, then `PATH.word#2`."""
         count = self.counts[word] = self.counts.get(word, 0) + 1
         return f"{self.path}{sign}{word}#{count}"
 
@@ -138,14 +141,14 @@ class NameScope:
     species: SpeciesNames | None = None
     machine: MachineNames | None = None
     locals: Mapping[str, Binding | Expr] = field(default_factory=dict)
-    element: Binding | None = None  # in `with:` its attributes come first
-    sets: tuple[Binding, ...] = ()  # elements of the sets around this place
-    behaviour: str | None = None  # the behaviour this place belongs to; a species' own names are not seen from inside
-    generic: bool = False  # a behaviour alone: types may still be open
-    no_keep: str | None = None  # why no memory may stand here, in words
-    no_let: str | None = None  # why a `let` cannot be read here
-    shades: bool = False  # a rule of `fuzzy`: beside a shade of truth a yes or no counts as 1 or 0
-    runs_once: bool = False  # happens once, not each step: shares and amounts instead of rates
+    element: Binding | None = None  # in `with:`, names mean its attributes first
+    sets: tuple[Binding, ...] = ()  # elements of the enclosing sets
+    behaviour: str | None = None  # the behaviour around this place; inside, names of the species are not visible
+    generic: bool = False  # a behaviour is checked alone, with argument types that may be open
+    no_keep: str | None = None  # reason for which no `keep` is allowed here, for messages
+    no_let: str | None = None  # reason for which no `let` can be read here, for messages
+    shades: bool = False  # in a rule of `fuzzy`: a bool next to a degree counts as 1 or 0
+    runs_once: bool = False  # the line runs once, not in each step: amounts instead of rates
 
     def with_changes(self, **changes: Any) -> NameScope:
         return replace(self, **changes)
@@ -205,6 +208,7 @@ class NameScope:
             self.bind_value(name.span, one, name.text)
 
     def mark_used(self, kind: str, name: str) -> None:
+        """Record that a declared name is used."""
         self.declared.used.add((kind, name))
 
 
@@ -214,6 +218,7 @@ def bad_expression(span: Span) -> Expr:
 
 
 def rate_of(parts: Iterable[Expr | None]) -> ChangeRate:
+    """Return the greatest rate of some expressions; CONST if there are none."""
     return max((part.rate for part in parts if part is not None), default=ChangeRate.CONST)
 
 
@@ -272,6 +277,7 @@ def list_names(names: Iterable[str], most: int = 12) -> str:
 
 
 def report_duplicate(report: Report, what: str, name: nodes.Name, first: Span) -> None:
+    """Report a second declaration of a name, with the location of the first. `what`: the kind in words."""
     message = f"{what} `{name.text}` is declared twice"
     advice = "give one of them another name, or delete it"
     report.error("duplicate-name", message, name.span, advice, labels=(Label(first, "first here"),))

@@ -7,7 +7,7 @@ from types import MappingProxyType
 
 RgbTriple = tuple[int, int, int]
 
-# Chosen to stay apart from each other on sunlit soil: a shade darker and less pure than the web's colours of the same name.
+# Distinct from each other on sunlit soil: darker and less saturated than the web colours with these names.
 COLOUR_BY_NAME: Mapping[str, RgbTriple] = MappingProxyType(
     {
         "amber": (242, 163, 31),
@@ -72,7 +72,7 @@ COLOUR_BY_NAME: Mapping[str, RgbTriple] = MappingProxyType(
     }
 )
 
-# Machines and states without a colour of their own take these in turn, so that neighbours in the text differ plainly.
+# Colours of states without a declared colour, by index. Neighbours in the list differ clearly.
 DEFAULT_COLOUR_NAMES: tuple[str, ...] = (
     "amber",
     "blue",

@@ -196,7 +196,7 @@ FEET = (
     Column("slope", "fixed", "f4", (2, "n")),
     Column("position", "fixed", "f8", (3, "n"), unit="mm"),
     *(Column(name, "fixed", "f4", (3, "n")) for name in ("heading", "up")),
-)  # as `antdsl.runtime.feet.state.Feet` says
+)  # must match `antdsl.runtime.feet.state.Feet`
 # fmt: on
 
 FRAME = tuple(column for column in (*AGENTS, *CLIPS, *STANCE, *OTHERS, *EMIT, *CONTACT) if column.saved)

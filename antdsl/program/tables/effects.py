@@ -22,15 +22,14 @@ class Effect:
 
     - `target`: the kind of the thing that it names; "" for none.
     - `args`: its arguments. An argument of type `added A` is written without brackets, one of type `agent` after the word `to`.
-    - `computed`: the names of the plan's operands, if a function of `OPERAND_LOWERERS` in `antdsl.plan.lowering.actions` computes
-      them.
+    - `computed`: the names of the plan's operands, if a function of `antdsl.plan.lowering.actions` computes them.
     - `phase`: the phase of a step that resolves it.
     - `help`: text for the editor. `meaning`: text for readers of plans.
     - `too_often`: the text of the error if its line is in a state's body; "" if it is allowed there.
     - `last`: the agent is removed after it.
     - `draws`: it uses random numbers that depend on its place in the text.
-    - `feeds`: it adds to the named thing what other agents sense, as a deposit adds scent to a field or `emit` raises an event.
-    - `refused`: the name of the fault for an operand that is not finite; "" if such operands are allowed.
+    - `feeds`: it changes what other agents sense of the named thing. Examples are `deposit` for a field and `emit` for an event.
+    - `refused`: the name of the fault that an operand that is not finite causes; "" if such operands are allowed.
     - `above_0`: a first operand of 0 or less requests nothing. `quiet_at_0`: a trace omits a first operand of 0.
     - `plan_text`, `trace`: templates of its line in a plan and in a trace, with operands by name.
 

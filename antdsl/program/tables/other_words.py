@@ -6,7 +6,7 @@ import re
 
 from antdsl.syntax import nodes
 
-# `{a}` stands for the first argument as written, `{A}` for the same in brackets where it is made of several.
+# `{a}`: the source text of the first argument. `{A}`: the same, in brackets if it has several terms.
 _FOREIGN_CALLS = (
     ("lerp interpolate interp blend tween", "mix({a}, {b}, {c})"),
     ("saturate clamp01 sat", "clamp({a}, 0 .. 1)"),

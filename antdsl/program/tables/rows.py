@@ -44,7 +44,7 @@ class UseCost:
     - `weight`: a rough weight; one addition is 1.
     - `words`: a text with `{thing}` (the named thing) and `{count}`.
     - `heading`: the heading that lists it.
-    - `times`: the index of the argument that multiplies the weight. `often`: the multiplier if this argument is not a constant.
+    - `times`: the index of the argument that multiplies the weight. `often`: the multiplier for an argument that is not constant.
     - `within`: the index of the argument with the distance.
     - `named`: the use counts only if it names a thing of the world."""
 
@@ -63,8 +63,8 @@ class BuiltinRow:
 
     - `form`: a `call`, a bare `name`, or the `value` of a thing, if the thing's name is used where a value is expected.
     - `called`: the word, if it is not `op`.
-    - `part`: the result of its sense that it stands for.
-    - `sense`: it depends on the agent, even if the arguments do not.
+    - `part`: the name of the sense's result that the word returns.
+    - `sense`: the value depends on the agent even if all arguments are constant.
     - `draws`: it uses a random number.
     - `interval`: the range of its values.
     - `sample`: an example in a line."""

@@ -10,7 +10,7 @@ from math import pi
 from antdsl import limits
 from antdsl.program.tables.rows import BuiltinRow, ResultPart, SenseRow, UseCost, word
 
-HALF_TURN_INTERVAL = (0.0, pi * (1 + 1e-6))  # an angle in float32 may come out a little larger than half a turn
+HALF_TURN_INTERVAL = (0.0, pi * (1 + 1e-6))  # an angle in float32 may exceed half a turn slightly
 SHARE_INTERVAL = (0.0, 1.0)
 POSITIVE_INTERVAL = (0.0, float("inf"))
 
@@ -239,7 +239,7 @@ _SENSE_ROWS = (
         "it); a second, 0 and 1 for no clip",
         operands="i",
         attrs=("what",),
-        quiet=True,  # of the body, which is the same in every step
+        quiet=True,  # a property of the body, equal in every step
     ),
     SenseRow(
         "contact",
@@ -253,7 +253,7 @@ _SENSE_ROWS = (
 )
 SENSE_BY_OPERATION: dict[str, SenseRow] = {row.op: row for row in _SENSE_ROWS}
 
-# Words that mean several operations, by the kind of their subject: their rules are in `antdsl.plan.lowering.rules`.
+# Words with several operations, one for each kind of argument. Their rules are in `antdsl.plan.lowering.rules`.
 GENERIC_WORDS = (
     word(
         "distance(to: place) -> length",

@@ -53,4 +53,4 @@ _SET_ROWS = (
     ),
 )
 SET_SENSE_BY_OPERATION: dict[str, SetSense] = {row.op: row for row in _SET_ROWS}
-SET_RESULT_OPERATIONS = frozenset(row.op for row in _SET_ROWS if row.rows[0].result == "set")  # the others give one of a set
+SET_RESULT_OPERATIONS = frozenset(row.op for row in _SET_ROWS if row.rows[0].result == "set")  # others return one element

@@ -24,6 +24,7 @@ class UnitMeasure:
 
 
 def scale_dimension(dim: Dimension, power: float) -> Dimension:
+    """Return the dimension of `a ** power`."""
     return Dimension(dim.length * power, dim.time * power, dim.mass * power, dim.angle * power)
 
 
@@ -59,6 +60,7 @@ def constant(value: float, unit: str, span: Span) -> Constant | None:
 
 
 def number(value: float, span: Span) -> Constant:
+    """Return the constant for a number without a unit."""
     return Constant(ValueType(TypeKind.NUMBER), ChangeRate.CONST, span, value)
 
 
@@ -92,6 +94,7 @@ def default_unit(dim: Dimension) -> str:
 
 
 def with_article(words: str) -> str:
+    """Return words with `a` or `an` before them."""
     return ("an " if words[0] in "aeiou" else "a ") + words
 
 

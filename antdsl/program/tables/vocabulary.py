@@ -69,7 +69,7 @@ TYPE_BY_WORD: dict[str, Dimension | str] = {
     "position": "position",  # a vector of length
     "velocity": "velocity",  # a vector of speed
     "bool": "bool",
-    "place": "place",  # an item, an agent, a position, a curve: anything that has a place
+    "place": "place",  # anything with a position: an item, an agent, a curve
     "item": "item",
     "agent": "agent",
     "field": "field",
@@ -83,7 +83,7 @@ class BuiltinAttribute:
 
     type: str
     settable: bool
-    default: str | None  # as the language would write it
+    default: str | None  # as text of the language
     help: str
 
 
@@ -124,7 +124,7 @@ HIT_ATTRIBUTE_TYPES: dict[str, str] = {"distance": "length", "normal": "push", "
 _DRAW_COST = UseCost(60, "{word}", "draws")
 
 
-# What is no sense: a function of its arguments, or a draw.
+# Words that are not senses: functions of their arguments, and draws.
 _PLAIN_BUILTINS = (
     word("abs(x: number A) -> number A", "absolute value"),
     word("clamp(x: number A, to: range A) -> number A", "limited to a range"),
@@ -188,7 +188,7 @@ BUILTINS_BY_NAME = _by_name((*_PLAIN_BUILTINS, *senses.find_words("call"))) | {
     row.op: row.rows for row in set_senses.SET_SENSE_BY_OPERATION.values()
 }
 
-# Senses as other tools and everyday words call them, and what to write here instead.
+# Words of other tools and everyday words for senses, with the word of this language.
 _FOREIGN_SENSES = (
     ("smell smells smelling sniff scent odour", "`nearest(X, within: 40 mm)` for things, or the name of a field: `trail > 0.1`"),
     (
@@ -218,12 +218,12 @@ REDUCER_HELP: dict[str, str] = {
     "best": "the element for which the body is greatest",
 }
 
-# Operations that signs and words stand for, in the typed tree: args as written, None for absent ones.
+# Operations of the typed tree for signs and words. Arguments are in source order; absent ones are None.
 OPERATION_BY_SIGN = {
     "+": "add", "-": "sub", "*": "mul", "/": "div", "^": "pow", "<": "lt", "<=": "le", ">": "gt", ">=": "ge", "==": "eq",
     "!=": "ne", "and": "and", "or": "or", "not": "not", "neg": "neg",
 }  # fmt: skip
-# Further ops of the typed tree, beside the words of senses:
+# Further operations of the typed tree, in addition to the words of senses.
 #   if(condition, then, else)      is_none(x)  (also `no x`; for a set: it is empty)      chance(rate or share)      is_some(x)
 #   run(dt | time | frame as Thing)      event(its name as Thing)      fuzzy(degree, output, degree, output, …)
 OTHER_OPERATIONS = (
@@ -238,7 +238,7 @@ OTHER_OPERATIONS = (
     "fuzzy",
 )
 
-# Operations by what their rows say. A `chance` is a word before a number, and no call.
+# Properties of operations, from their rows. `chance` is a prefix word, not a call.
 _OPERATION_ROWS = (
     *(row for rows in BUILTINS_BY_NAME.values() for row in rows),
     *senses.find_words("name"),
@@ -252,5 +252,5 @@ COST_BY_OPERATION: dict[str, UseCost] = {row.op: row.cost for row in _OPERATION_
     "chance": _DRAW_COST
 }
 
-# Words with a meaning to come. Used as a name they are refused, used as a construct they get a placed "not yet".
+# Reserved for later editions: an error as a name, and a located `not-yet` error as a construct.
 RESERVED_WORDS = ("repeat", "import", "share", "total")

@@ -1,4 +1,4 @@
-"""Types of expressions that only specs can use: `total(food.load)`, `share(state == carry)`, `at_start`, `motion.circling`."""
+"""Types expressions that only specs can use: `total(food.load)`, `share(state == carry)`, `at_start`, `motion.circling`."""
 
 from __future__ import annotations
 
@@ -57,9 +57,9 @@ class SpecRules:
         self.compared: dict[str, Callable[..., Expr]] = {"at_start": self._at_start}
         if compares:
             self.compared["other"] = self._other_run
-        self.inside = False  # a `total(…)` or its like
-        self.cells = ""  # the field with those cells
-        self.other: Expr | None = None  # the other side of the comparison that `at_start` or `other` stands in
+        self.inside = False  # whether the checker is inside an aggregate such as `total(…)`
+        self.cells = ""  # the field of which an aggregate reads the cells
+        self.other: Expr | None = None  # the other side of a comparison with `at_start` or `other`
         own: dict[type, Callable[..., Expr]] = {
             nodes.Call: self._call, nodes.NameRef: self._name, nodes.Member: self._member, nodes.Binary: self._binary,
         }  # fmt: skip
@@ -357,7 +357,7 @@ def _subject(scope: NameScope, node: nodes.Call, operand: nodes.Expr) -> ValueTy
     name = names[0] if names else "walker"
     if re.match(r"[a-z_][a-z0-9_]*\b(?!\s*\()", text):
         advice = f"name the species: `{node.function.span.text}({name}.{text})`"
-    else:  # a sense has no owner to name
+    else:  # a sense is not an attribute, so it has no owner
         advice = f"name the species: `count(a in {name}: {text})`, or test it in `each {name} {{ … }}`"
     scope.report.error("wrong-argument", f"{quote_source(node.span)} does not say of which agents", node.span, advice)
     return None

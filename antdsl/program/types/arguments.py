@@ -51,7 +51,7 @@ def arrange_arguments(
         return None
     arguments_by_slot: ArgumentsBySlot = {}
     names, position, sound = [slot.name for slot in slots], 0, True
-    late: list[tuple[nodes.Argument, str]] = []  # without a name, behind one that has a name
+    late: list[tuple[nodes.Argument, str]] = []  # positional arguments after a named one
     for number, argument in enumerate(arguments):
         if argument.name is not None:
             sound = _add_named(scope, called, names, arguments_by_slot, argument) and sound
@@ -119,7 +119,7 @@ def type_arguments(scope: NameScope, node: CallNode) -> None:
             known = len(scope.declared.bound)
             scope.type_expression(argument.value)
             if argument.name is not None and argument.name.text == "with":
-                del scope.declared.bound[known:]  # its names may be those of what is looked for
+                del scope.declared.bound[known:]  # drops names that were bound during the attempt
 
 
 def _report_late_positions(scope: NameScope, first: nodes.Name, late: Sequence[tuple[nodes.Argument, str]]) -> None:
@@ -141,7 +141,7 @@ def _decimal_comma(slots: Sequence[ArgumentSlot], arguments: Sequence[nodes.Argu
     The comma is a decimal comma if the call is valid with the two halves joined. In a list such as `vector(1,2,3)`, it separates
     arguments."""
     joints: dict[int, Span] = {}
-    is_second_half = False  # whether the argument is a number that is the second half of one already
+    is_second_half = False  # whether the argument was already joined to the previous one
     tight = 0
     for number, (argument, following) in enumerate(pairwise(arguments)):
         span = None

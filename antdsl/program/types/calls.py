@@ -26,7 +26,7 @@ from antdsl.source import Span
 from antdsl.syntax import nodes
 
 TypeVariables = dict[str, tuple[nodes.Expr, Expr]]
-# Kinds of things that are a value where they are named.
+# Kinds of things of which the bare name is a value.
 _VALUES = {TypeKind(each.args[0].type): (type_from_words(each.result) or BAD_TYPE).kind for each in find_words("value")}
 
 
@@ -155,7 +155,7 @@ def _matching_row(scope: NameScope, node: nodes.Call, rows: tuple[BuiltinRow, ..
     expr = scope.type_expression(first.value)
     kind = expr.type.kind
     if kind is not TypeKind.FIELD or (len(node.arguments) > 1 and not named):
-        kind = _VALUES.get(kind, kind)  # `max(trail, 0.5)`: the greater of two numbers; cells are meant with `nearest:`
+        kind = _VALUES.get(kind, kind)  # `max(trail, 0.5)` is the greater of two numbers; only `nearest:` reads cells
     known = nodes.Argument(first.name, cast(nodes.Expr, TypedArgument(expr, first.value.span)), first.span)
     node = nodes.Call(node.function, (known, *node.arguments[1:]), node.span)
     return next((row for row in fitting if TypeKind(row.args[0].type.split()[0]) is kind), fitting[0]), node

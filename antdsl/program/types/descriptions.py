@@ -23,7 +23,7 @@ _KIND_PHRASES: dict[TypeKind, str] = {
     **{TypeKind(row.word): row.called for row in KIND_BY_WORD.values() if row.called},
     TypeKind.FIELD: "a field",
 }
-# Things that are named and are no value: an expression must read something of them.
+# Kinds of things of which the name alone is not a value; an expression must read a value of them.
 _THING_KINDS = frozenset(TypeKind(word) for word in KIND_BY_WORD) - {TypeKind(each.args[0].type) for each in find_words("value")}
 KINDS_WITH_POSITION = {
     TypeKind.ITEM,

@@ -59,10 +59,12 @@ OPTIONAL_KINDS = frozenset({TypeKind.ITEM, TypeKind.AGENT, TypeKind.HIT})
 
 
 def number_of(scope: NameScope, node: nodes.Number, want: ValueType | None) -> Expr:
+    """Type a number without a unit."""
     return number(node.value, node.span)
 
 
 def quantity_of(scope: NameScope, node: nodes.Quantity, want: ValueType | None) -> Expr:
+    """Type a number with a unit; report an unknown unit."""
     expr = constant(node.value, node.unit, node.span)
     if expr is not None:
         if abs(expr.number) > limits.MAX_NUMBER:
@@ -76,6 +78,7 @@ def quantity_of(scope: NameScope, node: nodes.Quantity, want: ValueType | None) 
 
 
 def none_of(scope: NameScope, node: nodes.NoneOf, want: ValueType | None) -> Expr:
+    """Type `none` or `none of food`; the expected type gives a bare `none` its meaning."""
     if node.of is None:
         if want is not None and want.kind in OPTIONAL_KINDS:
             return NoneRef(want, ChangeRate.CONST, node.span)

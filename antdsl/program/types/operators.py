@@ -18,11 +18,12 @@ from antdsl.syntax import nodes
 
 _ORDER_SIGNS = ("<", "<=", ">", ">=")
 _EQUALITY_SIGNS = ("==", "!=")
-# What the bare name of a thing is in the place of a value, by the kind of thing.
+# The operation for the bare name of a thing where a value is expected, by its kind.
 _VALUE_AT_AGENT = {TypeKind(row.args[0].type): (row.op, type_from_words(row.result) or BAD_TYPE) for row in find_words("value")}
 
 
 def op(name: str, type: ValueType, span: Span, *args: Expr | None, site: str = "") -> OperationExpr:
+    """Return an operation with the highest rate of its arguments. `site`: the key of a draw."""
     return OperationExpr(type, rate_of(args), span, name, args, site)
 
 
@@ -35,6 +36,7 @@ def value(scope: NameScope, node: nodes.Expr, want: ValueType | None = None) -> 
 
 
 def as_value(expr: Expr) -> Expr:
+    """Return the value at the agent for the name of a field, flow or map; any other expression unchanged."""
     value_op = _VALUE_AT_AGENT.get(expr.type.kind)
     return expr if value_op is None else OperationExpr(value_op[1], ChangeRate.AGENT, expr.span, value_op[0], (expr,))
 
@@ -58,13 +60,14 @@ def facing_direction(scope: NameScope, node: nodes.Expr) -> Expr:
 
 
 def condition(scope: NameScope, node: nodes.Expr, place: str) -> Expr:
-    """Return an expression as a bool. An item, agent or hit is true if it is not none, a set if it is not empty."""
+    """Type an expression as a bool. An item, agent or hit is true if it is not none. A set is true if it is not empty."""
     if not scope.runs_once and _mentions_event(scope, node):
         scope = scope.with_changes(runs_once=True)
     return truth(scope, node, value(scope, node, BOOL_TYPE), place)
 
 
 def truth(scope: NameScope, node: nodes.Expr, expr: Expr, place: str) -> Expr:
+    """Return a typed expression as a bool; report an error if it cannot be one."""
     kind = expr.type.kind
     if kind in (TypeKind.BOOL, TypeKind.BAD):
         return expr
@@ -92,6 +95,7 @@ def _mentions_event(scope: NameScope, node: nodes.Expr) -> bool:
 
 
 def unary(scope: NameScope, node: nodes.Unary, want: ValueType | None) -> Expr:
+    """Type `-x`, `not x`, `no x` and `chance x`."""
     if node.op == "-":
         expr = value(scope, node.operand)
         if expr.type.kind not in (TypeKind.NUMBER, TypeKind.VECTOR, TypeKind.BAD):
@@ -194,6 +198,7 @@ def count(scope: NameScope, node: nodes.Expr, who: str) -> Expr:
 
 
 def binary(scope: NameScope, node: nodes.Binary, want: ValueType | None) -> Expr:
+    """Type an operator with two operands."""
     if node.op in ("and", "or"):
         return _logic(scope, node)
     if node.op in _EQUALITY_SIGNS:
@@ -210,10 +215,10 @@ def _logic(scope: NameScope, node: nodes.Binary) -> Expr:
     """Type `and` or `or`: a bool for two bools, or the minimum or maximum of two degrees of truth."""
     left, right = value(scope, node.left, BOOL_TYPE), value(scope, node.right, BOOL_TYPE)
     if BAD_TYPE in (left.type, right.type) and {left.type, right.type} <= {BAD_TYPE, NUMBER_TYPE}:
-        return op(node.op, BAD_TYPE, node.span, left, right)  # what is wrong may have been meant as a shade of truth
+        return op(node.op, BAD_TYPE, node.span, left, right)  # the invalid operand may have been meant as a degree of truth
     if left.type == NUMBER_TYPE and right.type == NUMBER_TYPE:
         return op("min" if node.op == "and" else "max", NUMBER_TYPE, node.span, left, right)
-    if scope.shades and NUMBER_TYPE in (left.type, right.type):  # elsewhere a number beside a yes or no is mostly a slip
+    if scope.shades and NUMBER_TYPE in (left.type, right.type):  # elsewhere, a number next to a bool is mostly a mistake
         pairs = ((node.left, left), (node.right, right))
         parts = (e if e.type == NUMBER_TYPE else truth(scope, n, e, f"`{node.op}`") for n, e in pairs)
         return op(node.op, NUMBER_TYPE, node.span, *parts)

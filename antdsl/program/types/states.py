@@ -14,6 +14,7 @@ STATE_WORDS = ("state", "previous", "next", "time_in_state")
 
 
 def find_machine(scope: NameScope, owner: nodes.Expr) -> MachineNames | None:
+    """Return the machine that an owner such as `mood` names, or None."""
     if (
         scope.species is None
         or scope.behaviour is not None
@@ -25,6 +26,7 @@ def find_machine(scope: NameScope, owner: nodes.Expr) -> MachineNames | None:
 
 
 def machine_value(scope: NameScope, machine: MachineNames, node: nodes.Member) -> Expr:
+    """Type a value of a machine, such as `mood.state` or `mood.time_in_state`."""
     word = node.name.text
     if word in STATE_WORDS:
         return _machine_word(machine, None, word, node.span)
@@ -62,7 +64,7 @@ def find_state(scope: NameScope, operand: Expr, node: nodes.Expr) -> tuple[Expr,
         return None
     species, _, machine_name = (operand.type.of or ".").partition(".")
     machines = scope.declared.species[species].machines
-    named = "." in operand.span.text and operand.of is None  # `mood.state` says which machine; `state` alone may mean any
+    named = "." in operand.span.text and operand.of is None  # `mood.state` names the machine; `state` alone may mean any
     order = [machines[machine_name]] + ([] if named else [m for m in machines.values() if m.name != machine_name])
     for machine in order:
         index = machine.states.get(node.name.text)

@@ -3,7 +3,7 @@
 `reference` runs one agent and one operation at a time, in plain Python. It defines the language, and `explain` uses it.
 
 `numpy_backend` runs a block over all agents of a species. `compile` converts the block once into lists of instructions over
-    slots (values). `numpy_calls` and `numpy_statements` make a function call of each instruction. A condition becomes the rows
+    slots (values). `numpy_calls` and `numpy_statements` make a function call of each instruction. A condition selects the rows
     where it holds.
 
 `native` compiles the same lists to machine code, and uses NumPy until the code is ready.
@@ -21,9 +21,9 @@ from antdsl.runtime.backends.reference import ReferenceBackend
 from antdsl.runtime.world import StepBackend
 
 BACKENDS: Mapping[str, Callable[[ir.Plan], StepBackend]] = {
-    "numpy": NumpyBackend,  # whole arrays: for work
-    "native": NativeBackend,  # machine code, eight agents at a time: for speed
-    "reference": ReferenceBackend,  # one agent at a time: the definition, and the one that explains
+    "numpy": NumpyBackend,  # complete arrays
+    "native": NativeBackend,  # machine code, eight agents at a time
+    "reference": ReferenceBackend,  # one agent at a time; defines the language
 }
 
 __all__ = ["BACKENDS", "NativeBackend", "NumpyBackend", "ReferenceBackend"]

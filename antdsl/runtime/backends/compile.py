@@ -24,7 +24,7 @@ SlotValues = list[Any]
 SlotFunction = Callable[[SlotValues], None]
 SlotFunctionMaker = Callable[
     [int, tuple[int, ...], "int | None"], SlotFunction
-]  # of the slots of a result, of its inputs, of an array to use
+]  # arguments: slots of the result, the inputs and the buffer
 (
     WORLD_SLOT,
     POPULATION_SLOT,
@@ -42,12 +42,12 @@ class InstructionKind(Enum):
     """The kind of an instruction. The instruction's `what` is its node or statement."""
 
     VALUE = "value"  # a node's value for the rows of the scope
-    GATHER = "gather"  # a value of the scope around, for the rows of this one
-    REGION = "region"  # goes through the inner scope, with the rows where the condition holds
-    KEEP = "keep"  # runs the inner scope, with the rows that have no stored value yet; returns the stored ones
+    GATHER = "gather"  # a value of the enclosing scope, for the rows of this scope
+    REGION = "region"  # runs the inner scope for the rows where the condition holds
+    KEEP = "keep"  # runs the inner scope for rows without a stored value; the result is the stored values
     PAIRS = "pairs"  # the pairs of a set
     SPREAD = "spread"  # an agent's value for each of its pairs
-    OF_PAIR = "of pair"  # a leaf that is another one's, or a sense that hangs on one
+    OF_PAIR = "of pair"  # a leaf of the pair's other agent, or a sense that depends on that agent
     BY_PAIR = "by pair"  # an elementwise operation over pairs
     REDUCE = "reduce"
     STATEMENT = "statement"
@@ -73,7 +73,7 @@ class BlockInstruction:
     inner: RowScope | None = None
     result: int = -1  # slot of the inner scope that is read after it
     block: str = ""
-    order: int = -1  # of a statement: its place in the text of its species
+    order: int = -1  # position of a statement in the text of its species
 
 
 @dataclass(slots=True, eq=False)
@@ -97,14 +97,14 @@ class RowScope:
 
 @dataclass(slots=True, eq=False)
 class PairScope:
-    """Values over the pairs of one set in one scope, as slots by node."""
+    """The pairs of one set in one scope: the slot of the pairs, and the slots of values over them by node."""
 
     slot: int
     known: dict[ir.PlanNode, int] = field(default_factory=dict)
 
 
 class BlockCompiler:
-    """Makes the instructions of one block."""
+    """Converts one block of a plan to instructions over slots, in nested scopes of rows."""
 
     def __init__(
         self, species: ir.SpeciesPlan, block: str, order: dict[ir.PlanStatement, int], sets: dict[ir.PlanNode, int]
@@ -114,14 +114,15 @@ class BlockCompiler:
         self.slots = FIRST_SLOT
         self.lazy = frozenset(cacheable_senses(species)) if block != "born" else frozenset()
         self.root = self._new_scope(None)
-        self.buffers: dict[Any, int] = {}  # how many of each dtype
+        self.buffers: dict[Any, int] = {}  # number of buffers, by dtype
         self.changing: set[str] = set()  # registers that the block stores
-        self.sets = sets  # of the species: in how many regions a set is used
-        self.everybody: set[str] = set()  # species that are used as a whole
+        self.sets = sets  # for each set of the species: the number of regions that use it
+        self.everybody: set[str] = set()  # species of which a set contains all agents
         self._layers = tuple(layer.span for layer in species.layers) if block == "blend" else ()
         self._layer = -1
 
     def slot(self) -> int:
+        """Return a new slot."""
         self.slots += 1
         return self.slots - 1
 
@@ -146,6 +147,7 @@ class BlockCompiler:
         )
 
     def compile(self, block: ir.Block) -> None:
+        """Emit the instructions of a block, starting from its root scope."""
         self.early = early_loads(block)
         self.changing.update(name for _, each in placed(block) if (name := written(each)) is not None)
         self._block(self.root, block, ())
@@ -153,6 +155,7 @@ class BlockCompiler:
     # --- statements ----------------------------------------------------------------------------------------------------
 
     def _block(self, scope: RowScope, block: ir.Block, path: tuple[int, ...]) -> None:
+        """Emit the statements of a block or region; `path` is its position in the nested regions."""
         for k, (statement, layer) in enumerate(zip(block.statements, self._layers_of(block), strict=True)):
             self._layer = layer
             for node in self.early.get((*path, k), ()):
@@ -209,12 +212,14 @@ class BlockCompiler:
         return self._known_slot(scope, node)
 
     def _uniform_slot(self, node: ir.PlanNode) -> int:
+        """Return the slot of a value that is equal for all agents."""
         if node not in self.uniforms:
             self.uniforms[node] = self.slot()
         return self.uniforms[node]
 
     @staticmethod
     def _holding_scope(scope: RowScope | None, node: ir.PlanNode) -> RowScope | None:
+        """Return the innermost scope around `scope`, or itself, that has a value; None if none has it."""
         while scope is not None and node not in scope.known:
             scope = scope.parent
         return scope
@@ -255,6 +260,7 @@ class BlockCompiler:
     # --- sets ----------------------------------------------------------------------------------------------------------
 
     def _reduction(self, scope: RowScope, node: ir.PlanNode) -> tuple[int, ...]:
+        """Emit the pairs and pair values of a reduction; return the slots of its inputs."""
         pairs = self._pair_scope(scope, node.args[0])
         bodies = node.args[1:]
         for each in required_nodes(bodies):
@@ -263,6 +269,7 @@ class BlockCompiler:
         return pairs.slot, *(self._pair_slot(scope, pairs, body) for body in bodies)
 
     def _pair_scope(self, scope: RowScope, node: ir.PlanNode) -> PairScope:
+        """Return the pairs of a set in a scope; emit them if they are missing."""
         if node not in scope.pairs:
             if node.op == "set.every" and not is_nearest_only(self._species, node):
                 self.everybody.add(node.attrs[0])

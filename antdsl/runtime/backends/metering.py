@@ -67,6 +67,8 @@ def _scopes(root: RowScope) -> Iterator[RowScope]:
 
 
 def _time_call(call: SlotFunction, number: int) -> SlotFunction:
+    """Return a call that adds its time, without that of inner calls, to counter `number`."""
+
     def run(v: SlotValues) -> None:
         spent = v[SPENT_SECONDS_SLOT]
         around, spent[-1] = spent[-1], 0.0

@@ -42,7 +42,7 @@ StoredSenses = dict[ir.PlanNode, tuple[NDArray[np.bool_], list[NDArray[Any]]]]
 class NumpyBackend:
     """Runs a plan that is compiled once. Call `begin` at the start of each step, and `run` for each block of each species."""
 
-    spare = 0  # rows behind the last one that arrays over a species have
+    spare = 0  # spare rows at the end of arrays over a species
 
     def __init__(self, plan: ir.Plan) -> None:
         self._blocks: dict[tuple[str, str], BlockCompiler] = {}
@@ -61,12 +61,12 @@ class NumpyBackend:
             self._constants[name] = constant_values(node for node in every if node.rate is ir.UpdateRate.CONST)
             self._of_run[name] = [node for node in every if node.rate is ir.UpdateRate.RUN]
             self._uniforms[name] = [node for node in every if node.rate > ir.UpdateRate.RUN]
-        # the setting and params that values of the run were computed from
+        # the setting and params from which values of the run were computed
         self._run: tuple[WorldSetting, dict[str, np.float32]] | None = None
         self._lasting: dict[str, dict[ir.PlanNode, Any]] = {}  # values of the run, and constants
         self._values: dict[str, dict[ir.PlanNode, Any]] = {}
         self._kept: dict[str, StoredSenses] = {}
-        self._has: dict[str, NDArray[np.bool_]] = {}  # for all stored values, whether they are known
+        self._has: dict[str, NDArray[np.bool_]] = {}  # by species [sense, row]: whether the stored value is known
         self._pairs: dict[str, dict[tuple[ir.PlanNode, int], Any]] = {}
         self._buffers: list[dict[Any, list[NDArray[Any]]]] = []
         self._pool: ThreadPoolExecutor | None = None
@@ -115,6 +115,7 @@ class NumpyBackend:
         return []
 
     def _step_values(self, world: World, species: str) -> dict[ir.PlanNode, Any]:
+        """Return the values of the step that are equal for all agents, with those of the run."""
         if self._run is None or self._run[0] is not world.setting or self._run[1] != world.params:
             self._run = (world.setting, dict(world.params))
             self._lasting = {name: uniform_values(world, nodes, self._constants[name]) for name, nodes in self._of_run.items()}
@@ -151,6 +152,7 @@ class NumpyBackend:
             population.effects.extend(each)
 
     def _chunks(self, world: World, population: Population, compiler: BlockCompiler, rows: NDArray[np.intp] | None) -> list[Any]:
+        """Return the rows to process, without quarantined agents, as slices or arrays of one chunk each."""
         size = max(1, world.options.chunk)
         for species in compiler.everybody:
             size = max(1, min(size, MAX_PAIRS_PER_CHUNK // max(1, len(world.populations[species]))))
@@ -171,6 +173,7 @@ class NumpyBackend:
         lane: int,
         alone: bool,
     ) -> None:
+        """Run a block for one chunk of rows. `lane`: the number of its thread. `alone`: no other thread runs."""
         v: list[Any] = [None] * compiler.slots
         v[WORLD_SLOT], v[POPULATION_SLOT], v[EFFECTS_SLOT], v[LAZY_VALUES_SLOT] = (
             world,
@@ -192,6 +195,7 @@ class NumpyBackend:
                 call(v)
 
     def _buffers_for(self, compiler: BlockCompiler, size: int, lane: int) -> dict[Any, list[NDArray[Any]]]:
+        """Return output buffers of at least `size` rows for a block, by dtype; they are reused per thread."""
         while len(self._buffers) <= lane:
             self._buffers.append({})
         pool = self._buffers[lane]

@@ -1,4 +1,4 @@
-"""Function calls for the instructions of compiled blocks. Each function here returns a maker of closures over the slots of one
+"""Function calls for the instructions of compiled blocks. Each public function returns a maker of closures over the slots of one
 run.
 
 `v` is the list of slots. The first slots hold the world, the population, the effects, the buffers and the cached senses."""
@@ -34,7 +34,7 @@ from antdsl.runtime.sensing import SENSE_FUNCTIONS
 
 
 def call(instruction: BlockInstruction, compiler: BlockCompiler) -> SlotFunctionMaker:
-    """Return the maker of an instruction's call."""
+    """Return the maker of an instruction's call; it takes the slots of output, inputs and buffer."""
     scope, what = instruction.scope, instruction.what
     if not isinstance(what, ir.PlanNode):
         return statement(instruction) if instruction.inner is None else region(scope, instruction.inner)
@@ -179,7 +179,7 @@ def elementwise(node: ir.PlanNode) -> SlotFunctionMaker | None:
 
 
 def leaf(node: ir.PlanNode, compiler: BlockCompiler, scope: RowScope) -> SlotFunctionMaker:
-    """Return the call for a register, draw, tuple or sense."""
+    """Return the maker of the call for a register, draw, part of a tuple or sense."""
     rows = scope.rows
     if node.op == "get":
         index = node.attrs[0]
@@ -283,6 +283,7 @@ def pair_leaf(node: ir.PlanNode, scope: RowScope) -> SlotFunctionMaker:
 
 
 def reduction(node: ir.PlanNode) -> SlotFunctionMaker:
+    """Return the call for a reduction over the pairs of a set."""
     f = sets.REDUCTION_FUNCTIONS[node.op]
 
     def make(out: int, inputs: tuple[int, ...], buffer: int | None) -> SlotFunction:

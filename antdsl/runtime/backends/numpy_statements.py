@@ -1,4 +1,4 @@
-"""Function calls for the statements of compiled blocks: what is stored, and what is requested from other parts of the world."""
+"""Function calls for the statements of compiled blocks: stores in registers, and requests to other parts of the world."""
 
 from __future__ import annotations
 
@@ -45,6 +45,7 @@ def _record_fault(v: SlotValues, block: str, register: str, span: Any, rows: NDA
 
 
 def _store(statement: ir.Store, block: str, scope: RowScope) -> SlotFunctionMaker:
+    """Return the call that stores a value in a register. A value that is not storable is a fault."""
     name, infinite, span = statement.register, statement.infinite, statement.span
     number = statement.value.kind is ir.ValueKind.F32
 
@@ -84,6 +85,8 @@ def _finite_amounts(
 
 
 def _claim(statement: ir.Claim, block: str, scope: RowScope, order: int) -> SlotFunctionMaker:
+    """Return the call that adds claims to the effects of the step."""
+
     def make(out: int, inputs: tuple[int, ...], buffer: int | None) -> SlotFunction:
         slots = iter(inputs)
         which, much = (None if node is None else next(slots) for node in (statement.item, statement.amount))
@@ -107,6 +110,8 @@ def _claim(statement: ir.Claim, block: str, scope: RowScope, order: int) -> Slot
 
 
 def _give(statement: ir.Give, block: str, scope: RowScope) -> SlotFunctionMaker:
+    """Return the call that subtracts gifts from registers and adds them to the effects of the step."""
+
     def make(out: int, inputs: tuple[int, ...], buffer: int | None) -> SlotFunction:
         def run(v: SlotValues) -> None:
             own = v[POPULATION_SLOT].now[statement.own]

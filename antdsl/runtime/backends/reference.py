@@ -54,7 +54,7 @@ class ReferenceBackend:
 
 
 class NodeFault(Exception):
-    """The node with the faulty value was reached. Raised to end the repeated run of an agent."""
+    """Signals that the repeated run of an agent has reached the node with the faulty value, and ends that run."""
 
     def __init__(self, node: ir.PlanNode) -> None:
         super().__init__()
@@ -124,7 +124,7 @@ class AgentRun:
         amount = had if s.amount is None else self._finite(s.amount, f"give {s.own}", s.span)
         if amount is None or not 0 <= item < len(self.world.items[s.items]):
             return
-        left = had - min(max(amount, np.float32(0)), max(had, np.float32(0))) + np.float32(0)  # or -0 where it had -0
+        left = had - min(max(amount, np.float32(0)), max(had, np.float32(0))) + np.float32(0)  # never -0
         self.now[s.own][self.at] = left
         self.effects.gives.append(GiveEntry(s, np.array([item]), np.array([float(had) - float(left)])))
 
@@ -189,6 +189,7 @@ class AgentRun:
         return _REDUCTION_FUNCTIONS[node.op](self, node, chosen, matches)
 
     def _members(self, node: ir.PlanNode) -> list[SetMember]:
+        """Return the members of a set for this agent: within its radius, the cap and its field of view."""
         own = [self.population.start[f"position.{axis}"][self.row] for axis in AXES]
         args = [self.values[a] for a in node.args]
         if node.op == "set.items":
@@ -223,6 +224,7 @@ class AgentRun:
         return [pair_values[n] if n in pair_values else self.values[n] for n in roots]
 
     def _other_value(self, chosen: ir.PlanNode, member: SetMember, node: ir.PlanNode) -> Any:
+        """Return a leaf that depends on the other agent or item of a pair."""
         row, dx, dy, dz, distance = member
         named = {"pair.x": dx, "pair.y": dy, "pair.z": dz, "pair.distance": distance, "other.row": np.int32(row)}
         if node.op in named:
@@ -233,6 +235,7 @@ class AgentRun:
         return other.ids[row] if node.op == "other.id" else other.start[node.attrs[0]][row]
 
     def label(self, chosen: ir.PlanNode, member: SetMember) -> int:
+        """Return the id of an agent, or the number of an item, in a set."""
         return member[0] if chosen.op == "set.items" else int(self.world.populations[chosen.attrs[0]].ids[member[0]])
 
 
@@ -277,7 +280,7 @@ def _sum(agent: AgentRun, node: ir.PlanNode, chosen: ir.PlanNode, matches: Membe
     terms = [float(exact_sums.quantise(body, quantum)) for _, body in matches]
     if any(term != term for term in terms):
         return np.float32(np.nan)
-    return np.float32(ldexp(sum(int(ldexp(term, -quantum)) for term in terms), quantum))  # whole numbers of the quantum
+    return np.float32(ldexp(sum(int(ldexp(term, -quantum)) for term in terms), quantum))  # integer multiples of the quantum
 
 
 def _min(agent: AgentRun, node: ir.PlanNode, chosen: ir.PlanNode, matches: MemberMatches) -> Any:
@@ -370,7 +373,7 @@ def _find_culprit(agent: AgentRun, node: ir.PlanNode) -> tuple[tuple[str, str], 
         return n.kind is not ir.ValueKind.F32 or value is None or bool(np.isfinite(value))
 
     while True:
-        worse = [a for a in node.args if a.op != "const" and not sound(a)]  # a constant has the place of its first use anywhere
+        worse = [a for a in node.args if a.op != "const" and not sound(a)]  # a constant has the span of its first use
         if not worse:
             break
         node = worse[0]

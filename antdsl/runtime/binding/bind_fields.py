@@ -86,6 +86,7 @@ def _check_settings(
 
 
 def _fill_start(field: PheromoneField, start: FieldStart, world: World) -> None:
+    """Set the start amounts of a field's cells."""
     if start.around is None:
         field.values[:] = start.value
         return

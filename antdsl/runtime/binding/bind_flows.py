@@ -26,9 +26,9 @@ from antdsl.scene.setting import BorderFlow, FlowData, FlowTarget, PaintedValues
 if TYPE_CHECKING:
     from antdsl.runtime.world import World
 
-_CLEARANCE_COST_FACTOR = 8.0  # beside an obstacle a mm costs so much more
-_MAX_BURIED_VOXELS = 0.05  # voxels that ground may lie under the surface of a solid and still be crossed
-_RAY_HEIGHT_PER_EDGE = 0.25  # of an edge: how high over the ground obstacles are looked for between two points
+_CLEARANCE_COST_FACTOR = 8.0  # cost of a mm next to an obstacle, relative to open ground
+_MAX_BURIED_VOXELS = 0.05  # deeper below the surface of a solid, ground cannot be crossed
+_RAY_HEIGHT_PER_EDGE = 0.25  # height of obstacle rays above the ground, as a share of the edge
 
 
 def bind_flows(world: World, report: Report, built: BindingCache) -> None:
@@ -49,6 +49,7 @@ def bind_flows(world: World, report: Report, built: BindingCache) -> None:
 
 
 def _cached_flow(world: World, name: str, flow: FlowData) -> SurfaceFlow | None:
+    """Return a bound flow; None if binding reports an error."""
     bind_flow(world, name, flow, Report())
     return world.flows.get(name)
 
@@ -100,7 +101,7 @@ def _renew_flow(world: World, bound_flow: SurfaceFlow, flow: SpreadFlow | Border
 
 
 def _ground_meshes(world: World) -> MeshSurfaces:
-    """Return the part of the ground that consists of meshes, on which flows lie."""
+    """Return the meshes of the ground; flows are on these meshes."""
     meshes = world.ground.meshes
     assert meshes is not None
     return meshes
@@ -122,6 +123,7 @@ def _corners(world: World, painted: PaintedValues) -> Floats:
 
 
 def _painted_flow(world: World, painted: PaintedValues) -> SurfaceFlow:
+    """Return a flow that interpolates painted vectors."""
     table = _ground_meshes(world).triangles[3]
     corners = _corners(world, painted)
     parts = [lay_on_faces(corners[k], table.axis1, table.axis2) for k in range(3)]
@@ -214,7 +216,7 @@ def _border_flow(world: World, flow: BorderFlow) -> SurfaceFlow:
     which = np.repeat(np.arange(len(half)), pieces)
     part = (np.arange(len(which)) - np.repeat(np.cumsum(pieces) - pieces, pieces) + 0.5) / pieces[which]
     rim = one[which] + part[:, None] * edge[which]
-    # in the face, at right angles to its edge: the way in, where one stands on the rim itself
+    # in the face, perpendicular to its edge: the inward direction for points on the border
     inward = np.cross(table.normal.T[own], edge / np.where(length > 0, length, 1.0)[:, None])
     near = chosen.copy()
     target = FlowTarget(rim, np.zeros(len(rim)))

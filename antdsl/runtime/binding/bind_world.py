@@ -37,7 +37,7 @@ from antdsl.scene.setting import FlowData, MeshData, WorldSetting, world_origin
 
 
 class BindError(ValueError):
-    """Plan and setting do not match; `report` lists the findings."""
+    """Error for a plan and a setting that do not match; `report` lists the findings."""
 
     def __init__(self, report: Report) -> None:
         super().__init__("; ".join(d.message for d in report.errors))
@@ -155,6 +155,7 @@ def _ground(
     by_rays: bool,
     built: BindingCache,
 ) -> Ground:
+    """Return the ground of agents: a plane, meshes, solids, or meshes with solids."""
     if not meshes and not solids:
         return PlaneGround(up)
     ground = _meshes(meshes, moving, by_rays, built)
@@ -199,6 +200,7 @@ def _items(setting: WorldSetting, plan: ir.ItemsPlan, origin: NDArray[np.float64
 
 
 def _params(world: World) -> None:
+    """Set params to the scene's values, or else to their defaults."""
     for name, param in world.plan.params.items():
         scene_value = world.setting.params.get(name)
         world.params[name] = np.float32(run_value(world, param.default) if scene_value is None else scene_value)
@@ -233,6 +235,7 @@ def _flows(world: World, built: BindingCache) -> None:
 
 
 def _detail(world: World, obstacles: dict[str, MeshData]) -> None:
+    """Add levels of detail if the scene requests them."""
     if world.setting.detail is None:
         return
     from antdsl.runtime.lod import DetailLevels

@@ -25,7 +25,7 @@ from antdsl.runtime.moving.tilting import settle_bodies
 from antdsl.runtime.world import AXES, OvercrowdedLine, Population, World, add_rows, empty_population, select_rows
 from antdsl.scene.setting import CrowdData, PlaceData
 
-_MIN_NORMAL_SINE = 1e-3  # sine of the angle to the ground's normal below which a way leads off the ground
+_MIN_NORMAL_SINE = 1e-3  # at smaller sines of the angle to the normal, a direction leads off the ground
 
 
 def populate(world: World) -> None:
@@ -85,6 +85,7 @@ def place_joining(world: World, joining: Sequence[tuple[CrowdData, NDArray[np.in
 
 
 def _place_crowd(world: World, crowd: CrowdData, ids: NDArray[np.int64], drawn: StartPositionDraws) -> NDArray[np.intp]:
+    """Add the agents of one crowd line at drawn positions; return their rows."""
     population = world.populations[crowd.species]
     rows = add_rows(population, ids, world.frame, drawn.place, drawn.footing)
     for k, axis in enumerate(AXES):
@@ -168,7 +169,7 @@ def begin_agents(world: World, joined: Mapping[str, NDArray[np.intp]]) -> None:
         _start_moving(world, world.populations[name], rows)
         walks.start_walks(world, world.populations[name], rows)
         settle_bodies(world, world.populations[name], rows)
-    settle_newborn(world)  # while rows belong to them: an agent that dies at birth has made its requests all the same
+    settle_newborn(world)  # before deaths: requests of an agent that dies at birth count
     births = set(effects_of_phase("births"))
     if any(births & p.effects.requests.keys() for p in world.populations.values()):
         apply_deaths_and_births(world)
@@ -189,7 +190,7 @@ def _shuffle(world: World, population: Population) -> None:
 
 
 def give_at_birth(population: Population, rows: NDArray[np.intp], place: PlaceData) -> None:
-    """Write the values that a place gives at its points into registers. The block `born` reads them afterwards."""
+    """Write the values of a place's points into registers of `rows`. The block `born` reads them afterwards."""
     for name, column in place.values.items():
         if (register := ir.birth_register(name)) in population.now:
             point_values = column[population.ids[rows] % len(column)]

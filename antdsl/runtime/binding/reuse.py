@@ -41,7 +41,7 @@ class BindingCache:
         return self.get_or_make(what, of, make, copied=deepcopy)
 
     def drop_unused(self) -> None:
-        """Drop entries that were not used since the last call."""
+        """Remove the values that were not used since the last call of this method."""
         self._kept = {key: value for key, value in self._kept.items() if key in self._asked}
         self._asked = set()
 
@@ -54,6 +54,7 @@ def digest(value: object) -> str:
 
 
 def _add_to_digest(update: Callable[[bytes], None], value: object) -> None:
+    """Pass the content of a value to `update`, with marks that distinguish types and lengths."""
     if isinstance(value, np.ndarray):
         update(f"a{value.dtype.str}{value.shape}".encode())
         update(np.ascontiguousarray(value).tobytes())

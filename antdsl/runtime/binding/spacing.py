@@ -23,14 +23,14 @@ from antdsl.numerics.near_pairs import pairs_between
 Rows = NDArray[np.intp]
 Flags = NDArray[np.bool_]
 
-# Places that are tried in each round, by the share of the batch before that found no room: 384, 128 or 4 in all.
+# Positions tried in each round, by the share of the previous batch without space: 384, 128 or 4 in total.
 _TRIES_PER_ROUND = (1,) * 8 + (2,) * 4 + (4,) * 4 + (8,) * 4 + (16,) * 4
 _SPACING_ROUNDS = ((0.005, _TRIES_PER_ROUND + (32,) * 8), (0.1, _TRIES_PER_ROUND), (1.0, (1,) * 4))
-_FIRST_BATCH_AGENTS = 64  # agents of the first batch; of each other as many as have been before it
-_GAP_FACTOR = 1.001  # so much farther apart than their radii reach: float32 rounds
+_FIRST_BATCH_AGENTS = 64  # agents of the first batch; each later batch is as large as all earlier ones together
+_GAP_FACTOR = 1.001  # factor on the distance at contact, because float32 rounds
 # Smaller neighbours of the first query; each further query doubles the number until the result is certain
 _FIRST_QUERY_NEIGHBOURS = 8
-_CELLS_PER_BODY = 8  # of those who may overlap already, one in so small a part of a body stands for all there
+_CELLS_PER_BODY = 8  # of agents that may overlap, one represents all in a cell of this part of a body
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -104,6 +104,7 @@ class Occupancy:
         return entries
 
     def remove(self, entries: Rows) -> None:
+        """Mark entries as removed; they stay in the groups until `drop_removed`."""
         self._there[entries] = False
 
     def drop_removed(self) -> None:
@@ -111,6 +112,7 @@ class Occupancy:
         self._add_group(np.flatnonzero(self._there))
 
     def _add_group(self, entries: Rows) -> None:
+        """Rebuild the groups from these entries, one for each size class."""
         classes = _size_class(self._radius[entries])
         chosen = [entries[classes == size] for size in np.unique(classes)]
         self._groups = [_DiscGroup(self._place[each], each, float(self._radius[each].max())) for each in chosen]
@@ -119,7 +121,7 @@ class Occupancy:
         """Return pairs of a given disc and an entry that overlap: both numbers, and their distance as a share of the distance
         at contact.
 
-        With `order` (the order numbers of the discs), only earlier entries count. Thousands of smaller entries may lie below
+        With `order` (the order numbers of the discs), only earlier entries count. Thousands of smaller entries may overlap
         one disc, so only the entry with the most overlap is returned."""
         pairs: list[tuple[Rows, Rows, Floats]] = []
         classes = _size_class(radius)
@@ -180,7 +182,7 @@ class Occupancy:
         return rows, entry, least
 
     def freedom(self, place: Floats, radius: Floats, order: Rows) -> Floats:
-        """Return how free each given disc is of all earlier entries (n): 1 is free, 0 is at the centre of another."""
+        """Return the freedom (n) of discs from earlier entries: 1 without overlap, 0 at the centre of an entry."""
         i, _, share = self.find_overlaps(place, radius, order)
         least = np.ones(len(place))
         np.minimum.at(least, i, share)
@@ -200,6 +202,7 @@ class Occupancy:
         return who, least
 
     def order(self, entries: Rows) -> Rows:
+        """Return the numbers of entries in the start order."""
         return self._order[entries]
 
 
@@ -235,6 +238,7 @@ def spread_agents(
 def _batch(
     occupancy: Occupancy, draw: PositionDrawer, ids: NDArray[np.int64], radius: Floats, first: int, rounds: tuple[int, ...]
 ) -> tuple[StartPositionDraws, Flags]:
+    """Place one batch of agents in rounds. Return their positions, and which of them are free."""
     n, wide = len(ids), has_extent(radius)
     held, best, entry_of = np.zeros(n, np.bool_), np.full(n, -2.0), np.full(n, -1, np.intp)
     order = np.arange(first, first + n)
@@ -247,7 +251,7 @@ def _batch(
         drawn = draw(ids[left], range(attempt, attempt + tries))
         attempt += tries
         score = _score(occupancy, drawn, np.tile(left, tries), radius, wide, order).reshape(tries, len(left))
-        pick = score.argmax(axis=0)  # the first free one, else the freest
+        pick = score.argmax(axis=0)  # the first free position, else the one with the least overlap
         score = score[pick, np.arange(len(left))]
         drawn = drawn.take(pick * len(left) + np.arange(len(left)))
         if chosen is None:
@@ -297,7 +301,7 @@ def _first_per_cell(place: Floats, radius: Floats, fine: int) -> Rows:
     A cell is too small for two discs that do not overlap, or `fine` times smaller. The remaining discs are few enough to count
     their pairs."""
     size = _size_class(radius)
-    smallest = np.ldexp(0.5, size)  # of the class
+    smallest = np.ldexp(0.5, size)  # smallest radius of the class
     cell = np.floor(place / (2.0 * smallest / (np.sqrt(3.0) * fine))[:, None])
     by = np.lexsort((np.arange(len(place)), cell[:, 0], cell[:, 1], cell[:, 2], size))
     same = (cell[by[1:]] == cell[by[:-1]]).all(axis=1) & (size[by[1:]] == size[by[:-1]])

@@ -56,7 +56,7 @@ def _excessive_gap(world: World, name: str) -> float:
 
 
 def count_reaching(world: World, species: str, flow: str) -> int:
-    """Return how many agents of a species are at a position from which a path leads to the target of a flow."""
+    """Return the number of agents of a species with a path from their position to the target of a flow."""
     population = world.populations[species]
     place, up = population.position.astype(np.float64), population.normal.astype(np.float64)
     return int(np.count_nonzero(world.flows[flow].reaches(world.ground.meshes, population.footing, place, up)))

@@ -19,13 +19,13 @@ from antdsl.scene.setting import CrowdData, MeshData
 Ids = NDArray[np.int64]
 Floats = NDArray[np.float64]
 
-PLACEMENT_FRAME = 0  # placement belongs to no frame
+PLACEMENT_FRAME = 0  # random draws of placement use no frame
 FULL_TURN = np.float32(2 * np.pi)
-MAX_RANDOM_COVER = 0.42  # share of the ground that agents placed at random cover without touching, and all find room
-_AREA_SAMPLE_POINTS = 1 << 14  # places that tell how much of a surface can be begun on
+MAX_RANDOM_COVER = 0.42  # up to this cover, randomly placed agents all find space without touching
+_AREA_SAMPLE_POINTS = 1 << 14  # sample points to measure the area where agents can start
 _COINCIDENT_DISTANCE_MM = 1e-3  # mm
-_MAX_RADIUS_TRIES = 8  # radii that are tried
-_DEFAULT_DISC_RADIUS_MM = 100.0  # mm: without any ground and any place
+_MAX_RADIUS_TRIES = 8  # maximum number of tried radii
+_DEFAULT_DISC_RADIUS_MM = 100.0  # mm: without ground and without a radius
 
 
 class StartPositionSampler:
@@ -57,7 +57,7 @@ class StartPositionSampler:
             total_area = float(np.pi * radius * radius)
         else:
             total_area = areas(self._world, self._on, None, None, None).total
-            # what is dropped onto another face does not lie open to above
+            # a point that lands on another face is covered from above
             displacement = drawn.place - self._target_points(ids, 0)
             good = good & (vec.length(vec.columns(displacement, np.float64)) < _COINCIDENT_DISTANCE_MM)
         share = float(np.count_nonzero(good)) / _AREA_SAMPLE_POINTS
@@ -87,7 +87,7 @@ class StartPositionSampler:
         return wider is not None and wider * MAX_RANDOM_COVER >= cover
 
     def draw(self, ids: Ids, tries: range) -> StartPositionDraws:
-        """Return start positions for all agents in the first try, followed by those in the next tries."""
+        """Return start positions for each try in `tries`: those of all agents for the first try, then for the next."""
         world, place = self._world, self.place
         if place.inside is not None and world.ground.meshes is not None:
             return self._draw_by_rays(np.asarray(place.inside, np.float64) - world.origin, ids, tries)
@@ -143,7 +143,7 @@ class StartPositionSampler:
         mesh_numbers = [meshes.names.index(name) for name in (self.place.on or meshes.names) if name in meshes.names]
         far = meshes.extent * 1.8 + float(np.abs(start - (meshes.low + meshes.high) / 2).max())
         u, v = (np.concatenate([self._draw_uniform(ids, 2 * attempt + k, "inside") for attempt in tries]) for k in range(2))
-        height = 1.0 - 2.0 * u.astype(np.float64)  # even over a ball, by a theorem of Archimedes
+        height = 1.0 - 2.0 * u.astype(np.float64)  # evenly distributed directions (Archimedes' hat-box theorem)
         flat, angle = np.sqrt(np.maximum(1.0 - height * height, 0.0)), v * FULL_TURN
         directions = np.stack([flat * elementary.cos(angle), height, flat * elementary.sin(angle)], axis=1)
         begin = np.broadcast_to(start, directions.shape)
@@ -170,7 +170,7 @@ def _points_on_faces(meshes: list[MeshData], u: NDArray[np.float32], v: NDArray[
 
 
 def is_inside_obstacle(world: World, points: Floats) -> NDArray[np.bool_]:
-    """Return which points lie inside an obstacle, that is, see the back of the first face above."""
+    """Return which points are inside an obstacle: a ray upwards first hits the back of a face."""
     is_inside = np.zeros(len(points), np.bool_)
     up = np.broadcast_to(world.up, points.shape)
     for name in world.plan.obstacles:

@@ -13,9 +13,9 @@ from antdsl.numerics import vectors as vec
 from antdsl.runtime.world import World
 from antdsl.scene.setting import PointMm
 
-_MAX_BURIED_VOXELS = 0.05  # voxels below a solid's surface: no ground to stand on
-_EDGE_BISECTIONS = 24  # of the edges of faces that reach out of a ball
-_THIN_TRIANGLE_RATIO = 64.0  # square of the longest edge over twice the area, from where on a triangle is thin
+_MAX_BURIED_VOXELS = 0.05  # deeper below a solid's surface, there is no ground to stand on
+_EDGE_BISECTIONS = 24  # bisections of face edges that extend beyond a ball
+_THIN_TRIANGLE_RATIO = 64.0  # a triangle is thin above this ratio: longest edge squared / twice the area
 _CORNER_WEIGHTS = np.array([[[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]]])
 # The four triangles that the middles of the edges make, by the corners 0 1 2 and the middles 3 (of 0 1), 4 (of 1 2), 5 (of 2 0).
 _QUARTER_CORNERS = np.array([[0, 3, 5], [3, 1, 4], [5, 4, 2], [3, 4, 5]])
@@ -23,18 +23,18 @@ _QUARTER_CORNERS = np.array([[0, 3, 5], [3, 1, 4], [5, 4, 2], [3, 4, 5]])
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FaceArea:
-    """Triangles (m) from which positions are drawn. Each is a face or a part of one. Vectors of faces (k, 3) are relative to
-    the origin."""
+    """Triangles (m) from which positions are drawn; each is a face or a part of a face. Corners and edges (k, 3) of faces are in
+    mm, relative to the world's origin. `ball`: centre and radius (mm)."""
 
     world: World
-    mesh: NDArray[np.int32]  # (k) of each face: meshes by their numbers, after them solids
-    local: NDArray[np.int32]  # (k) its number in the mesh
+    mesh: NDArray[np.int32]  # (k) the mesh of each face; numbers of solids follow those of meshes
+    local: NDArray[np.int32]  # (k) number of the face in the mesh
     corner: Floats
     edge1: Floats
     edge2: Floats
-    face: NDArray[np.int64]  # (m) of which face a triangle is
-    weights: Floats  # (m, 3, 2) b1 and b2 of its corners in that face
-    cumulative: Floats  # (3m) area, times the density, of each corner of each triangle
+    face: NDArray[np.int64]  # (m) the face of each triangle
+    weights: Floats  # (m, 3, 2) weights b1 and b2 of the triangle's corners in its face
+    cumulative: Floats  # (3m) cumulative area times density, for each corner of each triangle
     total: float  # mm²
     ball: tuple[Floats, float] | None
 
@@ -80,6 +80,7 @@ class FaceArea:
         return self._with_solids(footing, place, up, can_stand)
 
     def _with_solids(self, on_mesh: Footing, place: Floats, up: Floats, can_stand: Flags) -> tuple[Footing, Floats, Flags]:
+        """Move points on solids to the current surface of the solid, and reject points inside a solid."""
         ground, footing = self.world.ground, on_mesh.with_places()
         first = len(ground.names) - len(self.world.solids)
         for k, (name, volume) in enumerate(self.world.solids.items()):
@@ -175,8 +176,8 @@ def _faces_within(ball: tuple[Floats, float], corner: Floats, edge1: Floats, edg
 def _cut_triangles(face: NDArray[np.int64], weights: Floats, at: Floats) -> tuple[NDArray[np.int64], Floats]:
     """Divide triangles with corners `at` (m, 3, 3), given by face and weights, into four at their edge midpoints.
 
-    Thin triangles are divided into two at the midpoint of the longest edge. Otherwise more and more of their quarters would
-    lie in the ball."""
+    Thin triangles are divided into two at the midpoint of the longest edge. Otherwise the number of
+    quarters in the ball would grow without limit."""
     sides = ((np.roll(at, -1, axis=1) - at) ** 2).sum(axis=2)
     across = np.cross(at[:, 1] - at[:, 0], at[:, 2] - at[:, 0])
     thin = sides.max(axis=1) > _THIN_TRIANGLE_RATIO * np.sqrt((across * across).sum(axis=1))

@@ -1,4 +1,4 @@
-"""Estimates what binding a scene allocates: counts and bytes from extents and areas, before anything is allocated."""
+"""Estimates the memory that binding a scene needs, before any allocation: counts and bytes from extents and areas."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ from antdsl.scene.geometry.meshes import mesh_area
 from antdsl.scene.setting import MeshData, PaintedValues, WorldSetting
 
 _BYTES_PER_FACE = 200  # bytes of a face with its vertices, links, normals and tree
-_BYTES_PER_VOXEL = 8  # of a distance, and of what a voxel is
-_BYTES_PER_CELL = 48  # of a field: two float32, its place, its neighbours
-_BYTES_PER_FLOW_POINT = 64  # of a flow: a place and a vector in float64, its cost
+_BYTES_PER_VOXEL = 8  # bytes of a voxel: distance and state
+_BYTES_PER_CELL = 48  # bytes of a field cell: two float32, position, neighbours
+_BYTES_PER_FLOW_POINT = 64  # bytes of a flow point: position and vector in float64, cost
 # Measured with wandering agents far from one another, as the peak of a process with 20,000 and with 120,000 of them.
-_BYTES_PER_AGENT = 600  # of an agent, whatever its species: a footing, the results of walking, grids, its row of a frame
-_BYTES_PER_LEG = 550  # of a leg that walks
+_BYTES_PER_AGENT = 600  # bytes of an agent of any species: footing, walk results, grids, frame row
+_BYTES_PER_LEG = 550  # bytes of a walking leg
 
 
 class WorkEstimate(NamedTuple):
@@ -74,7 +74,7 @@ def _flows(setting: WorldSetting) -> Iterator[WorkEstimate]:
         edges = np.concatenate([each if not flow.on or of in flow.on else np.zeros_like(each) for of, each in longest.items()])
         try:
             count = count_slots(edge_pieces(flow, edges, extent))
-        except LatticeTooFine:  # which binding refuses
+        except LatticeTooFine:  # binding reports this error
             count = limits.MAX_FLOW_POINTS
         yield _make_estimate(f"flow {name}", count, "points at most", _BYTES_PER_FLOW_POINT)
 
@@ -87,6 +87,7 @@ def _extent(setting: WorldSetting) -> float:
 
 
 def _longest_edges(mesh: MeshData) -> Floats:
+    """Return the longest edge (mm) of each face."""
     corners = mesh.vertices[mesh.faces]
     edges = corners[:, [1, 2, 0]] - corners
     longest: Floats = np.sqrt((edges * edges).sum(axis=2)).max(axis=1) if len(corners) else np.zeros(0)

@@ -1,4 +1,4 @@
-"""Feet of bodies with legs and gaits: which feet stand and where, and where the others swing. No other part of a run reads
+"""Feet of bodies with legs and gaits: footholds of standing feet, and positions of swinging feet. No other part of a run reads
 them.
 
 Input: the displacements, headings and ground of a step. `walking.measure` reads these before the ground moves on;
@@ -10,4 +10,4 @@ All loops are kernels, without a second implementation. A step of the feet runs 
 `stepping` decides which feet lift and land, and where.
 `footholds` and `seeking` find ground for feet that need it.
 `stepping` moves the trunks (`trunk`) and swings the feet.
-`gaits` gives stride, duty factor and phases by speed."""
+`gaits` computes stride, duty factor and phases by speed."""

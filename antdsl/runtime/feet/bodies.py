@@ -17,7 +17,7 @@ from antdsl.numerics import vectors as vec
 from antdsl.numerics.kernel_vectors import Vec3, Vec3F32, VectorColumns, cross, dot, flat, minus, unit_or_perpendicular
 from antdsl.runtime.world import Population
 
-PLACE = 0  # the first row of three
+PLACE = 0  # first of the three rows of the position
 _ROWS = 13
 _LEAST = 1e-12
 _F = np.float32
@@ -84,7 +84,7 @@ def body_at(bodies: Array2[F64], i: I64) -> Body:
 def fetch_columns(table: Any, rows: I64, line: I64, begin: I64, end: I64) -> None:
     """Prefetch columns of a table (…, n) with `rows` rows, `line` numbers at once.
 
-    Kernels here read a hundred rows, of which a processor prefetches only few."""
+    The kernels of this package read about 100 rows; a processor prefetches only a few of them itself."""
     for row in range(rows):
         k = begin
         while k < end:

@@ -24,14 +24,14 @@ from antdsl.runtime.feet.stepping import LEG, LEG_BITS, LIFTS, Legs, Trunks
 from antdsl.runtime.feet.trunk import lean_point
 
 _F = np.float32
-NEAR = 0.3  # of a leg: a hit this near to the requested position is used
-BEYOND = 1.6  # times the distance to the requested position: length of the first ray
+NEAR = 0.3  # share of the leg length: a hit this near to the requested position is used
+BEYOND = 1.6  # length of the first ray, as a multiple of the distance to the requested position
 _FETCHED = 64  # rays or requests that are prefetched together
-_LOWEST = 0.2  # of a leg: least height above a requested position from which the search starts
+_LOWEST = 0.2  # share of the leg length: least height of the search above a requested position
 
-# Where walks of rays begin: a number of the floor times 2 ** FACE_BITS plus a face, -1 for no mesh that has such.
+# Start face of a ray: number of the ground << FACE_BITS | face; -1 without a start face.
 FACE_BITS, FACE = 32, 0xFFFFFFFF
-Hits = tuple[Array1[F64], Array2[F64], Array1[I16], Array1[I32], Array2[F64]]  # as `Found`
+Hits = tuple[Array1[F64], Array2[F64], Array1[I16], Array1[I32], Array2[F64]]  # as `GroundHits.columns`
 # Hip, requested position, up of the body, greatest distance of the foot joint from the hip, and its height above the ground.
 Seekers = tuple[Array2[F64], Array2[F64], Array2[F64], Array1[F64], Array1[F64]]
 
@@ -184,7 +184,7 @@ def find_nearest(
 
 @inlined
 def _put_hit(hits: Any, k: Any, number: Any, t: Any, a: Any, w: Any) -> None:
-    """Write the hit of ray `k` on a mesh, at part `t` of its displacement `w` from `a`, if it is nearer than the previous hit."""
+    """Write a hit of ray `k` on a mesh, unless the previous hit is nearer. It is at `a` + `t` * `w`."""
     if t < hits[0][k]:
         _put_place(hits, k, number, t, (a[0] + w[0] * t, a[1] + w[1] * t, a[2] + w[2] * t))
 
@@ -330,7 +330,7 @@ def _is_in_reach(seekers: Any, hits: Any, k: Any, n: Any) -> Any:
     joint = place[0] + up[0] * sole, place[1] + up[1] * sole, place[2] + up[2] * sole
     away = minus(joint, hip)
     high = dot(away, up)
-    low = max(abs(high) - (SINK * leg if high < 0 else 0.0), 0.0)  # trunks come down for a long step
+    low = max(abs(high) - (SINK * leg if high < 0 else 0.0), 0.0)  # the trunk is lowered for a long step
     return np.isfinite(hits[0][n]) and (dot(away, away) - high * high) + low * low <= leg * leg
 
 

@@ -14,22 +14,22 @@ Floats = NDArray[np.float32]
 _F = np.float32
 _ZERO, _ONE, _TWO = _F(0), _F(1), _F(2)
 
-MOST_CYCLES = 1 / 3  # of a gait in one frame: faster legs would seem to go backward or to stand (their stride grows instead)
-REACHED = 0.97  # of a leg's length: how far its foot may be from its hip and stand
-REACH_SHARE = 0.38  # of how far a foot can be ahead of its hip: so far it can go either way from where it rests
-SINK = 0.12  # of a leg's length: how far the trunk may come down for a longer step
-_OFF = _F(0.12)  # of a leg: how far from where it rests a foot may stay
-_RESTING = 0.5  # s, of one cycle in which feet are put back where they rest, where the slowest gait has no speed
+MOST_CYCLES = 1 / 3  # maximum cycles per frame; faster legs would appear to stand or move backward, so the stride grows
+REACHED = 0.97  # share of the leg length: maximum distance of a standing foot from its hip
+REACH_SHARE = 0.38  # reach ahead and behind the rest position, as a share of the reach ahead of the hip
+SINK = 0.12  # share of the leg length: maximum lowering of the trunk for a longer step
+_OFF = _F(0.12)  # share of the leg length: a standing agent's foot may stay this far from its rest position
+_RESTING = 0.5  # s: cycle in which feet return to rest, if the slowest gait has speed 0
 _PER_STRIDE = _F(1 / MOST_CYCLES)
 
 # Rows of `Gaits.legs`, float32[10, L], in body lengths.
-REST_X, REST_Z = 0, 1  # where a foot rests, ahead and aside
-OFF = 2  # how far from there it may stay while the body does not move
+REST_X, REST_Z = 0, 1  # rest position of a foot, ahead and aside
+OFF = 2  # maximum distance from the rest position while the body stands
 LENGTH = 3  # from hip to foot joint when the leg is straight
-REACH = 4  # how far ahead or behind of where it rests it can be
-HIP = 5  # three rows: where the leg begins
+REACH = 4  # maximum distance ahead of or behind the rest position
+HIP = 5  # position of the hip, three rows
 FOOT_Y = 8  # the height of the foot joint above its ground
-SQUARE = 9  # of the farthest that a standing foot is from its hip
+SQUARE = 9  # square of the maximum distance of a standing foot from its hip
 
 
 class Gaits:
@@ -88,7 +88,7 @@ def gait_at(gaits: Any, speed: F32, frame_distance: F32, reach: F32) -> Gait:
     if speed > fastest and fastest > _ZERO:
         stride = stride * speed / fastest
     stride = max(stride, frame_distance * _PER_STRIDE)
-    # A foot stands no longer than its leg can follow: an agent that covers more ground in a cycle flies in between.
+    # A foot stands only while its leg can reach it; an agent that covers more ground per cycle is in the air in between.
     return Gait(k, stride, min(duty, _TWO * reach / stride), lift)
 
 

@@ -2,7 +2,7 @@
 
 A foot searches along the straight line from its hip to its target position, so that no leg passes through a thin mesh. If the
 hit is far from the target (an edge, a wall, a step), the foot searches from above the target, along the body's up. The start
-of this ray is limited to what is visible from the hip. The last attempt is the nearest position on the ground. A result is
+of this ray must be visible from the hip. The last attempt is the nearest position on the ground. A result is
 visible from the hip, and no farther away than the leg is long."""
 
 from __future__ import annotations
@@ -29,9 +29,9 @@ Vectors = NDArray[np.float64]  # (3, k)
 Rows = NDArray[np.int64]
 Arrays = tuple[NDArray[Any], ...]
 
-_SHY = 1e-6  # of a distance: by how much a ray is shortened in the test for obstructions
-_RAYS = 256  # for which a thread pays
-_NO_RINGS = np.empty(0), np.empty(0, np.int32), np.empty(0, np.float32)  # of a mesh that no agent stands on
+_SHY = 1e-6  # share by which a ray is shortened in the visibility test
+_RAYS = 256  # least number of rays for which a thread is faster
+_NO_RINGS = np.empty(0), np.empty(0, np.int32), np.empty(0, np.float32)  # for a mesh on which no agent stands
 
 
 @dataclass(slots=True, eq=False)
@@ -83,7 +83,7 @@ class FootGround:
             for k, name in enumerate(self.names)
             if name in self.meshes and k not in self.moving and len(self.meshes[name].vertices)
         }
-        # By number of the ground, what starts of walks have above their faces.
+        # By number of the ground: the bits of a start face above the face number.
         self._numbers = np.array(
             [self.names.index(name) << FACE_BITS if name in self.meshes else -1 for name in world.ground.names], np.int64
         )
@@ -181,6 +181,7 @@ class FootGround:
         return obstacle.tables() if isinstance(obstacle, RayScene) and k not in self.moving else None
 
     def _bounding_box(self, world: World, k: int, obstacle: object) -> tuple[Vectors, Vectors] | None:
+        """Return the least and greatest corner (mm) of a mesh; None if it has none."""
         if isinstance(obstacle, SolidFeelers):
             return obstacle.volume.low, obstacle.volume.high
         if k in self.moving:
@@ -219,10 +220,10 @@ class FootholdRequests:
     """Requests of feet for ground.
 
     `requests` int64[k]: agent and leg, encoded as `stepping.LEG_BITS` describes.
-    `columns`: hip, target position and up of the body, (3, k); how far the foot joint may be from the hip (mm); how high the
-        joint is above its ground (mm).
+    `columns`: hip, target position and up of the body, (3, k); then two heights or lengths (mm), [k]. These are the largest
+        distance of the foot joint from the hip, and the height of the joint above its ground.
     `displacement` (3, k): from the hip to beyond the target (mm).
-    `starts`: as from `FootGround.starts`.
+    `starts`: start faces of the rays, as returned by `FootGround.starts`.
     `is_quick`: the foot lifts, and searches again when it lands."""
 
     requests: Rows
@@ -249,7 +250,7 @@ class FootholdRequests:
 
 
 def seek(world: World, floor: FootGround, seeking: FootholdRequests) -> GroundHits:
-    """Return ground for feet. Quick requests only get the hit on the straight line, at any distance from the target."""
+    """Return the ground for each request. Quick requests only get the hit of the first ray, at any distance from the target."""
     threads, count = world.options.threads, len(seeking.requests)
     hits = floor.cast(world, seeking.columns[0], seeking.displacement, seeking.starts)
     fits, rows = np.empty(count, np.bool_), np.empty(count, np.int64)
@@ -302,6 +303,7 @@ def _points_near_mesh(obstacle: RayScene, rows: Rows, points: Vectors, reach: ND
 
 
 def _cast_on_plane(world: World, origin: Vectors, displacement: Vectors, hits: GroundHits) -> None:
+    """Write the hits on the ground plane to `hits`."""
     up = world.up
     height = (origin[0] * up[0] + origin[1] * up[1]) + origin[2] * up[2]
     fall = -((displacement[0] * up[0] + displacement[1] * up[1]) + displacement[2] * up[2])
@@ -316,6 +318,7 @@ def _cast_on_plane(world: World, origin: Vectors, displacement: Vectors, hits: G
 def _cast_on_solid(
     k: int, obstacle: SolidFeelers, near: Rows, origin: Vectors, displacement: Vectors, ground_hits: GroundHits
 ) -> None:
+    """Write the hits on a solid, if they are nearer than previous hits."""
     a, w = origin[:, near], displacement[:, near]
     length = _length(w)
     unit = w / np.maximum(length, 1e-300)

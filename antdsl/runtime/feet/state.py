@@ -17,8 +17,8 @@ from antdsl.program.tables.columns import FEET
 
 Array = NDArray[Any]
 
-STANDS = np.float32(-1)  # of `swing`
-NOTHING, PLANE = -2, -1  # of `on`
+STANDS = np.float32(-1)  # value of `swing` for a standing foot
+NOTHING, PLANE = -2, -1  # values of `on`
 _COLUMNS = {column.name: column for column in FEET}
 _SHAPES = {name: column.shape for name, column in _COLUMNS.items()} | {"covered": (2, "n", "L"), "stood": (3, "n")}
 
@@ -49,15 +49,18 @@ def _axis(name: str) -> int:
 class Feet:
     """The feet of n agents with L legs. Positions are mm in world coordinates, components first.
 
-    Agents may be in any order. A step sorts them in the order of the population's rows, in which neighbours in space are mostly
-    neighbours in memory. `place` float64[3, n, L]: where each foot stands or is to land. `shown` float64[3, n, L]: current
-    position of the foot. `start` float64[3, n, L]: where its swing began. `swing` float32[n, L]: the completed share of its
-    swing, -1 for a standing foot. `on` int16[n, L]: number of the thing that `place` is on; -1: the plane; -2: nothing (the foot
-    hangs). `face` int32[n, L], `weight` float64[2, n, L]: the triangle, and the weights of its second and third corner. `found`
-    float32[n, L]: how far from its rest position (body lengths) a foot was put back, because no nearer ground was found. `phase`
-    float32[n]: gait phase, from 0 to 1. `rise` float32[n]: height of the trunk above its rest height (mm). `slope` float32[2,
-    n]: increase in ground height below the feet, per length ahead and per length aside. `position` float64[3, n], `heading`,
-    `up` float32[3, n]: those of the body at the end of the last frame."""
+    Agents may be in any order. A step sorts them by the population's rows, so that neighbours in space are mostly adjacent.
+
+    - `place` float64[3, n, L]: the point where each foot stands or is to land
+    - `shown`, `start` float64[3, n, L]: current position of each foot, and the start of its swing
+    - `swing` float32[n, L]: the completed share of the swing, -1 for a standing foot
+    - `on` int16[n, L]: number of the thing below `place`; -1: the plane; -2: nothing (the foot hangs)
+    - `face` int32[n, L], `weight` float64[2, n, L]: the triangle, and the weights of its second and third corner
+    - `found` float32[n, L]: distance (body lengths) of a foothold from the rest position if no nearer ground exists
+    - `phase` float32[n]: gait phase, from 0 to 1
+    - `rise` float32[n]: height of the trunk above its rest height (mm)
+    - `slope` float32[2, n]: increase in ground height below the feet, per length ahead and per length aside
+    - `position` float64[3, n], `heading`, `up` float32[3, n]: those of the body at the end of the last frame"""
 
     ids: NDArray[np.int64]
     place: NDArray[np.float64]
@@ -74,10 +77,10 @@ class Feet:
     position: NDArray[np.float64]
     heading: NDArray[np.float32]
     up: NDArray[np.float32]
-    # What the feet of this step went over the ground, float32[2, n, L], ahead and aside in body lengths; None between steps.
+    # Displacement of rest positions over the ground, float32[2, n, L], ahead and aside (body lengths); None between steps.
     covered: NDArray[np.float32] | None = field(default=None)
-    stood: NDArray[np.float64] | None = field(default=None)  # where bodies were before the ground went on, float64[3, n], NaN: no
-    rows: RowHasher = field(default_factory=RowHasher)  # of arrays that mostly stay where they are in memory
+    stood: NDArray[np.float64] | None = field(default=None)  # positions before the ground moved, float64[3, n]; NaN: new
+    rows: RowHasher = field(default_factory=RowHasher)  # hashes the rows
     _ranks: NDArray[np.int32] | None = field(default=None, init=False)
 
     @staticmethod

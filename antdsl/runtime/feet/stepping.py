@@ -41,29 +41,29 @@ _F = np.float32
 _ZERO, _HALF, _ONE, _TWO, _THREE, _FOUR = _F(0), _F(0.5), _F(1), _F(2), _F(3), _F(4)
 _SINK, _REACHED, _MOST_CYCLES = _F(SINK), _F(REACHED), _F(MOST_CYCLES)
 
-_SLOW = _F(0.02)  # cycles in a frame, below which feet are put back where they rest
-_LEFT = _F(1.25)  # times its reach: a foot so far from where it rests is lifted, whatever its share of the cycle
-_AGAIN = _F(0.45)  # of a leg: at this distance from the position needed now, a landing position is searched again
-_STRETCHED = _F(0.99)  # of a leg: a foot so far from its hip is lifted
-_SMALL = _F(0.4)  # of a stride: shorter swings are lower
-_LATE = _F(0.6)  # of a swing: until then, a foot that missed its turn may still lift
-_BEHIND = _F(0.3)  # of its reach: a foot that is so far behind has missed its turn
-_LOWEST = _F(0.1)  # of a leg: the least height of a hip above a foot that a straight line is drawn through
-_AT_ONCE = _F(1e-3)  # of a cycle, by which the phase goes past the turn of the foot that sets out
-_FETCHED = 16  # agents with columns that are prefetched together
+_SLOW = _F(0.02)  # cycles per frame; slower agents put their feet back to rest
+_LEFT = _F(1.25)  # multiple of the reach: a foot farther from rest is lifted at any phase
+_AGAIN = _F(0.45)  # share of the leg length: a target farther from the needed position is searched again
+_STRETCHED = _F(0.99)  # share of the leg length: a foot farther from its hip is lifted
+_SMALL = _F(0.4)  # share of a stride: shorter swings are lower
+_LATE = _F(0.6)  # share of a swing until which a foot that missed its turn may lift
+_BEHIND = _F(0.3)  # share of the reach: a foot farther behind has missed its turn
+_LOWEST = _F(0.1)  # share of the leg length: least height of the hip above the foot in distance tests
+_AT_ONCE = _F(1e-3)  # share of a cycle by which the phase starts after the turn of the first foot
+_FETCHED = 16  # number of agents that are prefetched together
 _LEAST, _TINY, _LONG = _F(1e-6), _F(1e-9), _F(1e4)
 
-STAYS, LIFTS, LANDS, SEEKS_AGAIN = 0, 1, 2, 3  # of `what` a foot does in this step
-LEG_BITS, LEG = 16, 0xFFFF  # of a request for ground: the number of the agent above that of the leg
+STAYS, LIFTS, LANDS, SEEKS_AGAIN = 0, 1, 2, 3  # values of `what`: the action of a foot in this step
+LEG_BITS, LEG = 16, 0xFFFF  # a request is: number of the agent << LEG_BITS | number of the leg
 
 Legs = Array2[F32]  # as `Gaits.legs`
 GaitTables = tuple[Array1[F32], Array2[F32], Array2[F32]]  # as `Gaits.tables`
-FootPlaces = tuple[Array3[F64], Array3[F64], Array3[F64]]  # where feet stand or land, where swings began, where feet are
+FootPlaces = tuple[Array3[F64], Array3[F64], Array3[F64]]  # `place`, `start` and `shown` of feet
 States = tuple[Array2[F32], Array2[I16], Array2[F32]]  # `swing`, `on` and `found` of feet
 Trunks = tuple[Array1[F32], Array1[F32], Array2[F32]]  # `phase`, `rise` and `slope`
 Columns = tuple[FootPlaces, States, Trunks]
-# For each leg: where its foot is to stand ahead and aside, after how many frames, how much of its swing will be done then, how
-# far it is from where it rests, and from the body [3, L, n]; and what it does.
+# For each leg: target position ahead and aside, frames until landing, completed share of the swing at that time, distance
+# from the rest position, position relative to the body [3, L, n], and the action.
 Targets = tuple[Array2[F32], Array2[F32], Array2[F32], Array2[F32], Array2[F32], Array3[F32], Array2[U8]]
 Pace = tuple[Array1[F32], Array1[F32], Array1[BOOL]]  # stride, lift, and whether the agent hardly moves
 
@@ -117,11 +117,11 @@ def plan_steps(
 ) -> tuple[I64, I64]:
     """Advance the phase of agents from `begin` to before `end`, and decide which of their feet lift and land, and where.
 
-    `times`: frame duration (s), cycles per frame of an agent that puts its feet back, least share of a swing per frame, reach
-        of the shortest leg.
+    `times`: frame duration (s); cycles per frame of an agent that puts its feet back; least share of a swing per frame; least
+        reach of a leg (body lengths).
     `undermined`: feet that lost their ground to digging.
-    `requests`: receives, from index L * `begin` on, the feet that need ground, encoded as `LEG_BITS` describes. Returns where
-        they begin, and their number."""
+    `requests`: receives, from index L * `begin` on, the feet that need ground, encoded as `LEG_BITS` describes.
+    Returns the index of the first request, and the number of requests."""
     count = legs.shape[1]
     dt, rests, swings, shortest = times
     place, start, _ = feet[0]
@@ -171,7 +171,7 @@ def plan_steps(
             if still and restless:
                 ahead = max(ahead, rests)
             ahead = min(ahead, _MOST_CYCLES)
-            # An agent that starts from standing lifts the foot with the next turn at once: no foot waits until it is left behind.
+            # An agent that starts to walk lifts the foot with the next turn at once, so that no foot is left behind.
             gap = _F(np.inf)
             for leg in range(count):
                 leg_phase = _cycle_share(phase[i] + gaits[2][gait, leg])
@@ -180,7 +180,7 @@ def plan_steps(
                 gap = min(gap, wait)
             advance = gap + _AT_ONCE if stands and not still and gap > ahead else ahead
             rate = min(max(ahead / (_ONE - duty), swings), _ONE)
-            stance = max(_ONE / max(ahead, _LEAST) - _ONE / rate, _ZERO)  # frames that a foot will stand
+            stance = max(_ONE / max(ahead, _LEAST) - _ONE / rate, _ZERO)  # number of frames of the stance
             for leg in range(count):
                 local_foot = at[0, leg, i], at[1, leg, i], at[2, leg, i]
                 hip = _hip(legs, leg, lean, raised)
@@ -189,7 +189,7 @@ def plan_steps(
                 leg_phase = _cycle_share(phase[i] + gaits[2][gait, leg])
                 next_phase = leg_phase + advance
                 crosses = (leg_phase < duty and next_phase >= duty) or next_phase >= _ONE + duty
-                # A foot missed its turn, as the gait changed or something else moved it: behind where it rests, in time to swing.
+                # The foot missed its turn, for example because the gait changed: it is behind its rest and may still swing.
                 behind = x * cover_x + z * cover_z < _ZERO
                 late = leg_phase >= duty and leg_phase < duty + _LATE * (_ONE - duty)
                 late = late and behind and off[leg, i] > _BEHIND * legs[REACH, leg]
@@ -219,7 +219,7 @@ def plan_steps(
                 to_x = legs[REST_X, leg] + cover_x * frames + half_x * by
                 to_z = legs[REST_Z, leg] + cover_z * frames + half_z * by
                 lands = flies and progress >= _ONE
-                past = ((_ZERO if lifts else swing[leg, i]) + increment - _ONE if lands else _ZERO) / rate  # frames ago
+                past = ((_ZERO if lifts else swing[leg, i]) + increment - _ONE if lands else _ZERO) / rate  # since landing
                 to_x, to_z = to_x - cover_x * past, to_z - cover_z * past
                 target_x[leg, i], target_z[leg, i], left[leg, i], share[leg, i] = to_x, to_z, frames, progress
                 miss_x, miss_z = local_foot[0] - to_x, local_foot[2] - to_z
@@ -298,7 +298,7 @@ def take_steps(
                 local_foot = at[0, leg, i], at[1, leg, i], at[2, leg, i]
                 if swing[leg, i] == STANDS and _is_too_far(legs, leg, local_foot, _hip(legs, leg, tilt, high / size), _STRETCHED):
                     torn = True
-            if not torn:  # else the trunk stays as it was, where all standing feet are in reach
+            if not torn:  # otherwise the trunk stays, so that all standing feet remain in reach
                 rise[i], slope[0, i], slope[1, i] = high, tilt[0], tilt[1]
             lean, raised = (slope[0, i], slope[1, i]), rise[i] / size
             for leg in range(count):
@@ -332,7 +332,7 @@ def _hip(legs: Any, leg: Any, slope: Any, raised: Any) -> Any:
 
 @inlined
 def _rest_distance(legs: Any, leg: Any, local_foot: Any, hip: Any) -> Any:
-    """Return how far a foot is from its rest position.
+    """Return the distance (body lengths) of a foot from its rest position.
 
     This is the lesser of two distances: along the ground, and from the straight line from the hip through the rest position."""
     rest_x, rest_z = legs[REST_X, leg], legs[REST_Z, leg]
@@ -361,7 +361,7 @@ def _swing_position(legs: Any, leg: Any, ends: Any, progress: Any, stride: Any, 
     dx, dy, dz = local_foot[0] - swing_start[0], local_foot[1] - swing_start[1], local_foot[2] - swing_start[2]
     far = np.sqrt((dx * dx + dy * dy) + dz * dz)
     arc = lift * min(_ONE, far / (stride * _SMALL)) * (_FOUR * progress * (_ONE - progress))
-    # The foot joint is above the ground of its foot, so the hip is lowered by as much to measure from.
+    # The foot joint is above the ground, so the hip is lowered by the same height for the distance test.
     a, b, c = hip[0], hip[1] - legs[FOOT_Y, leg], hip[2]
     x, y, z = swing_start[0] + dx * eased - a, swing_start[1] + dy * eased + arc - b, swing_start[2] + dz * eased - c
     long = np.sqrt((x * x + y * y) + z * z)

@@ -18,11 +18,11 @@ Floats = NDArray[np.float32]
 _F = np.float32
 _ZERO, _ONE, _INFINITE = _F(0), _F(1), _F(np.inf)
 
-STEEPEST = _F(0.35)  # rise over run of the trunk against the body's own up: 19 degrees
-HIGHEST = 0.3  # of the height of the hips: how much higher or lower the trunk may be
-SLACK, SLOWLY = 0.06, 0.2  # s, of the way to a new tilt or lower height, and to a greater height: steps do not bounce
-_STIFF = _F(0.02)  # square of a length: what keeps a plane through feet that stand close together level
-_PLANE = _F(3)  # feet that a plane needs: an agent that has fewer does not tilt
+STEEPEST = _F(0.35)  # maximum slope of the trunk relative to the body's up: 19 degrees
+HIGHEST = 0.3  # share of the hip height: maximum offset of the trunk
+SLACK, SLOWLY = 0.06, 0.2  # s: time constants of a new tilt or lower height, and of a greater height, for smooth steps
+_STIFF = _F(0.02)  # damping (squared length): keeps a plane through feet that are close together level
+_PLANE = _F(3)  # least number of feet for a plane; with fewer, the trunk does not tilt
 _FLAT = _F(1e-6)
 
 

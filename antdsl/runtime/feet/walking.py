@@ -18,9 +18,9 @@ from antdsl.runtime.world import Population, World
 from antdsl.scene.setting import LegsData
 
 _F = np.float32
-_DUG_SHARE = 0.02  # of a leg: a solid that is so much farther from a foot than it was has been dug away below it
-_GOLDEN = 0.6180339887498949  # of a cycle between the phases at birth of agents with successive ids
-_AGENTS = 256  # for which a thread pays
+_DUG_SHARE = 0.02  # share of the leg length: a larger gap to the solid means that the ground was dug away
+_GOLDEN = 0.6180339887498949  # phase difference at birth of agents with successive ids (golden ratio)
+_AGENTS = 256  # least number of agents for which a thread is faster
 
 
 class LegsOfSpecies:
@@ -147,6 +147,7 @@ class _Step:
                 _transpose_legs(self.undermined)[rows] = volume.sample(feet.place[:, rows].T) > gap
 
     def _plan_swings(self) -> None:
+        """Decide which feet lift and land, and find ground for those that need it."""
         gaits, dt = self.gaits, self.dt
         times = dt, dt / _F(gaits.cycle), dt / _F(gaits.swing), gaits.least_reach
         plan_inputs = (
@@ -168,6 +169,7 @@ class _Step:
             seeking.settle(hits, columns, self.threads)
 
     def _trunk_steps(self) -> tuple[np.float32, np.float32, np.float32]:
+        """Return the argument `trunk_steps` of `stepping.take_steps`."""
         dt, legs = float(self.dt), self.walkers.legs
         height = max(float((legs.hip[:, 1] - legs.foot[:, 1]).max()), 1e-3) * trunk.HIGHEST
         return _F(dt / (dt + trunk.SLACK)), _F(dt / (dt + trunk.SLOWLY)), _F(height)

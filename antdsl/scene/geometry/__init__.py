@@ -6,7 +6,7 @@ checked first.
 `meshes`: chooses a reader by the ending of the file: `obj_file`, `ply` and `ply_body`, `stl_file`, `gltf_mesh` or `usd`.
 `mesh_text`: the tokenizer of text files.
 `polygons`: the triangulation for all formats.
-`import_notes`: what a reader left out or changed.
+`import_notes`: the report of a reader's omissions and changes.
 `points`, `arrays`: read JSON points and .npz files.
 `painted`: reads values on vertices and faces.
 `closed`: whether triangles close to a body.

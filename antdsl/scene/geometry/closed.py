@@ -1,6 +1,6 @@
 """Checks whether triangles form a closed body, and which of their sides is outside.
 
-Both follow from how often each edge is traversed, and in which directions."""
+Both follow from the number and the directions of traversals of each edge."""
 
 from __future__ import annotations
 
@@ -46,8 +46,8 @@ def count_open_edges(corners: Index) -> tuple[int, bool]:
 def count_inside_out(vertices: Floats, faces: NDArray[np.int32]) -> tuple[int, int]:
     """Return the number of closed pieces of a mesh that face inward, and of pieces with inconsistent orientation.
 
-    A piece is connected across edges of two faces. A piece that faces inward inside the box of another piece is a correct
-    hollow."""
+    A piece is connected across edges of two faces. An inward piece within the box of another piece is a hollow, and
+    correct."""
     if not len(faces):
         return 0, 0
     corners = vertices[faces]

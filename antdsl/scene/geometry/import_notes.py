@@ -1,4 +1,4 @@
-"""The import report: what the reader of a mesh file left out, cut or joined."""
+"""The import report: elements that the reader of a mesh file left out, cut or joined."""
 
 from __future__ import annotations
 

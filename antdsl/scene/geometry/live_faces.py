@@ -1,6 +1,6 @@
 """The rule that decides which triangles of a surface are ground, for scenes and for the ground itself.
 
-A triangle is not ground if it is a line, if two of its corners coincide, or if another triangle has the same three corners."""
+A triangle is not ground in three cases: it has no area, two of its corners coincide, or another triangle has the same corners."""
 
 from __future__ import annotations
 

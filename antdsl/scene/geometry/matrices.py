@@ -109,8 +109,8 @@ def apply_transforms(transform: Floats, points: Floats) -> Floats:
 def distinct_points(points: Floats) -> tuple[NDArray[np.int64], NDArray[np.bool_], NDArray[np.int64]]:
     """Return the distinct points among points (n, 3). Zero and minus zero are equal.
 
-    The results are: an order by x, y, z; which points in this order differ from the previous one; and for each point the index
-    of its distinct point."""
+    Results: the order by x, y, z; a mask of the points that differ from the previous one in this order; and for each point, the
+    index of its distinct point."""
     order = np.lexsort(points.T[::-1])
     ranked = points[order]
     new = np.ones(len(points), np.bool_)

@@ -53,7 +53,7 @@ def display_word(word: bytes, most: int = 20) -> str:
 
 
 def check_count(count: int, most: int, what: str) -> None:
-    """Raise MeshError if `count` is larger than `most`. `what`: the plural of what is counted."""
+    """Raise MeshError if `count` is larger than `most`. `what`: the counted things, in the plural."""
     if count > most:
         raise MeshError(f"has more than {most:,} {what}", "use a lighter mesh")
 

@@ -78,9 +78,9 @@ def _read_checked(data: bytes, name: str, group: str | None, beside: SiblingRead
 def mesh_arrays(
     data: bytes, name: str, group: str | None = None, beside: SiblingReader | None = None, notes: ImportNotes | None = None
 ) -> tuple[Floats, Faces]:
-    """Return vertices and all triangles of a file, with the arguments of `read_mesh`. Only what reading needs is checked.
+    """Return vertices and all triangles of a file, with the arguments of `read_mesh`, without the checks of `check_mesh`.
 
-    `notes`: receives what was left out."""
+    `notes`: receives the omissions."""
     notes = ImportNotes() if notes is None else notes
     kind = name.rsplit(".", 1)[-1].lower() if "." in name else ""
     if kind not in MESH_SUFFIXES:

@@ -34,6 +34,8 @@ def read_obj(data: bytes, notes: ImportNotes, group: str | None = None) -> Polyg
 
 @dataclass(slots=True)
 class _ObjReader:
+    """The state of reading a file, block by block. `group`: the only group or object to read; None for all."""
+
     notes: ImportNotes
     group: str | None
     points: list[mesh_text.Floats] = field(default_factory=list)

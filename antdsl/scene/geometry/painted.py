@@ -1,4 +1,4 @@
-"""Reader of numbers and vectors that an artist painted on a mesh: attributes of .ply files, or arrays of .npz files."""
+"""Reader of numbers and vectors painted on a mesh: attributes of .ply files, or arrays of .npz files."""
 
 from __future__ import annotations
 

@@ -35,6 +35,8 @@ class PlyProperty:
 
 @dataclass(frozen=True, slots=True)
 class PlyElement:
+    """A kind of element of a file, such as `vertex`: its number and its properties."""
+
     name: str
     count: int
     properties: tuple[PlyProperty, ...]

@@ -150,6 +150,7 @@ class _TextBody:
                 notes.skip("lines after the last element", len(block), int(block.number[0]))
 
     def columns(self, element: PlyElement, requested_names: Collection[str]) -> ColumnByName:
+        """Return the requested columns of the next element, by property. Other columns are skipped."""
         parts: dict[str, list[PlyColumn]] = {name: [] for name in requested_names}
         count = 0
         for block in self._read_lines(element.count):
@@ -203,6 +204,8 @@ def _join_columns(parts: list[PlyColumn]) -> PlyColumn:
 
 
 class _BinaryBody:
+    """A binary body: the elements follow each other without gaps."""
+
     def __init__(self, data: bytes, header: PlyHeader) -> None:
         self._data, self._order, self._at = data, header.order, header.body
 
@@ -213,6 +216,7 @@ class _BinaryBody:
             notes.skip(f"{rest:,} bytes after the last element")
 
     def columns(self, element: PlyElement, requested_names: Collection[str]) -> ColumnByName:
+        """Return the requested columns of the next element, by property. Other columns are skipped."""
         if not element.count:
             return {p.name: PlyColumn(np.empty(0), np.empty(0, np.int64) if p.count else None) for p in element.properties}
         lengths = self._first_lengths(element)

@@ -82,7 +82,7 @@ def check_crowds(staging: SceneStaging, crowds: Sequence[stage_of.CrowdData]) ->
 
 
 def is_off_surface(place: stage_of.PlaceData, things: SceneStaging | stage_of.WorldSetting, up: str) -> bool:
-    """Return whether no surface is below or above a crowd's start disc. With a start by area, the disc is a ball."""
+    """Return whether no surface is above or below the disc in which a crowd starts. A start by area uses a ball."""
     if place.around is None or place.radius is None:
         return False
     grounds = {**things.surfaces, **{name: solid.mesh for name, solid in things.solids.items()}}

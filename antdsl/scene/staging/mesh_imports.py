@@ -1,7 +1,7 @@
 """Changes to meshes on import, and reports about them.
 
-Vertices nearer to each other than a tolerance are welded. Reports say what was left out, cut or joined, and why a solid is not
-closed."""
+Vertices nearer to each other than a tolerance are welded. Reports name elements that were left out, cut or joined, and
+the reason why a solid is not closed."""
 
 from __future__ import annotations
 
@@ -132,7 +132,7 @@ def _weld_mesh(mesh: stage_of.MeshData, tolerance: float) -> _WeldedMesh | None:
 
 
 def _record_welding(staging: SceneStaging, name: str, welding: _WeldedMesh) -> stage_of.MeshData:
-    """Record what welding changed, and return the welded mesh. Values painted on faces stay with the remaining faces."""
+    """Record the changes by welding, and return the welded mesh. Values painted on faces stay with the remaining faces."""
     raw = staging.raw[name]
     if welding.moved:
         staging.welds[name] = staging.welds.get(name, 0) + welding.moved

@@ -31,6 +31,7 @@ class MeshMoves:
 
     @property
     def frames(self) -> int:
+        """Return the number of frames."""
         return int(self.tracks.shape[1])
 
     @staticmethod

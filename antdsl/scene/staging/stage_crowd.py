@@ -26,6 +26,7 @@ if TYPE_CHECKING:
 
 
 def length(scene: Scene, value: Quantity | None) -> float | None:
+    """Return a length of the scene in mm; None for None."""
     return None if value is None else value.length(scene.model.unit_mm)
 
 
@@ -53,6 +54,7 @@ def stage_point(
 
 
 def place(staging: SceneStaging, item_points: PointsByName, place: Placement, *path: PathKey) -> stage_of.PlaceData:
+    """Return the starting positions of a crowd line, in mm and the scene's axes. Errors go into the report."""
     scene = staging.scene
     points, ahead, values = None, None, {}
     if isinstance(place.points, UsdPlaces):
@@ -101,6 +103,7 @@ def _read_usd_attributes(file: UsdFile, species: str) -> dict[str, NDArray[np.fl
 
 
 def stage_walk(scene: Scene, walk: Walk | None) -> stage_of.WalkData | None:
+    """Return a walk with a unit direction, in mm and seconds; None without a walk."""
     if walk is None:
         return None
     model = scene.model

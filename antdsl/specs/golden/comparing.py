@@ -24,7 +24,7 @@ class GoldenComparison:
     recorders: dict[GoldenKey, tuple[Run, recorded.GoldenRecorder]] = field(default_factory=dict)
 
     def watch(self, run: Run, frames: int) -> recorded.GoldenWatch | None:
-        """Return the watch for a run of about `frames` frames, or None."""
+        """Return the recorder or comparer for a run of about `frames` frames; None if it is neither recorded nor compared."""
         scene = run.cases[0].scene
         changes = {change.name: "".join(change.value.span.text.split()) for change in run.cases[0].spec.changes}
         result = recorded.GoldenResult(scene, dict(sorted(changes.items())), run.seed)

@@ -31,7 +31,7 @@ _MIX_MULTIPLIER = np.uint64(0x9E3779B97F4A7C15)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FingerprintColumn:
-    """One attribute of all agents of a species (in the order of their ids), of all items of a name, or of all cells of a field.
+    """One attribute of all agents of a species, all items of a name or all cells of a field. Agents are sorted by id.
 
     `rank`: the order in reports. `opaque`: the values mean nothing to a reader. `names`: of items, by number."""
 
@@ -47,6 +47,7 @@ class FingerprintColumn:
 
     @property
     def key(self) -> str:
+        """Return the unique name of the column, such as `forager.load`."""
         return f"{self.who}.{self.what}" if self.what else self.who
 
     def bits(self) -> NDArray[np.uint64]:
@@ -77,6 +78,7 @@ class FingerprintColumn:
         return row, np.frombuffer(previous_bits.to_bytes(size, "little"), self.values.dtype.newbyteorder("<"))[0]
 
     def format_value(self, world: World, value: Any) -> str:
+        """Return a value of the column in the author's spelling."""
         return format_value(world, value, self.type, self.unit)
 
     def summary(self, world: World) -> str:

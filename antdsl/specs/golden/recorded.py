@@ -35,6 +35,8 @@ ValueSums = tuple[
 
 
 class Part(BaseModel):
+    """The base of the stored models."""
+
     model_config = ConfigDict(extra="forbid", hide_input_in_errors=True)
 
 
@@ -57,13 +59,15 @@ class GoldenRun(Part):
 
 
 class Golden(Part):
+    """The contents of a golden file. `made`: the environment in which it was written."""
+
     golden: Literal[2]
     made: dict[GoldenText, GoldenText]
     runs: list[GoldenRun]
 
 
 class GoldenError(Exception):
-    """Why a file is not a golden file, in words that stand alone."""
+    """Error for a file that is no golden file. The message is self-contained."""
 
 
 @dataclass(slots=True)
@@ -84,11 +88,12 @@ class GoldenResult:
 
     @property
     def name(self) -> str:
+        """Return the display name: the scene and the changed params."""
         return "golden run of " + ", ".join([self.scene.name, *(f"{name} = {text}" for name, text in self.changes.items())])
 
 
 class GoldenWatch(Protocol):
-    """Looks at each frame of a run, which continues at least until `over` is true."""
+    """Receives each frame of a run. The run continues at least until `over` is true."""
 
     @property
     def over(self) -> bool: ...
@@ -102,7 +107,7 @@ def golden_path(scene: Path) -> Path:
 
 
 def describe_environment() -> dict[str, str]:
-    """What a run is made with."""
+    """Return the versions and the system that results depend on."""
     return {
         "antdsl": __version__, "python": platform.python_version(), "numpy": np.__version__,
         "system": f"{platform.system()} {platform.machine()}",
@@ -153,6 +158,7 @@ class GoldenRecorder:
         self.made: GoldenRun | None = None
 
     def look(self, world: World) -> None:
+        """Record the hash of this frame and, at regular intervals, its fingerprints."""
         frame = Frame(frame=world.frame, hash=state_hash(world))
         if len(self.frames) % self.every == 0:
             sums_by_key = _column_sums(world, self.program)
@@ -163,7 +169,7 @@ class GoldenRecorder:
         self.frames.append(frame)
 
     def end(self, world: World) -> None:
-        """Put the golden run together."""
+        """Build the golden run from the recorded frames."""
         self.result.frames = len(self.frames)
         summary = {name: f"{len(population)} agents" for name, population in sorted(world.populations.items())}
         column_summaries = {key: column.summary(world) for key, column in columns(world, self.program).items()}
@@ -183,6 +189,7 @@ class GoldenComparer:
         self.over = False
 
     def look(self, world: World) -> None:
+        """Compare this frame with the golden one."""
         if self.over:
             return
         golden_frame = self.golden.frames[self.result.frames]
@@ -207,7 +214,7 @@ class GoldenComparer:
                 self.result.words = "no later frame is stored in detail"
 
     def end(self, world: World) -> None:
-        """All is known."""
+        """Do nothing: the result is complete."""
 
     def _record_difference(self, frame: int, words: str) -> None:
         self.result.outcome, self.result.frame, self.result.words, self.result.origin = "differs", frame, words, self.made

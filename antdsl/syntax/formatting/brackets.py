@@ -11,7 +11,7 @@ from antdsl.syntax import nodes as n
 from antdsl.syntax.scan import ScannedToken, TokenScan
 from antdsl.syntax.words import QUANTITY_PATTERN
 
-# How loosely a word binds, for breaking a value that is too long: the loosest first. `..` parts a range.
+# Precedence of operators, lowest first, for breaking a long value. `..` separates the ends of a range.
 _BINDING_LEVELS = (("..",), ("then", "else"), ("or",), ("and",), ("<", ">", "<=", ">=", "==", "!="), ("+", "-"), ("*", "/"))
 
 
@@ -38,8 +38,8 @@ class BracketSlot:
     lead: list[n.Comment] = field(default_factory=list)
     trail: n.Comment | None = None
     inner: list[tuple[int, n.Comment, bool]] = field(default_factory=list)
-    operands: list[BracketSlot] = field(default_factory=list)  # the slot once more, cut at its signs, where these have comments
-    deeper: bool = False  # set in once more: what comes after `n in SET:`
+    operands: list[BracketSlot] = field(default_factory=list)  # the slot cut at its operators, if these have comments
+    deeper: bool = False  # indented once more: the body after `n in SET:`
 
     @property
     def flat(self) -> str:
@@ -92,7 +92,7 @@ class BracketReader:
         slots = [BracketSlot()]
         while True:
             token, slot = tokens[index], slots[-1]
-            left: list[n.Comment] = []  # that belong to no slot so far
+            left: list[n.Comment] = []  # comments without a slot yet
             while (comment := self.comments(token.start)) is not None:
                 self.place(comment, slots, token, left)
             if token.kind == "close":

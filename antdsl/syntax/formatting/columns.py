@@ -9,14 +9,14 @@ from itertools import groupby
 from antdsl.syntax.formatting.brackets import LayoutNode, TokenLeaf
 from antdsl.syntax.formatting.items import LayoutBlock, LayoutStatement
 
-MAX_ALIGNED_CHARACTERS = 64  # characters; what is longer before a mark does not push the marks of its neighbours away
-_MIN_COMMENT_BLANKS = 2  # blanks before a comment, at least
+MAX_ALIGNED_CHARACTERS = 64  # longer text before a mark does not affect the alignment of neighbours
+_MIN_COMMENT_BLANKS = 2  # minimum blanks before a comment
 
 
 @dataclass(slots=True)
 class LayoutRow:
-    """A statement or a comment before layout: the cells of its first line, the kind it is aligned with, and the lines that
-    follow, if any. `alone`: it does not affect the alignment of its neighbours."""
+    """A statement or a comment before layout: the cells of its first line, and the following lines. Rows of one `kind` are
+    aligned. `alone`: it does not affect the alignment of its neighbours."""
 
     kind: str
     cells: list[str]

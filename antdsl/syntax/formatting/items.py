@@ -94,7 +94,7 @@ def _find_marks(file: n.File) -> tuple[frozenset[int], frozenset[int]]:
 
 
 def _called_name(part: object) -> n.Name | None:
-    """Return the name in a line after which arguments in brackets may follow."""
+    """Return the function or verb that a node names, after which arguments in brackets may follow; None if there is none."""
     if isinstance(part, n.Ask):
         return part.name if part.amount is None else None
     return part.event if isinstance(part, n.On) else part.name if isinstance(part, n.Behaviour) else None
@@ -107,7 +107,7 @@ class _ItemReader:
     scan: TokenScan
     calls: frozenset[int]
     minus: frozenset[int]
-    taken: int = field(default=0)  # how many comments have found their place
+    taken: int = field(default=0)  # number of comments already placed
 
     def next_before(self, offset: int) -> n.Comment | None:
         """Return the next comment if it begins before an offset."""
@@ -123,7 +123,7 @@ class _ItemReader:
     def read_lines(self, lines: Sequence[SourceLine], rule: str, start: int, end: int) -> list[LayoutItem]:
         """Return the statements and comments between two offsets."""
         item_list: list[LayoutItem] = []
-        last = start  # where the item before ends
+        last = start  # end of the previous item
         for line in lines:
             last = self.add_remarks(item_list, last, line.start)
             item_list.append(self.make_statement(line, rule, self.has_blank_line(item_list, last, line.start)))
@@ -160,7 +160,7 @@ class _ItemReader:
             if token.kind == "open" and self.scan.clean[token.start] == "{":
                 first = parts[0].text if isinstance(parts[0], TokenLeaf) else ""
                 parts.append(self.make_block(next(groups), rule, first))
-                index += 2  # the closing brace is the next token: what lies between belongs to the group
+                index += 2  # skip the closing brace; the tokens between belong to the group
                 reader.resume(line.tokens[index - 1])
             else:
                 node, index = reader.read_node(line.tokens, index)

@@ -10,12 +10,13 @@ from antdsl.syntax.formatting.columns import LayoutRow, align_rows, split_cells
 from antdsl.syntax.formatting.items import LayoutBlock, LayoutItem, LayoutStatement, RemarkItem, needs_own_lines
 
 MAX_LINE_CHARACTERS = 120  # characters of a line that can be broken
-INDENT_BLANKS = 2  # blanks by which a block is set in
+INDENT_BLANKS = 2  # indent of a block
 
 LayoutPart = LayoutNode | LayoutBlock
 
 
 def text_of_items(items: Sequence[LayoutItem]) -> str:
+    """Return the text of a file from its items."""
     return "".join(f"{line}\n" for line in _block_lines(items, 0))
 
 
@@ -69,7 +70,7 @@ def _statement_lines(parts: Sequence[LayoutPart], indent: int) -> list[str]:
 
 
 def _piece_text(parts: Sequence[LayoutPart], start: int, end: int) -> str:
-    """Return the line between two open blocks, with the brace before and, if one follows, after it."""
+    """Return the line between two broken blocks, with the braces before and after it."""
     text = _flat_text(parts[start + 1 : end])
     return ("}" if start >= 0 else "") + text + (" {" if end < len(parts) and isinstance(parts[end], LayoutBlock) else "")
 
@@ -92,7 +93,8 @@ def _sequence_lines(parts: Sequence[LayoutPart], indent: int, column: int, suffi
 
 
 def _required_width(parts: Sequence[LayoutPart], start: int, suffix: int) -> int:
-    """Return how many characters must fit on the line if a bracket is not broken. A help at the end may have any length."""
+    """Return the number of characters that must fit on the line if a bracket is not broken. A help text at its end does not
+    count."""
     count = len(_flat_text([parts[start]]))
     for part in parts[start + 1 :]:
         if isinstance(part, BracketGroup):

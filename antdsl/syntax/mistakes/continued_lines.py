@@ -31,7 +31,7 @@ _CONTINUING_WORDS = frozenset(
         *_CONTINUING_SIGNS,
     )
 )
-# Behind these something must follow.
+# Signs and words after which a statement is incomplete.
 _INCOMPLETE_ENDINGS = frozenset(("and", "or", "then", "else", "-", "..", *_CONTINUING_SIGNS))
 _LINE_WORDS = frozenset(word for words in LINE_WORDS_BY_RULE.values() for word in words)
 
@@ -39,7 +39,7 @@ _LINE_WORDS = frozenset(word for words in LINE_WORDS_BY_RULE.values() for word i
 def join_lines(scan: TokenScan) -> list[ScannedToken]:
     """Return the tokens of a text without line ends inside a continued statement, and report each such statement."""
     tokens, open, indent = list(scan.tokens), 0, 0
-    joints: list[int] = []  # ends of lines of one statement, each followed by what belongs to it
+    joints: list[int] = []  # indices of line ends inside one statement
     left_out: set[int] = set()
     for index, token in enumerate(tokens):
         text = _token_text(scan, token)

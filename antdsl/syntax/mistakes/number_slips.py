@@ -12,12 +12,12 @@ from antdsl.syntax.words import UNIT_NAMES, UNIT_SLIP_HELP
 
 # Digits with commas between them; a dot may follow. Not the end of a name or of a number with a dot.
 COMMA_NUMBER_PATTERN = re.compile(r"[0-9]+(?:,[0-9]+)+(?:\.[0-9]+)?(?![0-9.]*\.[0-9])")
-LEADING_ZERO_PATTERN = re.compile(r",0[0-9]")  # a comma behind which no second number can begin
+LEADING_ZERO_PATTERN = re.compile(r",0[0-9]")  # a second number cannot begin with such a zero
 _GLUED_TEXT_PATTERN = re.compile(r"[A-Za-z_][A-Za-z_0-9]*|\.[0-9][0-9.]*|\.(?!\.)")
 _DIGITS_BEFORE_PATTERN = re.compile(r"(?<![A-Za-z0-9_.])[0-9]+\Z")
 _DIGITS_AFTER_PATTERN = re.compile(r"[0-9]+(?!\.?[0-9])")
 _THOUSANDS_PATTERN = re.compile(r"[1-9][0-9]{0,2}(?:,[0-9]{3})+(?:\.[0-9]+)?")
-_MAX_SHOWN_CHARACTERS = 60  # characters of a number that are shown
+_MAX_SHOWN_CHARACTERS = 60  # longer numbers are shortened in messages
 
 
 def find_comma_number(source: Source, comma: int) -> Span | None:
@@ -51,7 +51,7 @@ def comma_diagnostic(span: Span, *, only: bool = True) -> Diagnostic:
 
 
 def number_problem(piece: str, characters: str, end: int) -> tuple[str, int, str] | None:
-    """Return what is wrong with a number that ends at an offset of a text, where it really ends, and what to write."""
+    """Return the message, the corrected end and the help for an invalid number that ends at offset `end`; None if it is valid."""
     glued = _GLUED_TEXT_PATTERN.match(characters, end)
     rest = glued.group() if glued else ""
     complete_text = f"{piece}{rest}"[:80]
@@ -73,7 +73,7 @@ def number_problem(piece: str, characters: str, end: int) -> tuple[str, int, str
 
 
 def unit_help(word: str) -> str:
-    """Return what to write instead of a word that is not a unit."""
+    """Return the help text for a word that is not a unit."""
     near = UNIT_SLIP_HELP.get(word.lower())
     if near is None and (name := nearest_name(word, UNIT_NAMES)) is not None:
         near = f"did you mean `{name}`?"

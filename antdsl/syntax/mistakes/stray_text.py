@@ -14,7 +14,7 @@ from antdsl import limits
 if TYPE_CHECKING:
     from antdsl.syntax.scan import TokenScan
 
-# Letter and what it looks like, one after the other.
+# Each letter is followed by its ASCII look-alike.
 _LOOKALIKE_PAIRS = (
     "\u0430a\u0435e\u043eo\u0440p\u0441c\u0443y\u0445x\u0456i\u0458j\u0455s\u04bbh\u0501d\u051bq\u051dw"  # Cyrillic
     "\u043ak\u043cm\u043dh\u0442t\u0432b\u0433r"
@@ -26,7 +26,7 @@ _LATIN_BY_LOOKALIKE = dict(zip(_LOOKALIKE_PAIRS[::2], _LOOKALIKE_PAIRS[1::2], st
 DOUBLE_QUOTES = "\u201c\u201d\u201e\u201f\u00ab\u00bb\u2033\uff02"
 SINGLE_QUOTES = "'\u2018\u2019\u201a\u201b\u00b4\u2032`"
 
-# Signs of other languages and of mathematics: what to write, and the text that takes their place where the meaning is plain.
+# Signs of other languages and of mathematics: help, and the replacement if the meaning is clear.
 WRONG_SIGN_HELP = {
     "&&": ("write `and`", None),
     "||": ("write `or`", None),

@@ -38,11 +38,11 @@ class UnexpectedToken:
     span: Span
     first_span: Span
     expected_terminals: frozenset[str]
-    next: str = ""  # the text after `found`
-    earlier: str = ""  # the text before `before`
+    next: str = ""  # the text after `token_text`
+    earlier: str = ""  # the text before `previous_text`
 
 
-# Of the terminals that can follow a finished value, the ones that a line needs, most telling first.
+# Terminals that a line needs after a complete value, the most informative first.
 _REQUIRED_TERMINALS = (
     ("ARROW", "`->`"),
     ("_THEN", "`then`"),
@@ -68,16 +68,16 @@ _REQUIRED_TERMINALS = (
     ("ON", "`on`"),
     ("_COMMA", "`,`"),
 )
-# Words inside a line that join its parts: what else is found there may be a slip of one of these.
+# Words that join the parts of a line. Another word there may be a misspelling of one of these.
 _JOINING_WORDS = frozenset(
     ("any", "at", "each", "else", "except", "from", "held", "least", "over", "strongest", "take", "then", "until", "when")
 )
 _VALUE_TERMINALS = frozenset({"NUMBER", "QUANTITY", "NAME", "LPAR"})
 _ASSIGNMENT_SIGNS = {"=", "+=", "-=", "[", "."}
-# The beginning of a question to all: its brackets hold a condition and no argument's name.
+# Words before a condition in brackets, where no argument name is possible.
 _QUERY_START_PATTERN = re.compile(r"\b(?:share|count|any|every)\(\s*[a-z_][a-z_0-9.]*\s*\Z|[(,]\s*(?:state|previous|next)\s*\Z")
 _WRITING_SIGNS = ("=", "+=", "-=")
-# After these a value begins.
+# Terminals after which a value begins.
 _WORDS_BEFORE_VALUES = ("when", "and", "or", "not", "no", "steer", "face", "then", "else", "if", "until")
 _VALUE_STARTING_WORDS = frozenset((*_WORDS_BEFORE_VALUES, *"=<>+-*/", *_WRITING_SIGNS, "<=", ">=", "=="))
 _COMPARISON_SIGNS = {"==", "!=", "<", ">", "<=", ">=", "is"}
@@ -141,7 +141,7 @@ def _explain_quoted_library(unexpected: UnexpectedToken) -> Diagnostic | None:
 
 
 def _find_slip(unexpected: UnexpectedToken) -> str | None:
-    """Return the word of the language that is allowed here and of which the found word is a misspelling."""
+    """Return the allowed word that the unexpected token is a misspelling of; None if there is none."""
     if unexpected.token_kind != "word" or len(unexpected.token_text) < 3 or "NAME" in unexpected.expected_terminals:
         return None
     words = [
@@ -157,8 +157,8 @@ def _forgets_arrow(unexpected: UnexpectedToken) -> bool:
 
 
 def forgets_brackets(unexpected: UnexpectedToken) -> bool:
-    """Return whether brackets are missing, as in `touching nest`: a name after one that begins a value and could be called with
-    it."""
+    """Return whether brackets are missing, as in `touching nest`: two names in a row, of which the first could be a
+    function."""
     names = unexpected.previous_kind == unexpected.token_kind == "word" and unexpected.next not in ("(", ".", "[", ":")
     return (
         names
@@ -183,7 +183,7 @@ def plain_diagnostic(unexpected: UnexpectedToken) -> Diagnostic:
 
 
 def better_first_word(unexpected: UnexpectedToken) -> str | None:
-    """Return the word of which a line's first word is a misspelling, if the line fits no other reading."""
+    """Return the word that a line's first word is a misspelling of, if the line has no other valid meaning; else None."""
     words = LINE_WORDS_BY_RULE[unexpected.rule]
     other = FOREIGN_FIRST_WORDS.get(unexpected.first)
     if other in words and unexpected.token_text not in _WRITING_SIGNS:

@@ -96,6 +96,7 @@ class CheckRenderer:
         ]  # fmt: skip
 
     def _return_lines(self, function: IrFunction, fine: str, *lines: str) -> list[str]:
+        """Return a branch: unless the condition `fine` holds, `lines` run and the function returns zeros."""
         label = fine[1:]
         passed = "ret void" if function.result == "void" else f"ret {function.result} zeroinitializer"
         branch = f"  br i1 {fine}, label %{label}.fine, label %{label}.fault"

@@ -31,6 +31,7 @@ class LineTables:
         self._first = 0
 
     def _node(self, text: str) -> int:
+        """Add a metadata node, and return its number."""
         return self._nodes.setdefault(text, len(_HEADER_LINES) - 2 + len(self._nodes))
 
     def begin_function(self, name: str, file_name: str, line: int) -> str:

@@ -67,7 +67,7 @@ def make_builtin(
     otherwise: Callable[..., Any],
     run: int = 0,
 ) -> Any:
-    """Return the built-in function for kernel code, or None if no such function can be made.
+    """Return a built-in Python function that calls kernel code; None if no such function can be made.
 
     - `words`: the length of the table that the code reads; the code stores its results in the first words
     - `gives`: the kinds of these results
@@ -91,10 +91,11 @@ def make_builtin(
     make.argtypes, make.restype = (ctypes.c_void_p, ctypes.py_object, ctypes.py_object), ctypes.py_object
     return make(
         ctypes.addressof(method), descriptor, (method, code, otherwise, _code(), tuple(specs))
-    )  # which live as long as it does
+    )  # the built-in function keeps these alive
 
 
 def _pack_step(each: ArgumentSpec) -> bytes:
+    """Return the words that describe how to read an argument."""
     depth, index = len(each.path) - 1, each.path[-1]
     if each.count is not None:
         return struct.pack(f"={reading.WORDS_PER_ARGUMENT}q", reading.TUPLE_ARGUMENT, depth, index, 0, each.count, 0, 0, 0)

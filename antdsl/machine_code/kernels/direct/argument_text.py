@@ -11,16 +11,16 @@ import numpy as np
 from antdsl.machine_code import machine
 from antdsl.machine_code.library import library_text, read_language
 
-MAX_TABLE_WORDS = 256  # of a call's table at most: 2 kB of the stack
-MAX_JOB_PARTS = 64  # of a job at most
-RESULT_WORDS = 8  # words at the beginning of a table for what is given back
-PART_RESULTS_WORD = 40  # word of a pool from which on stands what each part of a job gave
-MAX_TUPLE_DEPTH = 6  # tuples within tuples at most
-TYPE_FLAGS_OFFSET, TUPLE_FLAG = 168, 1 << 26  # the place of a type's flags, and the flag of tuples and their subclasses
+MAX_TABLE_WORDS = 256  # limit of a call's table, 2 kB on the stack
+MAX_JOB_PARTS = 64  # limit of a job
+RESULT_WORDS = 8  # words for results at the start of a table
+PART_RESULTS_WORD = 40  # first word of a pool with the results of each part of a job
+MAX_TUPLE_DEPTH = 6  # limit of nested tuples
+TYPE_FLAGS_OFFSET, TUPLE_FLAG = 168, 1 << 26  # offset of a type's flags; the flag of tuples and subclasses
 REAL_KIND, INTEGER_KIND, UNSIGNED_KIND, TRUTH_KIND = range(4)  # kinds of numbers
 ARRAY_ARGUMENT, TUPLE_ARGUMENT, NUMBER_ARGUMENT = range(3)
-WORDS_PER_ARGUMENT = 8  # words that tell of an argument
-HEADER_WORDS = 16  # words before these
+WORDS_PER_ARGUMENT = 8  # words that describe an argument
+HEADER_WORDS = 16  # words before the descriptions of arguments
 PYTHON_OBJECTS: Mapping[str, Any] = {
     "array.type": np.ndarray, "float": float, "f64": np.float64, "f32": np.float32, "int": int, "i64": np.int64,
     "u64": np.uint64, "bool": bool, "b8": np.bool_, "None": None, "True": True,
@@ -34,6 +34,7 @@ PYTHON_API_CALLS = (
 
 
 def bytes_offset() -> int:
+    """Return the offset of the data in a bytes object."""
     return object.__basicsize__ + 16  # their number, and a hash
 
 
@@ -57,6 +58,7 @@ def text(_: machine.Target) -> str:
 
 
 def _reader_text(name: str, number: int) -> str:
+    """Return the function that reads an argument of one kind."""
     return (
         f"define internal ptr @{name}(ptr %here) alwaysinline {{\n  %at = getelementptr ptr, ptr %here, i64 {number}\n"
         "  %found = load ptr, ptr %at\n  ret ptr %found\n}"

@@ -22,8 +22,8 @@ def args(w: PlanWriter, e: model.OperationExpr) -> list[PlanNode]:
 
 
 def _lower_both(w: PlanWriter, e: model.OperationExpr) -> tuple[LoweredValue, LoweredValue, Callable[[], list[PlanNode]]]:
-    """Return both operands, and a function that returns them as scalars. Each is lowered once; otherwise the work would double
-    with each nested sum."""
+    """Return both operands, and a function that returns them as scalars. Each operand is lowered only once, because two times
+    would double the work at each level of nesting."""
     first, second = (a for a in e.args if a is not None)
     left, right = lower(w, first), lower(w, second)
     return left, right, lambda: [single_node(w, first, left), single_node(w, second, right)]
@@ -141,7 +141,7 @@ def _make_comparison(op: str) -> OperationRule:
             same = w.b.all(*(w.b("eq", p, q) for p, q in zip(left, right, strict=True)))
             return same if op == "eq" else w.b("not", same)
         first, second = scalars()
-        if first.kind is not second.kind:  # a truth beside a number: both as numbers
+        if first.kind is not second.kind:  # a bool and a number: compare both as numbers
             first, second = (n if n.kind is ValueKind.F32 else w.b("number", n) for n in (first, second))
         return w.b(op, first, second)
 

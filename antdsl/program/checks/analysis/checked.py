@@ -11,9 +11,12 @@ from antdsl.program.names.scope import Declarations, FileNames
 
 @dataclass(frozen=True, slots=True)
 class CheckContext:
+    """The input of a check: a program, the uses of its names, and its files."""
+
     program: Program
     declared: Declarations
     files: Sequence[FileNames]
 
     def is_used(self, kind: str, name: str) -> bool:
+        """Return whether the program uses a name of a kind, such as `param`."""
         return (kind, name) in self.declared.used

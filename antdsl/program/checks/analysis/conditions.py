@@ -13,7 +13,7 @@ from dataclasses import dataclass, field, fields, is_dataclass
 from antdsl.program.checks.analysis.ranges import Interval, range_of
 from antdsl.program.model import Binding, BindingRef, Constant, Expr, OperationExpr, Param, TypeKind
 
-_MAX_CASES = 48  # cases; a condition with more is left alone
+_MAX_CASES = 48  # conditions with more cases are not analysed
 _SWAPPED_COMPARISONS = {"lt": "gt", "le": "ge", "gt": "lt", "ge": "le", "eq": "eq", "ne": "ne"}
 _NEGATED_COMPARISONS = {"lt": "ge", "le": "gt", "gt": "le", "ge": "lt", "eq": "ne", "ne": "eq"}
 
@@ -48,7 +48,7 @@ class TooManyCases(Exception):
     """A condition has more cases than the analysis allows."""
 
 
-# Such a condition is left alone; so is one that goes through more lets, each in the other, than can be followed.
+# A condition with too many cases, or with lets nested too deeply, is not analysed.
 UNREADABLE_CONDITION_ERRORS = (TooManyCases, RecursionError)
 
 
@@ -59,8 +59,8 @@ class ConditionReader:
     params: Mapping[str, Param]
     known: dict[str, Interval] = field(default_factory=dict)
     keys: dict[int, str] = field(default_factory=dict)
-    references: list[object] = field(default_factory=list)  # what the ids of `keys` belong to stays alive
-    # A let may stand in many places, and what it names be made of lets again: each is looked at once.
+    references: list[object] = field(default_factory=list)  # keeps the objects alive of which `keys` has ids
+    # A let may be used in many places and may use other lets, so each is analysed only once.
     ranges: dict[int, Interval] = field(default_factory=dict)
     behind: dict[tuple[int, bool], ConditionCases] = field(default_factory=dict)
 
@@ -97,7 +97,7 @@ class ConditionReader:
         if _constant_value(left) is not None:
             left, right, name = right, left, _SWAPPED_COMPARISONS[name]
         edge = _constant_value(right)
-        if edge is None:  # two that change: their difference against 0
+        if edge is None:  # two variables: compare their difference with 0
             if self.key(left) > self.key(right):
                 left, right, name = right, left, _SWAPPED_COMPARISONS[name]
             key = f"{self.key(left)} - {self.key(right)}"

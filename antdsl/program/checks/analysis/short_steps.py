@@ -17,7 +17,7 @@ from antdsl.program.tables.vocabulary import DRAWING_OPERATIONS
 from antdsl.program.traverse import parts
 from antdsl.program.typed import AttributeRef, Binding, BindingRef, ThingRef
 
-OwnValue = str | Binding  # the attribute that is set, or the stored memory
+OwnValue = str | Binding  # the attribute that an update sets, or the memory
 
 
 class StepInfluence(IntEnum):
@@ -58,7 +58,7 @@ class ShortStepValue:
 OperandValues = Sequence[ShortStepValue]
 _UNSURE_VALUE = ShortStepValue(StepInfluence.UNSURE)
 _QUERY_OPERATIONS = frozenset(("lt", "le", "gt", "ge", "eq", "ne", "is_some", "is_none", "chance", "event", "touching"))
-_RATE_FREE_OPERATIONS = frozenset(("chance", "event"))  # they come as often at any frame rate
+_RATE_FREE_OPERATIONS = frozenset(("chance", "event"))  # equally frequent at any frame rate
 
 
 def find_changers(value: Expr, own: OwnValue, driven: bool = False) -> tuple[Expr, ...]:
@@ -130,7 +130,7 @@ def _analyse(value: Expr, own: OwnValue, driven: bool) -> ShortStepValue:
             short = _constant_value(part)
         elif isinstance(part, ReduceExpr):
             short = _combination(part, below)
-            short = short if short.vanishes else ShortStepValue()  # what is read inside a set is about the others
+            short = short if short.vanishes else ShortStepValue()  # values inside a set belong to other agents
         else:
             short = below[0] if below else ShortStepValue()
         known[id(part)] = short
@@ -202,7 +202,7 @@ def _is_near(value: float | None, number: float) -> bool:
 def _sum(op: OperationExpr, below: OperandValues) -> ShortStepValue:
     a, b = below
     if op.name == "sub" and any(isinstance(each, OperationExpr) and each.name == "floor" for each in parts(op.args[1])):
-        return a  # `x - floor(x)`: put back into its range
+        return a  # `x - floor(x)` moves the value back into its range
     own, other = (a, b) if a.influence >= b.influence else (b, a)
     if own.influence is StepInfluence.UNSURE:
         return _UNSURE_VALUE
@@ -373,7 +373,7 @@ def _conditional(op: OperationExpr, below: OperandValues, own: OwnValue, driven:
 
 
 def _query(op: OperationExpr, below: OperandValues) -> ShortStepValue:
-    return ShortStepValue()  # an answer; what is done by it is seen where it is used
+    return ShortStepValue()  # a condition; its effect is analysed where it is used
 
 
 def _run_value(op: OperationExpr, below: OperandValues) -> ShortStepValue:

@@ -103,6 +103,7 @@ def _request(b: BlockWriter, each: BlockInstruction, what: ir.Request) -> None:
 
 
 def _claim(b: BlockWriter, each: BlockInstruction, what: ir.Claim) -> None:
+    """Emit a claim, with the result of `numpy_statements`."""
     e, mask, slots = b.e, b.mask[-1], iter(each.inputs)
     item: Lanes = e.read(b.base("cell", what.of), b.row, I32) if what.item is None else b.slot(next(slots))
     amount = e.constant(np.inf, F32)
@@ -113,6 +114,7 @@ def _claim(b: BlockWriter, each: BlockInstruction, what: ir.Claim) -> None:
 
 
 def _give(b: BlockWriter, each: BlockInstruction, what: ir.Give) -> None:
+    """Emit a gift, with the result of `numpy_statements`."""
     e, mask, own = b.e, b.mask[-1], b.base("now", what.own)
     item: Lanes = b.slot(each.inputs[0])
     had = e.read(own, b.row, F32)

@@ -1,4 +1,4 @@
-"""Runs a plan's blocks as machine code. NumPy runs them until the code is ready, or if code cannot be made. The results have
+"""Runs a plan's blocks as machine code. NumPy runs blocks until their code is ready, and if no code can be made. The results have
 the same bits."""
 
 from __future__ import annotations
@@ -24,11 +24,11 @@ from antdsl.runtime.backends.reference import AgentRun
 from antdsl.runtime.requests import EffectRequests
 from antdsl.runtime.world import AXES, Population, World
 
-_MIN_AGENTS_FOR_CODE = 2_000  # agents; a few steps of so many make up for loading a program's code
-_MIN_STEP_SECONDS = 0.2  # s of processor time of the steps before it
-_MAX_LOAD_SECONDS = 1.0  # s to wait for code that is stored
-_SAMPLED_RADII = 8  # agents with radii computed before the first search, to choose cells by
-_DEFAULT_AGENTS_PER_CELL = 8  # agents in a cell, where no radius is known
+_MIN_AGENTS_FOR_CODE = 2_000  # with as many agents, loading code pays off after a few steps
+_MIN_STEP_SECONDS = 0.2  # CPU seconds of earlier steps from which compilation pays off
+_MAX_LOAD_SECONDS = 1.0  # maximum wait for stored code
+_SAMPLED_RADII = 8  # agents of which radii are computed to choose the first cell size
+_DEFAULT_AGENTS_PER_CELL = 8  # agents per cell if no radius is known
 
 
 class NativeBackend(NumpyBackend):
@@ -40,13 +40,13 @@ class NativeBackend(NumpyBackend):
         super().__init__(plan)
         self._plan = plan
         self._coming: Future[ReadyCode] | None = None
-        self._without: str | None = None  # why there is no machine code and will be none
+        self._without: str | None = None  # the reason if machine code cannot be made
         self._begun = False
-        self._sought: set[WorldFacts] = set()  # of code that was sought in the store
+        self._sought: set[WorldFacts] = set()  # facts for which stored code was searched
         self.ready: ReadyCode | None = None
         self._running: dict[tuple[str, str], BlockRunner] = {}
-        self._timed = False  # the code to run or to load is timed by line
-        # the other code
+        self._timed = False  # whether the active code is timed by line
+        # the inactive code: timed code while untimed code is active, and the reverse
         self._aside: tuple[ReadyCode | None, Future[ReadyCode] | None, dict[tuple[str, str], BlockRunner]] = (None, None, {})
         self._rooms = PaddedArrays()
         self._versions: list[int] = []
@@ -101,7 +101,7 @@ class NativeBackend(NumpyBackend):
         if self.ready is not None or self._without is not None:
             return
         if self._timed and machine.is_available() and not machine.host().x86:
-            return  # elsewhere a program may not be allowed to read the counter
+            return  # other processors may forbid reading the counter
         facts = WorldFacts.of(world.setting, timed=self._timed)
         ready = find_ready(world.plan, facts)
         pays = len(world) >= _MIN_AGENTS_FOR_CODE or sum(world.worked.values()) >= _MIN_STEP_SECONDS
@@ -142,7 +142,7 @@ class NativeBackend(NumpyBackend):
         values, tables = self._values[name], code.tables
         tables.fill(world, population, values, self._lasting[name], self._kept[name], grids)
         for begin, end in code.run(world, population, values, metered):
-            super().run(world, population, block, np.arange(begin, end))  # which stops, and says where
+            super().run(world, population, block, np.arange(begin, end))  # raises the error with its location
         for lane in tables.lanes.every:
             for field, laid in lane.laid.items():
                 if laid[0]:
@@ -155,7 +155,7 @@ class NativeBackend(NumpyBackend):
                 each.fill(0)
 
     def _ready_block(self, species: str, block: str) -> BlockRunner | None:
-        """Return the machine code of a block, ready to run; None if there is none."""
+        """Return the runner of a block's machine code; None if the block has no machine code."""
         if self.ready is None or (species, block) not in self.ready.written:
             return None
         native_block = self._running[species, block] = BlockRunner(self.ready, species, block, self._rooms)

@@ -22,8 +22,8 @@ from antdsl.runtime.backends.native.marks import LineCounters, add_marks
 from antdsl.runtime.backends.native.scents import may_reach, strength
 from antdsl.runtime.backends.native.schedule import StageSchedule, operands_of
 
-_OUT_OF_LINE_FUNCTIONS = frozenset(("sin", "cos", "exp", "log", "pow", "atan2"))  # functions of the module rather than inlined
-_FIRST_GUARD_SLOT = -1_000_000  # slots from here downward stand for who needs a call
+_OUT_OF_LINE_FUNCTIONS = frozenset(("sin", "cos", "exp", "log", "pow", "atan2"))  # called as functions of the module, not inlined
+_FIRST_GUARD_SLOT = -1_000_000  # slots from here downward are masks of agents that need a call
 
 
 class FunctionWriter:
@@ -86,20 +86,20 @@ class NeighbourSearch:
 
 @dataclass(slots=True, eq=False)
 class BlockCode:
-    """A compiled block: the names of its stages' functions, and everything needed to run them."""
+    """A compiled block: the names of its stages' functions, and the tables, calls and lists that running them needs."""
 
     species: ir.SpeciesPlan
     names: list[str]
     layout: AddressLayout
     schedule: StageSchedule
-    lines: LineCounters | None = None  # of code that is timed by line
-    faults: list[tuple[str, BlockInstruction]] = field(default_factory=list)  # name and instruction of each
+    lines: LineCounters | None = None  # for code that is timed by line
+    faults: list[tuple[str, BlockInstruction]] = field(default_factory=list)  # name of the value and its instruction
     near: list[NeighbourSearch] = field(default_factory=list)
     lazy_nodes: list[ir.PlanNode] = field(default_factory=list)
     bounds: dict[int, ir.PlanNode] = field(default_factory=dict)  # `scents.bounds`
     lists: list[BlockInstruction] = field(default_factory=list)  # statements with lists of requesting rows, from slot -1 downward
-    needs: list[BlockInstruction] = field(default_factory=list)  # calls with a note whether an agent needs them
-    guarded: dict[BlockInstruction, int] = field(default_factory=dict)  # calls that not all need, with the slot of who does
+    needs: list[BlockInstruction] = field(default_factory=list)  # calls for which the code records whether an agent needs them
+    guarded: dict[BlockInstruction, int] = field(default_factory=dict)  # calls that only some agents need, with their mask slot
 
     def mask_of(self, each: BlockInstruction) -> int:
         """Return the slot of the mask of rows for which a call is made."""
@@ -136,8 +136,8 @@ class BlockWriter(FunctionWriter):
         self._reductions: list[BlockInstruction] = []
         self._index(compiler.root)
         self.mask: list[Lanes] = []
-        self._nobody: list[int] = []  # masks without agents where the scope around is skipped
-        self.at_top: list[Callable[[], None]] = []  # what is written once all is, and runs first for each eight rows
+        self._nobody: list[int] = []  # mask slots that are cleared first, in case their scope is skipped
+        self.at_top: list[Callable[[], None]] = []  # write code that runs first for each eight rows; called at the end
         self.groups: dict[BlockInstruction, Any] = {}  # reductions over neighbours, by the search that finds them
 
     def _index(self, scope: RowScope) -> None:
@@ -288,7 +288,7 @@ class BlockWriter(FunctionWriter):
     # --- values --------------------------------------------------------------------------------------------------------
 
     def slot(self, slot: int) -> Any:
-        """Return the value of a slot: already known, loop-invariant, stored by an earlier stage, or computed now."""
+        """Return the value of a slot: known, loop-invariant, loaded from an earlier stage, or computed by new code."""
         slot = self.schedule.slot(slot)
         if slot in self._uniform:
             node = self._uniform[slot]
@@ -323,7 +323,7 @@ class BlockWriter(FunctionWriter):
         return value
 
     def known(self, slot: int, value: Any) -> None:
-        """Record a slot's value that was computed together with another one."""
+        """Record the value of a slot that other code has computed already, and store it if a later stage needs it."""
         self.e.known[-1][slot] = value
         self._store_slot(slot, value)
 
@@ -390,7 +390,7 @@ class BlockWriter(FunctionWriter):
         The number of the rejected value is stored above the bits of the mask."""
         e, faults = self.e, self.code.faults
         with e.inside(e.any_lane(bad)):
-            faults.append((what, by))  # one for each place that notes: there is room for one of each by eight rows
+            faults.append((what, by))  # one entry per place; its notes have space for one of each eight rows
             notes = self.base("notes")
             count = e.read_one(notes, 0, I64)
             first = e.address(notes, count * 2, I64)

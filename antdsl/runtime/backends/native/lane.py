@@ -19,7 +19,7 @@ from antdsl.runtime.backends.native.search import MAX_LISTED_CANDIDATES
 
 DTYPE_BY_KIND = {F32: np.float32, F64: np.float64, BOOL: np.bool_, I32: np.int32, I64: np.int64}
 Arrays = dict[tuple[int, int], NDArray[Any]]  # by slot and part
-_LANE_KEY_KINDS = ("array", "laid", "notes", "counts", "needs", "ticks", "candidates")  # kinds of keys
+_LANE_KEY_KINDS = ("array", "laid", "notes", "counts", "needs", "ticks", "candidates")  # kinds of keys with an array per lane
 
 
 class LaneMemory:
@@ -77,11 +77,12 @@ class LaneMemory:
         if len(self.notes) < notes:
             self.notes = np.zeros(notes, np.int64)
         if len(self._candidates) < candidates:
-            self._candidates = np.zeros(candidates, np.int32)  # of one agent with distances beside
+            self._candidates = np.zeros(candidates, np.int32)  # for one agent, with distances
         for number, (key, _) in enumerate(self._keys):
             self._places[number] = address(self._array_for(key))
 
     def _array_for(self, key: AddressKey) -> NDArray[Any]:
+        """Return the lane's own array for a layout key."""
         match key[0]:
             case "array":
                 return self.arrays[int(str(key[1])), int(str(key[2]))]
@@ -108,11 +109,11 @@ class LaneMemories:
     def __init__(self, code: BlockCode) -> None:
         self.code = code
         self.arrays: Arrays = {}
-        self.every: list[LaneMemory] = []  # those of parts there are no longer, too
+        self.every: list[LaneMemory] = []  # includes lanes of earlier, larger numbers of parts
         self._rows = self._others = self._parts = 0
         self._asks: dict[
             BlockInstruction, tuple[FeelerQuery, list[tuple[ir.PlanNode, Any]]]
-        ] = {}  # and what of it goes by values of the step
+        ] = {}  # query by call, with its uniform operands and their values
 
     def prepare(self, parts: int, rows: int, others: int, pointers: NDArray[np.int64]) -> list[LaneMemory]:
         """Return lanes for `parts` parts of `rows` rows each (multiples of eight if there are several parts), with the shared
@@ -130,6 +131,7 @@ class LaneMemories:
         return lanes
 
     def _allocate(self) -> None:
+        """Allocate the arrays of all parts, and assign each lane its slices."""
         rows, length = self._rows, self._parts * self._rows + LANE_COUNT
         self._asks.clear()
         for key, kind in self.code.layout.arrays.items():

@@ -1,4 +1,4 @@
-"""Tables through which machine code finds arrays and numbers: the code contains only indices into these tables.
+"""Layout of the tables of addresses and numbers: machine code contains only indices into these tables.
 
 So the code contains no addresses and no values, and all worlds and param values of a program share it."""
 
@@ -27,11 +27,14 @@ class AddressLayout:
     arrays: dict[tuple[int, int], str] = field(default_factory=dict)
 
     def pointer(self, *key: Hashable) -> int:
+        """Return the index of an address; a new one for a new key."""
         return self.pointers.setdefault(key, len(self.pointers))
 
     def number(self, *key: Hashable) -> int:
+        """Return the index of a number; a new one for a new key."""
         return self.numbers.setdefault(key, len(self.numbers))
 
     def array(self, slot: int, part: int, kind: str) -> int:
+        """Return the index of the address of a stored value."""
         self.arrays[slot, part] = kind
         return self.pointer("array", slot, part)

@@ -52,9 +52,10 @@ class _MarkWriter:
         self.e, self._ticks, self._last = w.e, w.base("ticks"), w.e.slot(I64)
         self._fenced = w.module.target.x86
         self._kept: dict[str, Number] = {}  # stack slots that hold values, by type
-        self._since = 0  # where in the block the last mark ends
+        self._since = 0  # index in the block after the last mark
 
     def write(self) -> None:
+        """Add marks to all blocks of the function."""
         e, blocks = self.e, self.e.blocks
         e.blocks, e.block_now = blocks[:1], BasicBlock(blocks[0].label, [])
         e.blocks[0] = e.block_now

@@ -1,4 +1,4 @@
-"""Converts a plan's blocks into text for the compiler, and lists what is compiled together and what running it needs."""
+"""Converts a plan's blocks to LLVM text: the functions that are compiled separately, and the data that running them needs."""
 
 from __future__ import annotations
 

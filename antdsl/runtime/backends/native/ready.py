@@ -30,7 +30,7 @@ _requests_lock = Lock()
 
 
 class CodeUnavailable(Exception):
-    """Machine code cannot be made on this machine. The message gives the reason and a remedy."""
+    """Error if machine code cannot be made on this machine. The message gives the reason and a remedy."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -56,7 +56,7 @@ class ReadyCode:
 
 
 def find_ready(plan: ir.Plan, facts: WorldFacts) -> ReadyCode | None:
-    """Return the code of a plan if an earlier result is still in use, else None."""
+    """Return the loaded code of a plan if it is still in memory, else None."""
     with _requests_lock:
         return _code_by_plan.get(plan, {}).get(facts)
 
@@ -98,8 +98,8 @@ def _unit(text: Callable[[], NativeProgram], name: str) -> str:
 
 
 def find(plan: ir.Plan, blocks: CompiledBlocks, facts: WorldFacts) -> stored.StoredBlocks | None:
-    """Return what an earlier run stored about a plan's blocks, so that their code can be loaded at once; None if nothing is
-    stored."""
+    """Return the compiled blocks of a plan that an earlier run stored; None if none are stored. With them, code is loaded at
+    once."""
     subject = stored.subject(plan, blocks, facts, machine.host()) if machine.is_available() else None
     return None if subject is None else stored.read(subject)
 
@@ -148,7 +148,7 @@ def _finish_request(future_reference: ReferenceType[Future[ReadyCode]], tell: Ca
 
 
 def release_code() -> None:
-    """Drop all code in memory that no backend uses, as in a new process. Code in folders stays."""
+    """Drop all code in memory that no backend uses, as in a new process. Stored code is unchanged."""
     with _requests_lock:
         _code_by_plan.clear()
     codes.forget()

@@ -23,9 +23,9 @@ class PaddedArrays:
 
     def __init__(self) -> None:
         self._moved: dict[int, tuple[NDArray[Any], NDArray[Any], int]] = {}  # by identity: an array, that with room, its address
-        self._most = _MIN_ARRAYS_TO_DROP  # arrays, above which it is looked who still has them
+        self._most = _MIN_ARRAYS_TO_DROP  # with more arrays, unused ones are released
         self._copies: dict[AddressKey, PaddedCopy] = {}
-        self.step = 0  # goes up with each: what stays while one lasts is copied once
+        self.step = 0  # number of the step; a copy without stamp is valid for one step
 
     def place(self, array: NDArray[Any]) -> tuple[NDArray[Any], int]:
         """Return a padded array with the same content, and its address. If `array` is already padded, it is returned.

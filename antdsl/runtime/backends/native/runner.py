@@ -38,9 +38,9 @@ from antdsl.runtime.requests import FaultEntry
 from antdsl.runtime.sensing import BATCHED_SENSES, SENSE_FUNCTIONS
 from antdsl.runtime.world import Population, World
 
-_PART_ROW_MULTIPLE = 64  # rows: parts are of whole ones, so that some births change the length of none
-# Calls at the end of a stage, those of one sense with one name together: whether what they give is answered where it is left, and
-# each with its number among `needs`.
+_PART_ROW_MULTIPLE = 64  # part sizes are multiples of this, so that few births change no size
+# Calls at the end of a stage, in groups of one sense with one name: whether the sense writes its results to the arrays itself,
+# and each call with its index in `BlockCode.needs`, -1 for none.
 StageCalls = list[tuple[bool, list[tuple[BlockInstruction, int]]]]
 
 
@@ -55,7 +55,7 @@ class BlockRunner:
         numbers = {each: number for number, each in enumerate(self.code.needs)}
         self._ready_for: tuple[int, ...] = ()
         self._rounds: list[PartGroup] = []
-        self.stages: list[tuple[Any, StageCalls]] = []  # function, and what is called after it
+        self.stages: list[tuple[Any, StageCalls]] = []  # the function of each stage, and the calls after it
         for stage, function in enumerate(self.code.names):
             groups = ready.together[species, name, stage]
             calls = [(_is_in_place(group[0]), [(each, numbers.get(each, -1)) for each in group]) for group in groups]
@@ -90,6 +90,7 @@ class BlockRunner:
     def _run_timed(
         self, world: World, population: Population, values: dict[ir.PlanNode, Any], timed: MeteredBlock
     ) -> list[tuple[int, int]]:
+        """Run all rows, and add the times by line to `timed`."""
         lines, chunks, began = self.code.lines, self._rounds[0].chunks, perf_counter()
         for each in chunks:
             each.times = None if lines is None else LineTimes(lines, each.lane.ticks, timed.new_lane())
@@ -109,6 +110,7 @@ class BlockRunner:
 
 
 def _is_in_place(each: BlockInstruction) -> bool:
+    """Return whether a sense reads and writes the arrays of machine code itself."""
     return each.does is InstructionKind.VALUE and isinstance(each.what, ir.PlanNode) and each.what.op in BATCHED_SENSES
 
 
@@ -116,7 +118,7 @@ def _part_size(count: int, chunk: int, threads: int) -> int:
     """Return the number of rows of a part.
 
     It is at most a chunk, and smaller where several parts per thread pay off for balance. In one round, the parts of a thread
-    together have at most a chunk of rows, which stays in the processor's cache from stage to stage."""
+    have at most a chunk of rows together. So their data stays in the processor's cache from stage to stage."""
     most = chunk if threads < 2 else chunk // PARTS_PER_THREAD
     parts = max(
         -(-count // max(LANE_COUNT, most)),
@@ -158,7 +160,7 @@ class PartGroup:
         coming = iter(self.chunks)
 
         def run_parts(_: int) -> None:
-            for each in coming:  # the next one that is free
+            for each in coming:  # the next part that no thread has taken
                 work(each)
 
         if len(self.chunks) > 1:

@@ -11,7 +11,7 @@ from antdsl.plan import ir
 from antdsl.runtime.backends.compile import BlockCompiler, BlockInstruction, InstructionKind, RowScope
 from antdsl.runtime.backends.native.schedule import StageSchedule
 
-_STRENGTH_PART = 0  # part of what `field.strongest` gives
+_STRENGTH_PART = 0  # index of the strength in the result of `field.strongest`
 _COMPARISON_OPERATIONS = frozenset(("lt", "le", "gt", "ge"))
 
 
@@ -49,7 +49,7 @@ def find_bounds(compiler: BlockCompiler, schedule: StageSchedule) -> dict[int, i
     readers: dict[int, list[BlockInstruction]] = {}
     scents: list[int] = []
     for each in _all_instructions(compiler.root):
-        if each.does is not InstructionKind.GATHER:  # which only stands for what it gathers
+        if each.does is not InstructionKind.GATHER:  # a gather has the slot of its source
             for slot in (*each.inputs, each.result):
                 readers.setdefault(schedule.slot(slot), []).append(each)
         if each.does is InstructionKind.KEEP and _operation_name(each) == "field.strongest" and each.out not in schedule.left:
@@ -76,6 +76,7 @@ def _operation_name(each: BlockInstruction) -> str:
 
 
 def _is_strength(each: BlockInstruction) -> bool:
+    """Return whether an instruction selects the strength from the result of `field.strongest`."""
     return (
         each.does is InstructionKind.VALUE
         and isinstance(each.what, ir.PlanNode)

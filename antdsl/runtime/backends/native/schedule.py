@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 from antdsl.plan import ir
 from antdsl.runtime.backends.compile import BlockCompiler, BlockInstruction, InstructionKind, RowScope
 
-_REREAD_OPS = frozenset(("snap", "id"))  # read again rather than left in an array
+_REREAD_OPS = frozenset(("snap", "id"))  # loaded again in each stage, not stored in an array
 PAIR_INSTRUCTION_KINDS = (InstructionKind.PAIRS, InstructionKind.SPREAD, InstructionKind.OF_PAIR, InstructionKind.BY_PAIR)
 
 
@@ -48,6 +48,8 @@ class StageSchedule:
 
 @dataclass(slots=True)
 class _ScheduleBuilder:
+    """The stages of a block while they are assigned. Fields are as in `StageSchedule`."""
+
     compiler: BlockCompiler
     lowers: Callable[[ir.PlanNode], bool]
     costly: Callable[[ir.PlanNode], bool]
@@ -104,6 +106,7 @@ def _resolve_alias(maker: _ScheduleBuilder, slot: int) -> int:
 
 
 def _earliest_stage(maker: _ScheduleBuilder, slots: tuple[int, ...]) -> int:
+    """Return the first stage in which all slots are known."""
     return max((maker.first.get(_resolve_alias(maker, slot), 0) for slot in slots), default=0)
 
 
@@ -180,6 +183,7 @@ def operands_of(reduce: BlockInstruction) -> tuple[int, ...]:
 
 
 def _trace_uses(maker: _ScheduleBuilder) -> StageSchedule:
+    """Find the stages that use each value, from the last instruction to the first, and return the schedule."""
     stages = 1 + max([*maker.first.values(), *maker.at.values(), *(k + 1 for k in maker.called)], default=0)
     calls = [maker.called.get(k, []) for k in range(stages)]
     called = {each for group in calls for each in group}
@@ -217,7 +221,7 @@ def _trace_uses(maker: _ScheduleBuilder) -> StageSchedule:
                 if out in use_stages:
                     want((instruction.result, mask), maker.at[instruction])
             elif mask in use_stages:
-                home[mask] = min(use_stages[mask])  # no stage before goes through the scope, to work it out
+                home[mask] = min(use_stages[mask])  # no earlier stage runs the scope that computes it
                 want((scope.rows,), home[mask])
                 _propagate_outwards(maker, scope, use_stages, use_stages[mask])
         elif ending:

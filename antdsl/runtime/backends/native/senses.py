@@ -21,7 +21,7 @@ from antdsl.runtime.moving.obstacle_clearance import may_touch
 from antdsl.runtime.sensing import NO_HIT
 from antdsl.runtime.world import AXES
 
-_CELL_STRIDE = 4  # of cells around one, which come in the order of their numbers, so many lie about within a line of memory
+_CELL_STRIDE = 4  # neighbour cells are sorted: about this many share a cache line
 
 
 def _register(w: Any, node: ir.PlanNode, args: tuple[Any, ...]) -> Lanes:
@@ -40,6 +40,7 @@ def _age(w: Any, node: ir.PlanNode, args: tuple[Any, ...]) -> Lanes:
 
 
 def _age_of(w: Any, born: Lanes) -> Lanes:
+    """Return the age (s) of agents from their frame of birth."""
     frames = w.number(I64, "frame") - born
     frame_count = w.e.convert(w.e.where(frames > 0, frames, w.e.constant(0, I64)), I32)  # a run has far fewer than 2**31 frames
     age: Lanes = w.e.convert(w.e.convert(frame_count, F64) * w.number(F64, "dt"), F32)
@@ -64,6 +65,7 @@ def _random_words(w: Any, site: str, block: int) -> list[Lanes]:
 
 
 def _philox(w: FunctionWriter) -> str:
+    """Return the name of the function that computes four random words of eight agents."""
     name = "philox"
     if name not in w.module.functions:
         e = LaneBuilder(w.module)
@@ -151,6 +153,7 @@ def _agent_alive(w: Any, node: ir.PlanNode, args: tuple[Any, ...]) -> Lanes:
 
 
 def _is_item_present(w: Any, items: str, item: Lanes) -> Lanes:
+    """Return which numbers are those of existing items."""
     has_item: Lanes = (item >= 0) & (item < w.number(I32, "items", items))
     return has_item
 
@@ -224,7 +227,7 @@ def _first_strongest(e: LaneBuilder, held: Lanes, cells: Lanes, count: int, own:
     for half in (4, 2, 1):
         other = e.turned(most, half)
         most = e.where(other > most, other, most)
-    where = e.constant(1 << count, I64, 1)  # there is one that is the greatest
+    where = e.constant(1 << count, I64, 1)  # at least one cell has the greatest amount
     for first, each in enumerate(eights):
         where = where | (e.mask_word(each == most) << LANE_COUNT * first)
     at = e.read_one(cells, e.op("cttz", I64, where), I32)
@@ -233,6 +236,7 @@ def _first_strongest(e: LaneBuilder, held: Lanes, cells: Lanes, count: int, own:
 
 
 def _field_strongest(w: Any, node: ir.PlanNode, args: tuple[Any, ...]) -> Any:
+    """Return the greatest amount in the cells around each agent, and the position (mm) of its cell."""
     e: LaneBuilder = w.e
     field, count = node.attrs
     held, block, own = w.base("field", field, "held"), w.base("field", field, "block", int(count)), own_cell(w, field)
@@ -297,9 +301,9 @@ def _may_hit(w: Any, node: ir.PlanNode, args: tuple[Any, ...]) -> Lanes:
     return is_near
 
 
-# Of what is called: who needs the call at all, and what the others get.
+# For called senses: which agents need the call, and the result of the others.
 GUARDED_SENSES: Mapping[str, tuple[NodeLowerer, tuple[Any, ...]]] = {"ray": (_may_hit, NO_HIT)}
-SENSES_CALLED_ON_MOVING_GROUND = frozenset(("field.strongest",))  # there its places turn with the ground: it is called
+SENSES_CALLED_ON_MOVING_GROUND = frozenset(("field.strongest",))  # its positions rotate with moving ground, so it is called there
 PAIR_SENSES = frozenset(
     ("agent.get", "agent.age", "agent.alive", "item.get", "item.alive")
-)  # may hang on the other one of a pair
+)  # these may depend on the other agent of a pair

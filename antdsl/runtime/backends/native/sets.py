@@ -43,6 +43,8 @@ class PairValues:
         self.w, self.own, self.leaf, self.senses = w, own, leaf, senses
 
     def value(self, node: ir.PlanNode) -> Lanes:
+        """Return the value of a node for eight pairs. Each node is computed once."""
+
         def make() -> Lanes:
             if node.rate <= ir.UpdateRate.STEP:
                 return self.w.number(LANE_TYPE_BY_KIND[node.kind], "node", node)
@@ -74,7 +76,7 @@ def emit_member_loop(b: BlockWriter, first: BlockInstruction) -> None:
     place = [e.read(b.base("start", f"position.{axis}"), b.row, F32) for axis in AXES]
     reach = {chosen: b.slot(slots[0]) if of_items else None for chosen, slots in sets.items()}
     for make in own.values():
-        make()  # here, not within the loop
+        make()  # computed before the loop
     mask = b.mask[-1]
     itself = None if of_items or name != b.species else e.read(b.base("ids"), b.row, I64)
     sums = [RunningReduction(e, node, many=True) for node in nodes]

@@ -29,12 +29,12 @@ StoredBlocks = tuple[Mapping[str, str], Mapping[_BlockKey, BlockCode]]  # keys o
 
 
 class _UnsupportedValue(Exception):
-    """A value cannot be stored in a file, or may differ in another run."""
+    """Error for a value that cannot be stored in a file, or that may differ in another run."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class StoredSubject:
-    """A plan and its blocks as a file refers to them. `nodes` and `instructions` map each to its number."""
+    """A plan and its blocks, with the numbers of nodes and instructions that the file uses. `key`: the key of the file."""
 
     plan: ir.Plan
     blocks: CompiledBlocks
@@ -90,6 +90,7 @@ def write(of: StoredSubject, program: NativeProgram) -> None:
 
 
 def _form(code: BlockCode, nodes: Mapping[ir.PlanNode, int], instructions: list[BlockInstruction]) -> dict[str, Any]:
+    """Return a compiled block as JSON values. Nodes and instructions become their numbers."""
     numbers = {each: number for number, each in enumerate(instructions)}
     layout = code.layout
     return {
@@ -108,6 +109,7 @@ def _form(code: BlockCode, nodes: Mapping[ir.PlanNode, int], instructions: list[
 
 
 def _fill(code: BlockCode, form: Mapping[str, Any], nodes: list[ir.PlanNode], instructions: list[BlockInstruction]) -> None:
+    """Fill a block from the JSON values that `_form` returned."""
     code.names[:] = form["names"]
     code.layout.pointers = {_key_of(key, nodes): place for place, key in enumerate(form["pointers"])}
     code.layout.numbers = {_key_of(key, nodes): place for place, key in enumerate(form["numbers"])}
@@ -151,6 +153,7 @@ class _PlanWriter:
         self.numbers: dict[ir.PlanNode, int] = {}
 
     def add(self, value: Any) -> None:
+        """Write a value. Raises _UnsupportedValue if it may differ in another run."""
         kind = type(value)
         if kind is ir.PlanNode:
             self._node(value)

@@ -20,14 +20,15 @@ NO_LABEL = (1 << 63) - 1
 
 @dataclass(slots=True, eq=False)
 class RunningReduction:
-    """Running values of one reduction, on the stack: for eight agents, or for one agent in eight parts."""
+    """Running values of one reduction, in stack slots: one lane per agent, or eight lanes for parts of one agent."""
 
     e: LaneBuilder
     node: ir.PlanNode
     many: bool  # more terms than float64 adds exactly
-    _parts: list[tuple[Number, str]] = field(default_factory=list)  # their places, with their kinds
+    _parts: list[tuple[Number, str]] = field(default_factory=list)  # stack slots with their kinds
 
     def start(self) -> None:
+        """Allocate the running values, and set them to their initial values."""
         for k, row in enumerate(INITIAL_VALUES[self.node.op]):
             if k == 0 or self.many or self.node.op != "reduce.sum":
                 self._parts.append((self.e.slot(row[0], LANE_COUNT), row[0]))
@@ -78,7 +79,7 @@ class RunningReduction:
         """Return a term rounded to a multiple of the quantum, as `exact_sums.rounded` does."""
         quantum = int(self.node.attrs[0])
         bound, magic = float(np.ldexp(1.0, quantum + exact_sums.MAX_TERM_EXPONENT)), float(np.ldexp(1.5, quantum + 52))
-        if float(np.float32(bound)) == bound:  # cut before it is widened, which is the same
+        if float(np.float32(bound)) == bound:  # clamping before conversion gives the same result
             body, bound = self.e.apply_function(np.clip, body, -np.float32(bound), np.float32(bound)), np.inf
         wide = self.e.convert(body, F64)
         if bound < np.inf:
@@ -111,6 +112,7 @@ class RunningReduction:
             self._combine([self.e.turned(self._read_part(k), half) for k in range(len(self._parts))])
 
     def _combine(self, other: list[Lanes]) -> None:
+        """Combine the running values with other ones."""
         e, a = self.e, other[0]
         match self.node.op:
             case "reduce.sum" | "reduce.count":

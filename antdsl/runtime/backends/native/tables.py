@@ -31,7 +31,7 @@ from antdsl.runtime.world import Population, World
 
 AddressFinder = Callable[[World, Population], int]
 HolderFinder = Callable[[World, Population], Any]
-NamedIndices = list[tuple[str, int]]  # with the places of their addresses
+NamedIndices = list[tuple[str, int]]  # register names, with the indices of their addresses
 TableWords = NDArray[np.int64]
 
 
@@ -66,7 +66,7 @@ class AddressTables:
         self.version = 0  # of the pointers
         self._views = {np.dtype(kind): self.numbers.view(kind) for kind in (np.int64, np.float64, np.float32, np.int32, np.bool_)}
         nodes: list[tuple[ir.PlanNode, int]] = []
-        self._draws: dict[tuple[str, str, int], dict[str, int]] = {}  # by species, site and block: places of words
+        self._draws: dict[tuple[str, str, int], dict[str, int]] = {}  # by species, site and block: the index of each word
         self._changing: list[tuple[Callable[[World, str], int | float], str, int]] = []
         for key, place in code.layout.numbers.items():
             node = key[1] if key[0] == "node" else None
@@ -78,15 +78,15 @@ class AddressTables:
                 self._changing.append((_NUMBER_GETTERS[str(key[0])], str(key[1]) if len(key) > 1 else "", place))
         self._lasting = [each for each in nodes if each[0].rate <= ir.UpdateRate.RUN]
         self._stepping = [each for each in nodes if each[0].rate > ir.UpdateRate.RUN]
-        self._filled: Any = None  # the values that `_lasting` were put down from
-        self._seed: int | None = None  # that the words of draws were put down for
+        self._filled: Any = None  # the values from which the entries in `_lasting` were written
+        self._seed: int | None = None  # the seed for which words of draws were written
         self._told: list[int | float | None] = [None] * len(self._changing)
         pointers = list(code.layout.pointers.items())
         self._kept = [(int(str(key[1])), key[2], place) for key, place in pointers if key[0] == "kept"]
         self._grids = [
             (int(str(key[1])), str(key[2]), place) for key, place in pointers if key[0] == "grid" and key[2] != "widest"
         ]
-        self._of: list[Any] = [None] * (1 + len(code.near))  # the values stored for the step and the grids, as of the last fill
+        self._of: list[Any] = [None] * (1 + len(code.near))  # stored senses and grids of the last fill
         groups: dict[AddressKey, list[tuple[AddressKey, int]]] = {}
         self._found: list[tuple[AddressFinder, int]] = []
         for key, place in pointers:
@@ -316,7 +316,7 @@ def _power_of_2_below(count: int) -> int:
 
 
 _SORTED_ID_NAMES = frozenset(("sorted ids", "rows of sorted ids"))
-_OTHER_FIXED = {"frame of birth": "born", "unsorted ids": "ids"}  # of another species
+_OTHER_FIXED = {"frame of birth": "born", "unsorted ids": "ids"}  # key of a fixed column of another species
 _FINDER_MAKERS: dict[str, Callable[[AddressTables, AddressKey], AddressFinder]] = {
     "mesh": AddressTables._find_mesh,
     "event": AddressTables._find_event,

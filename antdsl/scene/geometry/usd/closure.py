@@ -1,4 +1,6 @@
-"""All files that make up a USD file, copied layer by layer into a private folder. The reader process may open only this folder.
+"""All files that make up a USD file, copied layer by layer into a private folder.
+
+The reader process may only open files in this folder.
 
 `Roots` reads each file, so the same rules hold as for any file that a scene names. Files must be below the scene's folder or a
 granted root. Links and addresses are not followed, and a file may be no larger than a mesh. The reader opens each copy and lists

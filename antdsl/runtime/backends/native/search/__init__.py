@@ -36,9 +36,9 @@ from antdsl.runtime.world import AXES
 
 # Candidates of one agent that are gone through here, so that the cap leaves out none
 MAX_LISTED_CANDIDATES = limits.MAX_QUERY_NEIGHBOURS
-_CACHE_LINE_BYTES = 64  # bytes of memory that come together
-_ROWS_LOOKED_UP = 8  # of cells, which are looked up before those in them are gone through
-_LIST_STRIDE = MAX_LISTED_CANDIDATES + 2 * LANE_COUNT  # numbers from one agent's list to that of the next
+_CACHE_LINE_BYTES = 64  # bytes of a cache line
+_ROWS_LOOKED_UP = 8  # rows of cells that are looked up before their agents are listed
+_LIST_STRIDE = MAX_LISTED_CANDIDATES + 2 * LANE_COUNT  # distance between the lists of two agents, in numbers
 _MIN_SQUARED_DISTANCE, _COSINE_SLACK = np.float32(1e-30), np.float32(1e-5)
 
 
@@ -86,6 +86,7 @@ def _area_value(e: LaneBuilder, area: Number, k: int, kind: str) -> Lanes:
 
 
 def _make_group(b: BlockWriter, first: BlockInstruction) -> ReductionGroup:
+    """Return the group of a reduction, with all other reductions that the same search can compute."""
     if first in b.groups:
         known_group: ReductionGroup = b.groups[first]
         return known_group
@@ -312,7 +313,7 @@ def _list_candidates(
             e.put(numbers, begin + e.convert(e.iota(), I32))
             with e.loop(many, LANE_COUNT) as k:
                 at = start + k
-                for each in fours:  # for when the list is gone through: eight of them lie in three lines of memory at most
+                for each in fours:  # needed when the list is traversed: eight entries are in at most three cache lines
                     for offset in (0, _CACHE_LINE_BYTES, LANE_COUNT * 16 - 4):
                         e.prefetch(e.field(quadruple_address(e, each, at), offset))
                 now = e.load(numbers, I32, LANE_COUNT)
@@ -343,7 +344,7 @@ def _list_candidates(
     counted = e.where(asks & ~over, counted, e.constant(0, I32))
     e.put(number, counted)
     most, zero = e.lane_maximum(counted), e.constant(0, I32)
-    with e.loop(LANE_COUNT) as lane:  # all lists go on to the end of the longest one
+    with e.loop(LANE_COUNT) as lane:  # all lists are traversed to the end of the longest one
         many = e.read_one(number, lane, I32)
         own = e.address(buffer, lane * _LIST_STRIDE, I32)
         end = e.address(own, e.convert(many, I64), I32)

@@ -126,7 +126,7 @@ class CellRows:
         e.write(place, 0, e.apply_function(np.fmax, e.read(place, 0, F32), widest))
 
     def row_count(self) -> Lanes:
-        """Return how many rows `next_row` gives in total, i64, and restart it at the first row."""
+        """Return the number of rows that `next_row` returns in total, i64, and restart it at the first row."""
         e, nothing = self.e, self.e.constant(0, I32)
         self._deep, self._tall = e.slot(I32), e.slot(I32)
         for slot in (self._deep, self._tall):

@@ -24,7 +24,7 @@ from antdsl.runtime.backends.native.sets import PairValues, accumulate
 from antdsl.runtime.backends.native.sums import NO_LABEL, RunningReduction
 from antdsl.runtime.world import AXES
 
-_REJECTED_DISTANCE_NUMBER = (1 << 31) - 1  # the number of a distance that does not count: above those of all others
+_REJECTED_DISTANCE_NUMBER = (1 << 31) - 1  # key of a rejected candidate, above the keys of all distances
 
 
 def write_dense_search(b: BlockWriter, near: SearchCode) -> None:
@@ -125,6 +125,7 @@ class _DenseNeighbours:
             e.write(self.keys, index, e.where(within, e.bits(others.distance, I32), e.constant(_REJECTED_DISTANCE_NUMBER, I32)))
 
     def _close_list(self, count: Lanes) -> None:
+        """Append eight zeros to the list, because it is read eight entries at a time."""
         self.w.e.write(self.buffer, count, self.w.e.constant(0, I32))
 
     def at(self, index: Lanes) -> NeighbourLanes:

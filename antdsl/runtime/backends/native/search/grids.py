@@ -16,16 +16,16 @@ from antdsl.runtime.world import AXES, Population, World
 from antdsl.senses.cell_order import CellOrder, Positions, Shape, box_around, store_registers
 
 _RETEST_STEPS = 64  # steps after which a crowd gets new cells and the sheet test is repeated
-_BOX_MARGIN_SHARE = 1 / 32  # of its extent, that a box goes on for beyond a crowd
-_MIN_FILLED_SHARE = 0.8  # of its extent: a crowd that is less wide gets other cells
-_MAX_AGENTS_IN_ONE_CELL = 128  # agents; among fewer the cells of an agent are no fewer to go through than all others
+_BOX_MARGIN_SHARE = 1 / 32  # margin of a box around a crowd, as a share of the extent
+_MIN_FILLED_SHARE = 0.8  # a crowd that fills less of its box gets new cells
+_MAX_AGENTS_IN_ONE_CELL = 128  # for fewer agents, cells do not reduce the candidates
 _UNUSED_STEPS_BEFORE_RELEASE = 16  # steps after which the arrays of an unused cell size are released
-_MAX_COARSER_QUARTERS = 2  # quarters of an octave: finding others in cells that much wider costs less than sorting them again
-_MAX_CELLS_PER_AGENT = 4  # for each agent, above which wider ones cost less
-_UNBOUNDED_WIDTH = 1e300  # mm: the width of a cell that has all places in it
+_MAX_COARSER_QUARTERS = 2  # quarters of an octave: searching cells wider by this costs less than sorting again
+_MAX_CELLS_PER_AGENT = 4  # with more cells per agent, wider cells cost less
+_UNBOUNDED_WIDTH = 1e300  # mm: width of a single cell for all positions
 
 Arrays = Mapping[str, NDArray[Any] | None]
-RegisterGroups = Sequence[tuple[str, list[NDArray[np.float32]]]]  # up to four each, by their names
+RegisterGroups = Sequence[tuple[str, list[NDArray[np.float32]]]]  # groups of up to four registers, with their names
 BoxCorners = tuple[list[float], list[float]]
 
 
@@ -55,8 +55,8 @@ class _CrowdGrid(CellOrder):
     def __init__(self, count: int, threads: int) -> None:
         super().__init__(count, threads)
         self.used = 0  # the last step in which a search read it
-        self.box: _CrowdBox | None = None  # that the cells are of
-        self._laid: dict[str, int] = {}  # the step that registers are of
+        self.box: _CrowdBox | None = None  # the box of the cells
+        self._laid: dict[str, int] = {}  # by register names: the step in which they were sorted
 
     def sort_registers(self, registers: RegisterGroups, step: int) -> None:
         """Write registers in the order of the cells, unless this was already done in this step."""
@@ -80,7 +80,7 @@ class SearchGrids:
         self._corners: dict[str, BoxCorners] = {}  # of this step
         self._stored: dict[tuple[str, float], _CrowdGrid] = {}
         self._step = 0
-        self._sheets: dict[str, tuple[int, int, bool]] = {}  # agents, until which step it is known, whether
+        self._sheets: dict[str, tuple[int, int, bool]] = {}  # by species: number of agents, last step of validity, result
 
     def begin_step(self) -> None:
         """Invalidate the sorted crowds, because agents have moved."""
@@ -104,6 +104,7 @@ class SearchGrids:
         return grid.tables
 
     def _crowd_grid(self, world: World, other: Population, size: float) -> _CrowdGrid:
+        """Return a crowd, sorted into cells for radii of 2**(size / 4) mm."""
         count, threads = len(other), world.options.threads
         crowd = self._stored.get((other.name, size))
         if crowd is None or crowd.count != count or crowd.threads != threads:

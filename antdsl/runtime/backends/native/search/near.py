@@ -26,13 +26,13 @@ class SearchCode:
     number: int
     other: str
     nodes: list[ir.PlanNode]
-    kinds: list[str] = field(default_factory=list)  # of the operands
+    kinds: list[str] = field(default_factory=list)  # kinds of the operands
     reach: dict[ir.PlanNode, int] = field(default_factory=dict)
     view: dict[ir.PlanNode, int] = field(default_factory=dict)
     operand_slots: dict[ir.PlanNode, int] = field(default_factory=dict)
     # sets for which too many neighbours are reported, and their index among the results
     stops: dict[ir.PlanNode, int] = field(default_factory=dict)
-    beside: list[str] = field(default_factory=list)  # others' registers that lie in the grid's order, up to four in a text
+    beside: list[str] = field(default_factory=list)  # registers of the others in the grid's order; each text names up to four
 
 
 @dataclass(slots=True, eq=False)
@@ -55,6 +55,8 @@ class NeighbourLanes:
     distance: Lanes
 
     def ids(self) -> Lanes:
+        """Return the ids of the others."""
+
         def make() -> Lanes:
             return self.w.e.gather(self.w.base("other", self.near.other, "unsorted ids"), self._extract_rows(), I64)
 
@@ -62,6 +64,7 @@ class NeighbourLanes:
         return found
 
     def leaf(self, node: ir.PlanNode) -> Lanes:
+        """Return the value of a leaf that depends on the other agent."""
         named = {"pair.x": self.dx, "pair.y": self.dy, "pair.z": self.dz, "pair.distance": self.distance}
         if node.op in named:
             return named[node.op]
@@ -82,7 +85,7 @@ class NeighbourLanes:
         return registers
 
     def _extract_rows(self) -> Lanes:
-        """Return the others' rows, each loaded separately.
+        """Return the rows of the other agents, loaded one by one.
 
         They are needed one by one as addresses, and extracting them from eight lanes is slow."""
         e, positions = self.w.e, self.w.base("grid", self.near.number, "places")

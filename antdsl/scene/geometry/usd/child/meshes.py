@@ -40,6 +40,8 @@ class JoinedMesh:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _MeshShape:
+    """A mesh prim with its places. `points`: at the first frame. `is_deformed`: whether the points move relative to the prim."""
+
     placed: PlacedMesh
     points: Floats
     faces: Faces
@@ -47,6 +49,7 @@ class _MeshShape:
 
     @property
     def count(self) -> int:
+        """Return the number of places."""
         return len(self.placed.transforms)
 
 

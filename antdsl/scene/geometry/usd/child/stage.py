@@ -42,6 +42,7 @@ class OpenStage:
 
     @property
     def first(self) -> Any:
+        """Return USD's time code of the first requested frame."""
         return pxr("Usd").TimeCode(self.times[0])
 
     def is_visible(self, prim: Any) -> bool:
@@ -159,6 +160,7 @@ def _check_prim_count(stage: Any, text: str, prim: str) -> None:
 
 
 def _scene_transform(factor: float, own: str, up: str) -> Floats:
+    """Return the transform (3, 4) from a stage to the scene. `factor`: mm per unit; `own`: the stage's up axis."""
     matrix = np.zeros((3, 4))
     if own == up:
         rows = [(0, 1.0), (1, 1.0), (2, 1.0)]
