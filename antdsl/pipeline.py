@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from antdsl.bodies.agents.definition import Definition
     from antdsl.diagnostics import Diagnostic
     from antdsl.plan.ir import Plan
+    from antdsl.plan.lowering.writer import BodyProportions
     from antdsl.program.expectations import SpecChange
     from antdsl.program.memo import CheckMemo
     from antdsl.program.model import Program
@@ -51,6 +52,7 @@ class Shot:
     `inputs`: a hash, by name, of everything that the result depends on.
     `loaded`: the texts of the program.
     `bodies`: by species, the bodies that come from files.
+    `proportions`: of species that set their height.
     """
 
     scene: Scene
@@ -60,6 +62,7 @@ class Shot:
     inputs: Mapping[str, str]
     loaded: LoadedSources
     bodies: Mapping[str, Definition] = field(default_factory=dict)
+    proportions: Mapping[str, BodyProportions] = field(default_factory=dict)
 
     @property
     def frames(self) -> FrameRange:
@@ -139,10 +142,10 @@ def open_scene(
     if setting is None or not report.ok:
         return None, report
     report.answer(_attribute_warnings(report, scene, program, setting))
-    lowered, findings = plan.lower(program, orders=orders, begun_with=setting.initial_attributes)
+    bodies, body_findings = crowd_bodies(scene, program)
+    lowered, findings = plan.lower(program, orders=orders, begun_with=setting.initial_attributes, proportions=bodies.proportions)
     report.extend(findings)
-    bodies, findings = crowd_bodies(scene, program)
-    report.extend(findings)
+    report.extend(body_findings)
     if not report.ok:
         return None, report
     setting = with_changed_params(setting, scene, program, choices.changes)
@@ -151,7 +154,7 @@ def open_scene(
     inputs |= {f"--set {name}": text for name, text in choices.params.items()}
     inputs |= {f"set {change.name}": change.value.span.text for change in choices.changes}
     final_plan = lowered if raw else passes.optimise(lowered, thorough=thorough)
-    return Shot(scene, program, final_plan, setting, inputs, loaded, bodies.definitions), report
+    return Shot(scene, program, final_plan, setting, inputs, loaded, bodies.definitions, bodies.proportions), report
 
 
 def _undrawn_things(scene: Scene) -> frozenset[str]:

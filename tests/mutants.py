@@ -40,6 +40,7 @@ COMPARED: dict[type, type] = {
     ast.Eq: ast.NotEq,
     ast.NotEq: ast.Eq,
 }
+PREFETCH = "fetch"  # in the names of functions that only prefetch: `fetch_ahead`, `fetch_columns`, `prefetch_rays`
 TIMES, LEAST_SECONDS = 5, 60  # a mutant with tests that take longer than both counts as endless
 
 
@@ -71,7 +72,7 @@ def mutations(source: str, kernel: str | None) -> list[Mutation]:
     """All mutations of the kernels and their helpers in a source."""
     changes: list[Mutation] = []
     for function in ast.walk(ast.parse(source)):
-        if not isinstance(function, ast.FunctionDef) or kernel not in (None, function.name):
+        if not isinstance(function, ast.FunctionDef) or kernel not in (None, function.name) or PREFETCH in function.name:
             continue
         if any(isinstance(each, ast.Name) and each.id in DECORATORS for each in function.decorator_list):
             for statement in function.body[1:] if ast.get_docstring(function) else function.body:
@@ -85,7 +86,7 @@ def mutations(source: str, kernel: str | None) -> list[Mutation]:
 
 def _nodes(node: ast.AST) -> Iterator[ast.AST]:
     """A node and all below it, without prefetches, which change no result."""
-    if isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and node.func.id == "fetch_ahead":
+    if isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and PREFETCH in node.func.id:
         return
     yield node
     for each in ast.iter_child_nodes(node):
@@ -155,7 +156,8 @@ def _environment() -> dict[str, str]:
 def passes(tests: list[str], seconds: float, cache: str) -> bool:
     """Whether all tests pass within this time."""
     words = [sys.executable, "-m", "pytest", "-x", "-q", "-p", "no:cacheprovider", *tests]
-    environment = {**_environment(), "ANTDSL_NATIVE_CACHE": cache}
+    # Importing plugins takes as long as most tests of a kernel.
+    environment = {**_environment(), "ANTDSL_NATIVE_CACHE": cache, "PYTEST_DISABLE_PLUGIN_AUTOLOAD": "1"}
     with subprocess.Popen(
         words, cwd=ROOT, env=environment, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, start_new_session=True
     ) as run:

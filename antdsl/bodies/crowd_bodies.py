@@ -7,18 +7,19 @@ from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
-import numpy as np
-
+from antdsl.bodies.agents.body_extents import standing_box, turn_box
 from antdsl.bodies.agents.boxes import rest_box
 from antdsl.bodies.agents.definition import Clip, Definition, language_names
 from antdsl.bodies.agents.leg_chains import legs_data
 from antdsl.bodies.agents.packed import digest
+from antdsl.bodies.body_sizes import standing_proportions, warn_of_sizes
 from antdsl.bodies.files.reading import load_definition
 from antdsl.bodies.library import library_body
 from antdsl.bodies.posed_body import COLLISION_LAYER, own_layer
 from antdsl.diagnostics import Label, Report
 from antdsl.diagnostics.suggestion import nearest_name
 from antdsl.limits import MAX_WORN_LAYERS
+from antdsl.plan.lowering.writer import BodyProportions
 from antdsl.program.model import Channel, ClipTest, Look, Machine, Play, Program, Species, Wear
 from antdsl.program.traverse import parts
 from antdsl.scene.library_bodies import BODY_WORDS, body_for_species
@@ -38,6 +39,7 @@ class CrowdBodies:
     `rooms`: the collision sizes of the bodies in `definitions`.
     `legs`: of species with legs and gaits.
     `hashes`: content hash of each file, by its path in the scene.
+    `proportions`: of species that set their height.
     """
 
     definitions: Mapping[str, Definition] = field(default_factory=dict)
@@ -45,6 +47,7 @@ class CrowdBodies:
     rooms: Mapping[str, RoomData] = field(default_factory=dict)
     legs: Mapping[str, LegsData] = field(default_factory=dict)
     hashes: Mapping[str, str] = field(default_factory=dict)
+    proportions: Mapping[str, BodyProportions] = field(default_factory=dict)
 
 
 class LegsBySpecies(Mapping[str, LegsData]):
@@ -107,10 +110,12 @@ def crowd_bodies(scene: Scene, program: Program) -> tuple[CrowdBodies, Report]:
             species: {name: clip_data(clip, body) for name, clip in body.clips.items()}
             for species, body in (worn | library).items()
         },
-        {species: body_room(body) for species, body in worn.items()},
+        {species: body_room(body, program.species[species].edition > 1) for species, body in worn.items()},
         LegsBySpecies({**worn, **words}),
         {text: digest(body) for text, body in definitions.items()},
+        standing_proportions(program, worn, words),
     )
+    warn_of_sizes(scene, program, worn, words, report)
     return bodies, report
 
 
@@ -148,14 +153,12 @@ def clip_data(clip: Clip, body: Definition) -> ClipData:
     return ClipData(seconds, clip.stride / body.length, clip.loop, marks)
 
 
-def body_room(body: Definition) -> RoomData:
-    """Return the collision size of a body: length and width of the box of its layer `collision` in the rest pose. Without that
-    layer, use the layer that is always displayed. The length is never less than the width."""
+def body_room(body: Definition, stands: bool = False) -> RoomData:
+    """Return the collision size of a body: length and width of the box of its layer `collision` in the rest pose, or, if it
+    `stands`, in its idle clip. Without that layer, use the layer that is always displayed. The length is never less than the
+    width."""
     layer = body.layers.get(COLLISION_LAYER) or own_layer(body)
-    least, most = rest_box(replace(body, layers={layer.name: layer}))
-    corners = np.array([[(least, most)[k >> axis & 1][axis] for axis in range(3)] for k in range(8)])
-    turned = corners @ body.base_matrix()[:3, :3].T
-    low, high = turned.min(axis=0), turned.max(axis=0)
+    low, high = standing_box(body, layer) if stands else turn_box(body, rest_box(replace(body, layers={layer.name: layer})))
     width = max(float(high[2] - low[2]), 1e-3)
     middle = (low + high) / 2
     return RoomData(max(float(high[0] - low[0]), width), width, float(middle[1]), float(middle[0]))

@@ -88,7 +88,7 @@ CODE_DESCRIPTIONS: dict[str, str] = {
     "wrong-count": "a whole number within bounds is needed",
     # --- what agents do ---
     "missing-bound": "a value per pair does not say for how many others it is stored",
-    "missing-setting": "a field lacks a setting that it must have",
+    "missing-setting": "a field or a species lacks a setting that it must have",
     "missing-start": "a machine with several states does not say which comes first",
     "missing-target": "a change leads nowhere",
     "not-a-rate": "what is added every step must say per what time",
@@ -152,6 +152,7 @@ CODE_DESCRIPTIONS: dict[str, str] = {
     "no-such-file": "a file that is named is not there, or cannot be opened",
     "no-such-prim": "a USD file has no prim at a path, or nothing of the needed kind at and below it",
     "not-a-file": "a path leads to a folder, a pipe or a device",
+    "odd-size": "size, height or radius of a species and its body differ by more than a factor of 2",
     "odd-scale": "a surface is hardly larger than those who walk on it, or very much larger; or voxels are too coarse for them",
     "off-surface": "an item or a crowd is to lie on a surface, and the surface is not below or above it",
     "out-of-range": "a value lies outside the range that it may have",

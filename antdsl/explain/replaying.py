@@ -57,7 +57,8 @@ class Replay:
         runs."""
         scene, program = self.shot.scene, self.shot.program
         orders = {name: order for name in scene.model.layers if (order := layer_order(scene, program, name)[0]) is not None}
-        noted = plan.lower(program, orders=orders, notes=self.notes, begun_with=self.shot.setting.initial_attributes)[0]
+        begun_with, proportions = self.shot.setting.initial_attributes, self.shot.proportions
+        noted = plan.lower(program, orders=orders, notes=self.notes, begun_with=begun_with, proportions=proportions)[0]
         self.became = {node: node for notes in self.notes.values() for node in note_nodes(notes)}
         return hoist(noted, self.became)
 

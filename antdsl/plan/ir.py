@@ -345,6 +345,8 @@ class SpeciesPlan:
     wears: tuple[str, ...] = ()  # layers of the body that states show: registers `wear#LAYER`
     channels: tuple[str, ...] = ()  # channels that states set: the value `channel#NAME`, and whether one does, `.said`
     looks: tuple[str, ...] = ()  # transform groups that states turn towards a point: `look#GROUP.x`, `.y`, `.z`
+    clears_body: bool = False  # whether the body, not only the feet, stays outside the ground and obstacles
+    settings: frozenset[str] = frozenset()  # which of height, upright and max_slope are registers that move its agents
 
 
 @dataclass(frozen=True, slots=True, eq=False)

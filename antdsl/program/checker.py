@@ -120,7 +120,8 @@ def _outside_key(declared: Declarations, loader: FileLoader) -> Hashable:
     """Return a key of all declarations that a part of the program can see of the other parts, except the types of attributes."""
     things = [(t.name, t.kind, tuple((a.name, a.type) for a in t.attributes)) for t in declared.things.values()]
     machines = [
-        (s.name, s.node is None, tuple((m.name, *m.states) for m in s.machines.values())) for s in declared.species.values()
+        (s.name, s.edition, s.node is None, tuple((m.name, *m.states) for m in s.machines.values()))
+        for s in declared.species.values()
     ]
     called = [
         item for each in loader.known.values() for item in each.node.items if isinstance(item, (nodes.Behaviour, nodes.Use))

@@ -307,6 +307,8 @@ class Species:
     layers: LayerStack
     span: Span
     rest: RestingPush | None = None  # None: every state steers, or none does
+    edition: int = 1  # of the file that declares it
+    clears_body: bool = False  # whether the body, not only the feet, stays outside the ground and obstacles
 
     @property
     def own_types(self) -> Mapping[str, ValueType]:

@@ -9,6 +9,7 @@ from dataclasses import dataclass, field
 from typing import TypeVar, dataclass_transform
 
 from antdsl.source import Source, Span
+from antdsl.syntax.editions import EDITIONS, NEWEST_EDITION
 
 _N = TypeVar("_N")
 
@@ -596,6 +597,12 @@ class File:
     recovered: tuple[Span, ...] = field(default=())
     broken: bool = field(default=False)
     parts: Mapping[Source, int] = field(default_factory=dict)
+
+    @property
+    def edition_number(self) -> int:
+        """Return the edition of the language that the file has; the newest one if it names none, or none that exists."""
+        known = self.edition is not None and self.edition.value in EDITIONS
+        return int(self.edition.value) if self.edition is not None and known else NEWEST_EDITION
 
     def file_span(self, span: Span) -> Span:
         """Return the location in `source` of a location in one of `parts`, which are separate sources with known offsets."""

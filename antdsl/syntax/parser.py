@@ -1,5 +1,4 @@
 """Source → File: the text is cut into lines, and each line is parsed separately, so that an error affects only its line.
-
 In a line with errors, the unreadable part becomes an unreadable expression, and the rest is preserved."""
 
 from __future__ import annotations
@@ -20,6 +19,7 @@ from antdsl.syntax import nodes as n
 from antdsl.syntax.blocks import BraceGroup, MappedText, SourceLine, cut_lines, map_text
 from antdsl.syntax.brackets import pair_brackets, token_text
 from antdsl.syntax.builder import Builder, FileHeader, ResultLine
+from antdsl.syntax.editions import EDITIONS, FIRST_LINE, FIRST_LINE_ADVICE, UNKNOWN_EDITION_ADVICE
 from antdsl.syntax.file_limits import NO_SIZES, FileSizes, count_sizes, find_too_deep, is_within, report_too_many
 from antdsl.syntax.mistakes.unexpected_tokens import (
     UnexpectedToken,
@@ -38,7 +38,6 @@ from antdsl.syntax.words import BODY_RULE_BY_LINE, LINE_CONTEXT_BY_WORD, LINE_WO
 if TYPE_CHECKING:
     from lark import Lark
 
-SUPPORTED_EDITIONS = (1,)
 _MAX_REPAIRED_LINES = 100  # after this many errors in a file, lines with errors are dropped instead of repaired
 _builder_lock = Lock()  # the builder stores the location of the current line
 
@@ -95,12 +94,14 @@ def parse(source: Source) -> tuple[n.File, Report]:
     report = Report()
     other = _other_language(source.text)
     if other is not None:
-        report.error("not-an-ant-file", f"text looks like {other}", Span(source, 0, 1), "a `.ant` file begins with `ant 1`")
+        advice = f"a `.ant` file begins with `{FIRST_LINE}`"
+        report.error("not-an-ant-file", f"text looks like {other}", Span(source, 0, 1), advice)
         return n.File(source, None, None, (), broken=True), report
     scanned = scan(source, report)
     if all(token.kind == "end" for token in scanned.tokens):
         if report.ok:
-            report.error("empty-file", "file has nothing in it", Span(source, 0, 0), "begin with `ant 1`, then write a `species`")
+            advice = f"begin with `{FIRST_LINE}`, then write a `species`"
+            report.error("empty-file", "file has nothing in it", Span(source, 0, 0), advice)
         return n.File(source, None, None, (), tuple(scanned.comments), broken=True), report
     tokens = pair_brackets(scanned)
     if tokens is None:
@@ -195,22 +196,21 @@ class _FileParser:
         """Return the edition and the lines that follow. Without one, use the current edition and add a warning."""
         if lines and [token.kind for token in lines[0].tokens] == ["number"]:
             span = Span(self.source, lines[0].start, lines[0].end)
-            self.report.error("unexpected-text", f"file begins with `{span.text}`", span, "write `ant 1` as the first line")
+            self.report.error("unexpected-text", f"file begins with `{span.text}`", span, FIRST_LINE_ADVICE)
             return None, lines[1:]
         if not lines or token_text(self.scan, lines[0].tokens[0]) != "ant":
             start = lines[0].start if lines else 0
             if not self.scan.has_fault(0, start):
-                message, help = "file does not name its edition", "write `ant 1` as the first line"
                 span = Span(self.source, start, lines[0].tokens[0].end if lines else 0)
-                top = Span(self.source, 0, 0)
-                self.report.warning("missing-edition", message, span, help, fix=Fix(top, "ant 1\n"))
+                fix, message = Fix(Span(self.source, 0, 0), f"{FIRST_LINE}\n"), "file does not name its edition"
+                self.report.warning("missing-edition", message, span, FIRST_LINE_ADVICE, fix=fix)
             return None, lines
         nodes = self.line(lines[0], "header")
         for node in nodes:
             if isinstance(node, FileHeader):
-                if node.edition.value not in SUPPORTED_EDITIONS:
+                if node.edition.value not in EDITIONS:
                     message = f"edition `{node.edition.span.text}` is not known to this antdsl"
-                    self.report.error("unknown-edition", message, node.edition.span, "write `ant 1`, or install a newer antdsl")
+                    self.report.error("unknown-edition", message, node.edition.span, UNKNOWN_EDITION_ADVICE)
                 return node.edition, lines[1:]
         return None, lines[1:]
 

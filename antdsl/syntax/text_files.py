@@ -11,6 +11,7 @@ from antdsl import limits
 from antdsl.bounded import NotRegular, TooLarge, open_regular, read_handle
 from antdsl.diagnostics.model import Report
 from antdsl.source import Source, Span
+from antdsl.syntax.editions import FIRST_LINE
 from antdsl.whole import atomic_file
 
 # First bytes of other file formats.
@@ -67,7 +68,7 @@ def read_bytes(name: str, data: bytes) -> tuple[Source | None, Report]:
 
 
 def _advise(kind: str) -> str:
-    return "save it as UTF-8" if kind.startswith("UTF-16") else "name a text file that begins with `ant 1`"
+    return "save it as UTF-8" if kind.startswith("UTF-16") else f"name a text file that begins with `{FIRST_LINE}`"
 
 
 def _read_file(name: str, handle: int | None, report: Report) -> bytes | None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 
+from antdsl.syntax.editions import FIRST_LINE, NEWEST_EDITION
 from antdsl.syntax.verbs import VERB_BY_WORD
 
 UNIT_NAMES = ("mm", "cm", "m", "s", "min", "deg", "rad", "turn", "mg", "g", "kg", "N", "uN", "u", "step")
@@ -123,7 +124,7 @@ BLOCK_WORDS = frozenset(word for _, word in BODY_RULE_BY_LINE) - _OPTIONAL_BRACE
 
 # An example line of each kind, for messages.
 EXAMPLE_LINES: dict[str, str] = {
-    "ant": "ant 1",
+    "ant": FIRST_LINE,
     "use": 'use steering` or `use "./mine.ant" as mine',
     "world": "world { surface ground }",
     "field": "field trail on ground { cell 4 mm; half_life 8 s }",
@@ -165,7 +166,7 @@ EXAMPLE_LINES: dict[str, str] = {
 
 # The same for lines that begin with a name, by grammar rule.
 EXAMPLE_LINE_BY_RULE: dict[str, str] = {
-    "header": "ant 1",
+    "header": FIRST_LINE,
     "world_item": 'surface ground "What ants walk on"',
     "declaration": "load = 0",
     "setting": "cell 4 mm",
@@ -223,7 +224,7 @@ CONTINUATION_TEXTS: dict[str, str] = {
     "is": "`none` or `not none`",
     "(": "a value or `)`",
     "..": "the upper end of the range",
-    "ant": "the edition, `1`",
+    "ant": f"the edition, `{NEWEST_EDITION}`",
     "{": "a line or `}`",
 }
 

@@ -86,7 +86,7 @@ def test_a_gltf_file_in_the_folder_is_a_body(folder: Path) -> None:
     assert body is not None
     (folder / "animals").mkdir()
     (folder / "animals" / "dancer.glb").write_bytes(write_gltf(body, body.layers["body"], text=False)[0])
-    program = PROGRAM.replace("wave(on: arms)", "wave")
+    program = PROGRAM.replace("wave(on: arms)", "wave").replace("size 1.75 m", "size 0.3 m")
     scene = written(folder, program, CROWD.replace("walker.json", "animals/dancer.glb"))
     dancer = opened(scene).bodies["walker"]
     assert (dancer.name, sorted(dancer.clips), dancer.front) == ("dancer", sorted(body.clips), (0.0, 0.0, 1.0))

@@ -10,6 +10,9 @@ import pytest
 
 from antdsl.ground.protocol import GroundMove
 from antdsl.ground.solid import Volume, move
+from antdsl.ground.solid.trilinear import BrickTables, grid_of
+from antdsl.ground.solid.walking import _project_to_surface
+from antdsl.machine_code.kernels import F64, Array1, Array2, kernel
 
 BODY = 5.0
 STEPS = 2000
@@ -147,6 +150,98 @@ def test_a_step_keeps_its_length_and_is_laid_into_the_surface() -> None:
     assert np.abs(moved.travelled[:3] - long).max() < 1e-6
     assert np.abs(np.linalg.norm(moved.position[:3] - place[:3], axis=1) - long).max() < 0.02
     assert moved.travelled[3] == 0 and moved.travelled[4] < 4.1
+
+
+def rotated(v: np.ndarray, axis: np.ndarray, angle: np.ndarray) -> np.ndarray:
+    """Vectors [n, 3] rotated about unit axes [n, 3] by angles [n], by Rodrigues' formula."""
+    cosine, sine = np.cos(angle)[:, None], np.sin(angle)[:, None]
+    return v * cosine + np.cross(axis, v) * sine + axis * (axis * v).sum(axis=1, keepdims=True) * (1 - cosine)
+
+
+def test_walks_on_a_ball_follow_great_circles() -> None:
+    """Positions, normals, headings and directions are those of rotations about the axis of the circle, for leaning bodies too."""
+    radius, count = 40.0, 48
+    solid, rng = make_solid(meshes.ball(radius, rings=60)), np.random.default_rng(5)
+    directions = unit(rng.normal(size=(count, 3)))
+    place, _, _ = standing(solid, directions * radius, directions)
+    normal = unit(place)
+    head, travel = (unit(np.cross(normal, rng.normal(size=(count, 3)))) for _ in range(2))
+    far = rng.choice([0.004, 0.3, 2.5, 7.0], count)
+    lean_axis, lean = unit(np.cross(normal, rng.normal(size=(count, 3)))), rng.choice([0.0, 0.4], count)
+    inputs = [rotated(each, lean_axis, -lean) for each in (travel * far[:, None], head, normal)]
+    moved = move(solid, place, *inputs, BODY)
+
+    axis, angle = np.cross(normal, travel), far / radius
+    expected = [rotated(each, axis, angle) for each in (place, normal, head, travel)]
+    assert not moved.blocked.any() and not moved.lost.any()
+    assert np.abs(moved.travelled - far).max() < 1e-5
+    assert np.abs(moved.position - expected[0]).max() < 0.06
+    assert np.abs(moved.position - expected[0])[far < 0.01].max() < 5e-4
+    for result, vectors in zip((moved.up, moved.heading, moved.direction), expected[1:], strict=True):
+        assert np.abs(result - vectors).max() < 0.06
+        assert np.abs(np.linalg.norm(result, axis=1) - 1).max() < 1e-9
+
+
+def test_a_body_upside_down_turns_over_its_heading() -> None:
+    """On a flat face, with the normal exactly opposite: half a turn about the axis across the heading."""
+    solid, rng = cube(), np.random.default_rng(6)
+    place = np.stack([rng.uniform(-9, 9, 12), np.full(12, 20.0), rng.uniform(-9, 9, 12)], axis=1)
+    up = np.tile([0.0, -1.0, 0.0], (12, 1))
+    head, travel = (unit(rng.normal(size=(12, 3)) * [1, 0, 1]) for _ in range(2))
+    moved = move(solid, place, travel * 2, head, up, BODY)
+    turned = [rotated(each, np.cross(up, head), np.full(12, np.pi)) for each in (travel, head)]
+    assert np.abs(moved.position - (place + 2 * turned[0])).max() < 1e-3
+    assert np.abs(moved.heading - turned[1]).max() < 1e-6 and np.abs(moved.direction - turned[0]).max() < 1e-6
+    assert np.abs(moved.up + up).max() < 1e-6
+
+
+def test_directions_along_the_normal_become_tangents() -> None:
+    solid, rng = make_solid(meshes.ball(20.0, rings=24)), np.random.default_rng(7)
+    directions = unit(np.concatenate([np.eye(3), -np.eye(3), rng.normal(size=(20, 3))]))
+    place, up, _ = standing(solid, directions * 20, directions)
+    moved = move(solid, place, 0 * up, up, up, BODY)
+    assert not moved.travelled.any() and not moved.lost.any()
+    for vectors in (moved.heading, moved.direction):
+        assert np.abs((vectors * moved.up).sum(axis=1)).max() < 1e-9 and np.abs(np.linalg.norm(vectors, axis=1) - 1).max() < 1e-9
+
+
+@kernel
+def project_all(
+    bricks: BrickTables,
+    place: Array2[F64],
+    normal: Array2[F64],
+    direction: Array2[F64],
+    length: Array1[F64],
+    close: F64,
+    points: Array2[F64],
+    slopes: Array2[F64],
+    distances: Array1[F64],
+) -> None:
+    """Project the ends of all paths, (n, 3) each."""
+    for i in range(length.size):
+        p, n = (place[i, 0], place[i, 1], place[i, 2]), (normal[i, 0], normal[i, 1], normal[i, 2])
+        along = direction[i, 0], direction[i, 1], direction[i, 2]
+        q, g, distances[i] = _project_to_surface(bricks[0], bricks[1], bricks[2:], p, n, along, length[i], close)
+        for k in range(3):
+            points[i, k], slopes[i, k] = q[k], g[k]
+
+
+def test_ends_of_steps_are_brought_to_the_surface_at_sharp_edges_too() -> None:
+    """If the surface is between the end and a point beside the start, the result is on it, with its own slope and distance."""
+    solid, rng = cheese(), np.random.default_rng(8)
+    directions = unit(rng.normal(size=(3000, 3)))
+    place, normal, head = standing(solid, directions * 18, directions[::-1])
+    assert np.abs(solid.sample(place)).max() < 1e-3
+    length, close, count = rng.uniform(0.05, 1, len(place)), 1.5e-4, len(place)
+    points, slopes, distances = np.empty((count, 3)), np.empty((count, 3)), np.empty(count)
+    project_all(grid_of(solid.bricks), place, normal, head, length, close, points, slopes, distances)
+    own_distance, own_slope = solid.sample_and_gradient(points)
+    assert np.abs(distances - own_distance).max() < 1e-5 and np.abs(slopes - own_slope).max() < 1e-3
+    end = place + head * length[:, None]
+    beyond = solid.sample(end) > 0
+    near = place - np.where(beyond, 0.5, -0.5)[:, None] * length[:, None] * normal
+    bracketed = (solid.sample(near) > 0) != beyond
+    assert (np.abs(distances) <= close)[bracketed].mean() > 0.999 and bracketed.mean() > 0.9
 
 
 def test_who_loses_the_ground_goes_to_what_is_left() -> None:

@@ -3,19 +3,25 @@
 Each kernel runs on arrays of several lengths with extreme values. All that it writes and returns has to have the same bits from
 the interpreter, which runs one turn after another, and from machine code, which has eight in lanes. NaN equals NaN. A part of the
 kernels may index outside an array or divide by 0: there the checked build has to raise what the interpreter raises. `--target`
-compiles for another target instead and runs nothing. Exit code 1 where something differs; the kernel is printed."""
+compiles for a target of the package, and `--lanes 1` without lanes. Code for a level of x86-64 that this processor has runs
+here. Code for aarch64 runs under `qemu-aarch64` (`emulated_kernels.py`). Exit code 1 where something differs; the kernel is
+printed."""
 
 from __future__ import annotations
 
 import argparse
+import importlib
 import importlib.util
 import sys
 import tempfile
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 from random import Random
 from typing import Any
+from unittest.mock import patch
 
 import numpy as np
 
@@ -23,8 +29,11 @@ from antdsl.machine_code import machine, shipped
 from antdsl.machine_code.kernels import KernelFault, NotInSubset
 from antdsl.machine_code.kernels.ir import InvalidCode
 from antdsl.machine_code.kernels.kernel import Kernel, text_of
+from antdsl.machine_code.kernels.units import KernelUnit
+from antdsl.machine_code.kinds import LANE_COUNT
 
 sys.path.insert(0, str(Path(__file__).parent))
+from emulated_kernels import EmulatedCode, missing_program
 from kernel_interpreter import KernelInterpreter
 from random_kernel_source import OUTPUTS, module_of
 
@@ -122,45 +131,77 @@ def load(source: str, folder: Path) -> list[Kernel]:
     return [value for value in vars(module).values() if isinstance(value, Kernel)]
 
 
-def differences(kernels: Sequence[Kernel], seed: int, daring: bool) -> Iterator[str]:
-    """Compare kernels, and tell what differs."""
+def can_run(target: machine.Target) -> bool:
+    """Whether code for a target can run on this machine, or in the emulator."""
     host = machine.host()
+    if target.arm:
+        return host.arm or not missing_program()
+    return target.x86 and host.x86 and shipped._present_features(target) <= shipped._present_features(host)
+
+
+@contextmanager
+def callers(
+    kernels: Sequence[Kernel], target: machine.Target, lanes: int, daring: bool
+) -> Iterator[Callable[[Kernel], Callable[..., Any]]]:
+    """Compile kernels; the function that returns what calls one of them."""
+    module = importlib.import_module("antdsl.machine_code.kernels.kernel")
+    with patch.object(module, "KernelUnit", partial(KernelUnit, lanes=lanes)):
+        text = text_of(kernels, target, checked=daring)
+    code = machine.object_code(text, target)
+    if target.arm == machine.host().arm:
+        loaded = machine.load(code)
+        yield lambda kernel: kernel.caller(loaded, checked=daring)
+    else:
+        with tempfile.TemporaryDirectory() as folder, EmulatedCode(kernels, text, code, Path(folder)) as emulated:
+            yield emulated.caller
+
+
+def differences(kernels: Sequence[Kernel], seed: int, daring: bool, target: machine.Target, lanes: int) -> Iterator[str]:
+    """Compare kernels; yield what differs."""
     try:
-        code = machine.load(machine.object_code(text_of(kernels, host, checked=daring), host))
+        with callers(kernels, target, lanes, daring) as caller:
+            for number, kernel in enumerate(kernels):
+                yield from _differences_of_one(kernel, caller(kernel), seed, number, daring)
     except (NotInSubset, InvalidCode, RuntimeError) as problem:
         if len(kernels) == 1:
-            yield f"{kernels[0].__name__}, not compiled: {problem}"
+            yield f"{kernels[0].__name__}, failed: {problem}"
         else:
             for each in kernels:
-                yield from differences([each], seed, daring)
-        return
-    for number, kernel in enumerate(kernels):
-        compiled, interpreted = kernel.caller(code, checked=daring), KernelInterpreter(kernel)
-        for length in (17, LENGTHS[(seed + number) % len(LENGTHS)]):
-            passed = inputs(1000 * seed + number + length, length)
-            (fault, expected), (raised, output) = outcome(interpreted, passed), outcome(compiled, passed)
-            if daring and (fault or raised):
-                if bool(fault) != bool(raised) or ("independent" not in kernel.__doc__ and fault != raised):
-                    yield f"{kernel.__name__}, length {length}: {fault or 'no error'} interpreted, {raised or 'none'} compiled"
-            elif fault:
-                yield f"{kernel.__name__}, length {length}: {fault}"
-            elif not all(equal(a, b) for a, b in zip(expected, output, strict=True)):
-                pairs = [(a, b) for a, b in zip(expected, output, strict=True) if not equal(a, b)]
-                yield f"{kernel.__name__}, length {length}: interpreted\n{pairs[0][0]}\ncompiled\n{pairs[0][1]}"
+                yield from differences([each], seed, daring, target, lanes)
 
 
-def compare(count: int, seed: int, target: str = "", show: bool = True) -> list[str]:
-    """Draw so many kernels and compare them; what differs, with the sources."""
+def _differences_of_one(kernel: Kernel, compiled: Any, seed: int, number: int, daring: bool) -> Iterator[str]:
+    interpreted = KernelInterpreter(kernel)
+    for length in (17, LENGTHS[(seed + number) % len(LENGTHS)]):
+        passed = inputs(1000 * seed + number + length, length)
+        (fault, expected), (raised, output) = outcome(interpreted, passed), outcome(compiled, passed)
+        if daring and (fault or raised):
+            if bool(fault) != bool(raised) or ("independent" not in kernel.__doc__ and fault != raised):
+                yield f"{kernel.__name__}, length {length}: {fault or 'no error'} interpreted, {raised or 'none'} compiled"
+        elif fault:
+            yield f"{kernel.__name__}, length {length}: {fault}"
+        elif not all(equal(a, b) for a, b in zip(expected, output, strict=True)):
+            pairs = [(a, b) for a, b in zip(expected, output, strict=True) if not equal(a, b)]
+            yield f"{kernel.__name__}, length {length}: interpreted\n{pairs[0][0]}\ncompiled\n{pairs[0][1]}"
+
+
+def compare(count: int, seed: int, target: str = "", show: bool = True, lanes: int = LANE_COUNT) -> list[str]:
+    """Draw so many kernels and compare them; return what differs, with the sources.
+
+    Kernels for a target that nothing can run here are only compiled. The emulator runs no daring ones: the checked build reports
+    to this process."""
     output: list[str] = []
+    compiled_for = shipped.TARGET_BY_NAME[target] if target else machine.host()
+    runs = can_run(compiled_for)
     with tempfile.TemporaryDirectory() as name:
         for batch in range(0, count, BATCH):
-            daring = batch // BATCH % DARING_EVERY == DARING_EVERY - 1
+            daring = batch // BATCH % DARING_EVERY == DARING_EVERY - 1 and compiled_for.arm == machine.host().arm
             source = module_of(Random(f"{seed} {batch}"), min(BATCH, count - batch), daring)
             kernels = load(source, Path(name))
-            if target:
-                machine.object_code(text_of(kernels, shipped.TARGET_BY_NAME[target]), shipped.TARGET_BY_NAME[target])
+            if not runs:
+                machine.object_code(text_of(kernels, compiled_for), compiled_for)
                 continue
-            for each in differences(kernels, seed + batch, daring):
+            for each in differences(kernels, seed + batch, daring, compiled_for, lanes):
                 output.append(f"seed {seed}, batch {batch}: {each}\n{_source(source, each.split(',')[0])}")
                 if show:
                     print(output[-1], flush=True)
@@ -180,9 +221,14 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--count", type=int, default=400)
     parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--target", choices=list(shipped.TARGET_BY_NAME), default="", help="compile for a target, run nothing")
+    parser.add_argument(
+        "--target", choices=list(shipped.TARGET_BY_NAME), default="", help="compile for a target; run where that is possible"
+    )
+    parser.add_argument("--lanes", type=int, choices=(1, LANE_COUNT), default=LANE_COUNT)
     options = parser.parse_args()
-    output = compare(options.count, options.seed, options.target)
+    if options.target and not can_run(shipped.TARGET_BY_NAME[options.target]):
+        print(f"nothing here runs code for {options.target}: kernels are only compiled")
+    output = compare(options.count, options.seed, options.target, lanes=options.lanes)
     print(f"{options.count} kernels, {len(output)} differences, {time.process_time():.0f} s of CPU")
     return 1 if output else 0
 

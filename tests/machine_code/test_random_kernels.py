@@ -1,13 +1,21 @@
-"""A sample of the random kernels: interpreted and compiled alike, and compiled for all targets of the package."""
+"""A sample of the random kernels: the same bits interpreted and compiled, with and without lanes, for all targets of the package.
+
+Code for aarch64 runs under qemu."""
 
 from __future__ import annotations
+
+from pathlib import Path
+from random import Random
 
 import numpy as np
 import pytest
 from compilers import need_llvmlite
-from random_kernels import compare, equal, inputs
+from emulated_kernels import EmulatedCode, missing_program
+from random_kernel_source import module_of
+from random_kernels import can_run, compare, equal, inputs, load, outcome
 
 from antdsl.machine_code import machine, shipped
+from antdsl.machine_code.kernels.kernel import text_of
 
 pytestmark = pytest.mark.skipif(not machine.is_available(), reason="no machine code can be made here")
 
@@ -24,9 +32,30 @@ def test_errors_of_random_kernels_are_found_by_the_checked_build(monkeypatch: py
     assert compare(16, 12, show=False) == []
 
 
+def test_random_kernels_without_lanes_give_the_same_bits() -> None:
+    need_llvmlite()
+    assert compare(12, 14, show=False, lanes=1) == []
+
+
 @pytest.mark.parametrize("target", list(shipped.TARGET_BY_NAME))
-def test_random_kernels_compile_for_every_target(target: str) -> None:
-    assert compare(4, 13, target, show=False) == []
+def test_random_kernels_compile_for_every_target_and_run_where_possible(target: str) -> None:
+    assert compare(12 if can_run(shipped.TARGET_BY_NAME[target]) else 4, 13, target, show=False) == []
+
+
+@pytest.mark.skipif(bool(missing_program()), reason=f"{missing_program()} is not installed")
+def test_emulated_code_is_what_runs(tmp_path: Path) -> None:
+    """Code with one other operation gives other results, so the comparison is with that code; other arrays stay as they are."""
+    need_llvmlite()
+    target = shipped.TARGET_BY_NAME["aarch64"]
+    kernels = load(module_of(Random("21"), 6, False), tmp_path)
+    text = text_of(kernels, target)
+    outcomes = []
+    for each in (text, text.replace(" fadd ", " fsub ").replace(" fmul ", " fdiv ")):
+        with EmulatedCode(kernels, each, machine.object_code(each, target), tmp_path) as code:
+            outcomes.append([outcome(code.caller(kernel), inputs(31, 17)) for kernel in kernels])
+    pairs = [(a, b) for (_, one), (_, other) in zip(*outcomes, strict=True) for a, b in zip(one, other, strict=True)]
+    same = [equal(a, b) for a, b in pairs]
+    assert any(same) and not all(same)
 
 
 def test_the_comparison_tells_signs_of_zero_and_types_apart() -> None:

@@ -84,7 +84,9 @@ def test_claims_of_one_statement_are_settled_by_draw_and_id(count, all_of_it):
     entry.amount[entry.amount == np.float32(0.1)] = np.float32(0.5)
     if all_of_it:
         entry.amount[len(entry.amount) // 2] = np.inf
+    entry.item[0], entry.item[-1] = 0, 39
     rest, load = np.round(rng.random(40) * 32) / 4, population.now["load"].copy()
+    rest[0], rest[39] = 60.0, 60.0  # enough for claims on the first and the last item
     ids = population.ids[entry.rows]
     draw = randomness.word(3, 5, "a", "site", 0, ids)
     order = [n for n in np.lexsort((ids, draw, entry.item)) if 0 <= entry.item[n] < 40 and entry.amount[n] >= 0]

@@ -141,7 +141,7 @@ def pairs_of(near: NearbyPairs) -> list[tuple[int, int]]:
     return list(zip(near.rows[near.i].tolist(), near.rows[near.j].tolist(), strict=True))
 
 
-@pytest.mark.parametrize("dead", [None, 5e-4, 0.2])
+@pytest.mark.parametrize("dead", [None, 5e-4, 0.2, 0.6])
 def test_all_pairs_that_may_meet_are_found(dead: float | None) -> None:
     built = crowds(9.0)
     built.populations["ant"].position[5] = built.populations["ant"].position[4]  # two in one place

@@ -131,7 +131,12 @@ def _shape_extent(definition: Definition, shape: Shape) -> tuple[NDArray[np.floa
 def rest_box(definition: Definition) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return the box of the points of all shapes of all layers in the rest pose. It defines a body's length. Without shapes it is
     the box of the joints."""
-    world = world_matrices(definition.rig.parents, definition.rig.rest)
+    return posed_box(definition, world_matrices(definition.rig.parents, definition.rig.rest))
+
+
+def posed_box(definition: Definition, world: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return the box of the points of all shapes of all layers, with joint world matrices `world` [J, 4, 4]. Without shapes it
+    is the box of the joints."""
     point_sets = [world[:, :3, 3]]
     for layer in definition.layers.values():
         for binding in (*layer.static, *layer.deforming):

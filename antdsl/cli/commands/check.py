@@ -38,7 +38,7 @@ def check(
     explain: str = typer.Option(
         None, "--explain", metavar="WORD", help="Explain a code such as `unknown-state`, a word or a behaviour, and stop."
     ),
-    params: bool = typer.Option(False, "--params", help="List every param as a table: default, unit, range, help."),
+    params: bool = typer.Option(False, "--params", help="List params, and the settings with defaults by edition, as tables."),
     cost: bool = typer.Option(
         False,
         "--cost",
@@ -86,11 +86,11 @@ def check(
         if codes:
             print_result(f"for details, run `antdsl check --explain {codes[0]}`{f', or name {others}' if others else ''}\n")
     if params or cost:
-        from antdsl.cli.printing.check_tables import cost_table, explain_missing_table, params_table, work_table
+        from antdsl.cli.printing.check_tables import cost_table, explain_missing_table, params_table, settings_table, work_table
 
         programs = [(file, checked.programs[file]) for file in files if file in checked.programs]
         sound = [(file, program) for file, program in programs if checked.reports[file].ok]
-        for line in params_table(programs) if params else ():
+        for line in (*params_table(programs), *settings_table(programs)) if params else ():
             print_result(line)
         for line in cost_table(sound) if cost else ():
             print_result(line)

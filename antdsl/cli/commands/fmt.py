@@ -13,6 +13,7 @@ import typer
 from antdsl.cli.arguments import STDIN_PATH, read_standard_input
 from antdsl.cli.exits import RETRY_ADVICE, CommandError, ExitCode, recovery_advice
 from antdsl.cli.printing.messages import print_note, print_result
+from antdsl.syntax.editions import EDITIONS
 
 if TYPE_CHECKING:
     from antdsl.diagnostics import Report
@@ -24,15 +25,21 @@ def fmt(
     ),
     check: bool = typer.Option(False, "--check", help="Change nothing; name the files that would change, with exit code 1."),
     diff: bool = typer.Option(False, "--diff", help="Change nothing; show what would change, with exit code 1."),
+    edition: int | None = typer.Option(
+        None, "--edition", help="Rewrite files for this edition of the language, and write the old defaults that they rely on."
+    ),
 ) -> None:
     """Format .ant files: blanks, columns and line breaks. Meaning and comments stay the same."""
+    if edition is not None and edition not in EDITIONS:
+        known = " or ".join(str(each) for each in EDITIONS)
+        raise typer.BadParameter(f"no edition {edition}; write {known}", param_hint="--edition")
     if not paths:
         raise typer.BadParameter("name a file or a folder, or - for standard input", param_hint="PATH")
     if STDIN_PATH in paths and len(paths) > 1:
         raise typer.BadParameter("standard input goes alone", param_hint="-")
     from antdsl.cli.printing.reports import exit_on_errors
 
-    work = _Formatting(check, diff)
+    work = _Formatting(check, diff, edition)
     if STDIN_PATH in paths:
         work.format_standard_input()
     else:
@@ -54,6 +61,7 @@ class _Formatting:
 
     check: bool
     diff: bool
+    edition: int | None
     changed: list[str] = field(default_factory=list)
     left: int = 0  # files with mistakes, or that could not be read or written
     report: Report = field(default_factory=_empty_report)
@@ -126,6 +134,14 @@ class _Formatting:
         self.report.extend(report)
         if not isinstance(source, Source):
             return None
+        if self.edition is not None:
+            from antdsl.program.upgrade import upgrade
+
+            upgraded, findings = upgrade(source, self.edition)
+            if upgraded is None:
+                self.report.extend(d for d in findings.diagnostics if d.severity == "error")
+                return None
+            source = upgraded
         text, findings = syntax.format(source)
         self.report.extend(d for d in findings.diagnostics if d.severity == "error")
         return text

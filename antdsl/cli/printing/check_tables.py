@@ -10,8 +10,10 @@ from antdsl.diagnostics.places import escape_text
 from antdsl.program.cost import StateCost, costs
 from antdsl.program.kinds import TypeKind
 from antdsl.program.model import Constant, Param, Program, Species
+from antdsl.program.tables.editions import EDITION_DEFAULTS
 from antdsl.program.tables.units import measure
 from antdsl.source import Span
+from antdsl.syntax import nodes
 
 if TYPE_CHECKING:
     from antdsl.diagnostics import Report
@@ -42,6 +44,31 @@ def params_table(programs: CheckedPrograms) -> Iterator[str]:
             yield from _align_rows([("param", "default", "unit", "range", "help"), *(_param_row(param) for param in new)])
     if not listed:
         yield "no program here has a param"
+
+
+def settings_table(programs: CheckedPrograms) -> Iterator[str]:
+    """Yield the settings of all species whose defaults depend on the edition: value, and where it comes from."""
+    listed: set[Span] = set()
+    for file, program in programs:
+        rows = [row for source in program.sources for row in _setting_rows(source, program, listed)]
+        if rows:
+            yield f"{file}:"
+            yield from _align_rows([("setting", "value", "from"), *rows])
+
+
+def _setting_rows(source: nodes.File, program: Program, listed: set[Span]) -> Iterator[tuple[str, str, str]]:
+    """Yield the rows of the species of one file that are not in `listed`, and add them to it."""
+    edition = source.edition_number
+    for species in source.items:
+        if not isinstance(species, nodes.Species) or species.span in listed or species.name.text not in program.species:
+            continue
+        listed.add(species.span)
+        lines = {each.name.text: each for each in species.members if isinstance(each, nodes.AnimalProperty)}
+        for row in EDITION_DEFAULTS:
+            line = lines.get(row.setting)
+            value = row.in_edition(edition) if line is None else " ".join(line.value.span.text.split())
+            origin = f"edition {edition}" if line is None else f"line {source.source.line_column(line.span.start)[0]}"
+            yield f"{species.name.text}.{row.setting}", value, origin
 
 
 def _param_row(param: Param) -> tuple[str, ...]:

@@ -13,6 +13,7 @@ from antdsl.plan.lowering.expressions import lower, own_attribute, scalar, singl
 from antdsl.plan.lowering.values import EntityRef, NamedThing, OwnPlace, VectorNodes
 from antdsl.plan.lowering.writer import AXES, PlanWriter, UnsupportedConstruct
 from antdsl.program import model
+from antdsl.program.tables.vocabulary import is_limit
 from antdsl.source import Span
 
 OperandTuple = tuple[PlanNode | None, ...]
@@ -88,7 +89,7 @@ def _assign(w: PlanWriter, s: model.Assign, site: str) -> None:
         value = values.choose(
             b, b("gt", size, b.number(values.MIN_VECTOR_LENGTH)), values.divide(b, value, size), w.read_vector("heading")
         )
-    w.store_value(s.attribute, value, s.span, infinite=s.attribute == "max_turn")
+    w.store_value(s.attribute, value, s.span, infinite=is_limit(s.attribute))
 
 
 def _give(w: PlanWriter, s: model.Give, site: str) -> None:

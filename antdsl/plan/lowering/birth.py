@@ -9,17 +9,28 @@ from antdsl.plan.builder import PlanBuilder
 from antdsl.plan.ir import PlanNode, ValueKind, birth_register
 from antdsl.plan.lowering import appearance, clips, pair_values
 from antdsl.plan.lowering.actions import complain, write
-from antdsl.plan.lowering.expressions import as_truth, keeps_moving, lower
+from antdsl.plan.lowering.expressions import as_truth, lower, needs_register
 from antdsl.plan.lowering.machines import MachineWriter
 from antdsl.plan.lowering.values import LoweredValue
 from antdsl.plan.lowering.writer import PlanWriter, UnsupportedConstruct
 from antdsl.program import model
 from antdsl.program.tables.columns import REGISTERS
+from antdsl.program.tables.editions import (
+    CRAWLING_SETTING,
+    DEFAULT_BY_SETTING,
+    OPTIONAL_ATTRIBUTES,
+    STANDING_DEFAULTS,
+    STANDING_SETTING,
+)
+from antdsl.program.tables.vocabulary import builtin_attributes, is_limit
 from antdsl.program.traverse import inside
 
 VECTOR_ATTRIBUTES = tuple(name for name, column in REGISTERS.items() if column.shape)
 # Built-in attributes, each after those that its default reads. The runtime sets `group`, the line of the scene's `crowd`.
-BIRTH_ATTRIBUTES = ("size", "mass", "radius", "clearance", "max_speed", "min_speed", "response", "max_turn", "max_force")
+BIRTH_ATTRIBUTES = (
+    "height", "size", "mass", "radius", "clearance", "max_speed", "min_speed", "upright", "max_slope", "response", "max_turn",
+    "max_force",
+)  # fmt: skip
 
 
 def declare(w: PlanWriter) -> None:
@@ -27,9 +38,8 @@ def declare(w: PlanWriter) -> None:
     for name in VECTOR_ATTRIBUTES:
         for axis in "xyz":
             w.declare(f"{name}.{axis}", ValueKind.F32, "attribute")
-    for name in (*BIRTH_ATTRIBUTES, "group"):
-        if name != "min_speed" or keeps_moving(w.species):
-            w.declare(name, ValueKind.F32, "attribute")
+    for name in (*_birth_attributes(w.species), "group"):
+        w.declare(name, ValueKind.F32, "attribute")
     if w.measures_pushes:
         w.declare("moved", ValueKind.F32, "attribute")
     for attribute in w.species.attributes:
@@ -39,7 +49,7 @@ def declare(w: PlanWriter) -> None:
         if attribute.name == "push":
             w.report.error("reserved-name", "`push` is reserved", attribute.span, "rename the attribute")
             continue
-        if not attribute.is_builtin and attribute.name not in BIRTH_ATTRIBUTES:
+        if not attribute.is_builtin and attribute.name not in _birth_attributes(w.species):
             w.declare_typed(attribute.name, attribute.type, "attribute")
 
 
@@ -47,6 +57,12 @@ def given_default(w: PlanWriter, name: str) -> PlanNode:
     """Return the default of a built-in attribute that the author does not set. `docs/card.md` lists these attributes as
     "given"."""
     b: PlanBuilder = w.b
+    if name == CRAWLING_SETTING and is_standing(w.species):
+        return b("mul", w.read(STANDING_SETTING), b.number(w.proportions.size_per_height))
+    if name == "radius" and is_standing(w.species):
+        return b("mul", w.read("size"), b.number(w.proportions.radius_per_size))
+    if name in OPTIONAL_ATTRIBUTES:
+        return b.number(OPTIONAL_ATTRIBUTES[name])
     if name in _PLAIN_DEFAULTS:
         return b.number(_PLAIN_DEFAULTS[name])
     if name == "radius":
@@ -60,15 +76,26 @@ def given_default(w: PlanWriter, name: str) -> PlanNode:
     return b("mul", strength, b("where", is_instant, b.number(2), b.number(1)))
 
 
-_PLAIN_DEFAULTS = {
-    "size": 4.0,
-    "mass": 1.0,
-    "clearance": 0.0,
-    "max_speed": 30.0,
-    "min_speed": 0.0,
-    "response": 0.15,
-    "max_turn": inf,
-}
+# Attributes that the default of another one reads, if agents have them.
+_DEFAULT_OPERANDS = {"size": ("height",), "radius": ("size",), "max_force": ("mass", "max_speed", "response")}
+_PLAIN_DEFAULTS = {"size": 4.0, "mass": 1.0, "clearance": 0.0, "max_speed": 30.0, "response": 0.15, "max_turn": inf}
+
+
+def _birth_attributes(species: model.Species) -> list[str]:
+    """Return the built-in attributes that agents of a species have, each after those that its default reads."""
+    known = builtin_attributes(species.edition)
+    names = [name for name in BIRTH_ATTRIBUTES if name in known and needs_register(species, name)]
+    return [name for name in names if name != STANDING_SETTING or is_standing(species)]
+
+
+def newer_attributes(species: model.Species) -> frozenset[str]:
+    """Return the built-in attributes of a species that edition 1 does not have."""
+    return frozenset(_birth_attributes(species)) - builtin_attributes(1).keys()
+
+
+def is_standing(species: model.Species) -> bool:
+    """Return whether a species has standing bodies, because it sets their height."""
+    return any(attribute.is_builtin and attribute.name == STANDING_SETTING for attribute in species.attributes)
 
 
 def write_birth(w: PlanWriter, machines: list[MachineWriter]) -> None:
@@ -96,17 +123,18 @@ def _or_scene_value(w: PlanWriter, name: str, default: LoweredValue) -> LoweredV
 
 
 def _author_attributes(w: PlanWriter) -> dict[str, model.AttributeDecl]:
-    """Return the attributes in the author's text. A built-in attribute with the span of the species' name is not in the text; its
-    default is made in this module, where the step length is known."""
+    """Return the attributes in the author's text, and those with a default of a newer edition. Any other built-in attribute with
+    the span of the species' name is not in the text; its default is made in this module, where the step length is known."""
     mine = [a for a in w.species.attributes if not a.each and a.name != "push"]
-    return {a.name: a for a in mine if not (a.is_builtin and a.span == w.species.span)}
+    newer = (DEFAULT_BY_SETTING.keys() | STANDING_DEFAULTS.keys()) if w.species.edition > 1 else ()
+    return {a.name: a for a in mine if a.name in newer or not (a.is_builtin and a.span == w.species.span)}
 
 
 def _attribute(w: PlanWriter, name: str) -> None:
     declared = _author_attributes(w)
     if name not in declared:
         value: LoweredValue = _or_scene_value(w, name, given_default(w, name))
-        w.store_value(name, value, None, infinite=name == "max_turn")
+        w.store_value(name, value, None, infinite=is_limit(name))
         return
     attribute = declared[name]
     w.b.span = attribute.span
@@ -114,7 +142,7 @@ def _attribute(w: PlanWriter, name: str) -> None:
         value = lower(w, attribute.default)
         if attribute.type.kind is model.TypeKind.BOOL:
             value = as_truth(w, value, attribute.default)
-        w.store_value(name, _or_scene_value(w, name, value), attribute.span, infinite=name == "max_turn")
+        w.store_value(name, _or_scene_value(w, name, value), attribute.span, infinite=is_limit(name))
     except UnsupportedConstruct as missing:
         complain(w, missing)
 
@@ -123,12 +151,12 @@ def _attribute_order(w: PlanWriter) -> list[str]:
     """Return the names of all attributes, each after the attributes that its default reads. The checker has already rejected
     cycles."""
     declared = _author_attributes(w)
-    needs: dict[str, list[str]] = {name: [] for name in (*BIRTH_ATTRIBUTES, *declared) if name in w.registers or name in declared}
+    needs: dict[str, list[str]] = {name: [] for name in (*_birth_attributes(w.species), *declared)}
     for name in needs:
         if name in declared:
             needs[name] = [n for n in attributes_read(declared[name].default) if n in needs]
         else:
-            needs[name] = {"radius": ["size"], "max_force": ["mass", "max_speed", "response"]}.get(name, [])
+            needs[name] = [each for each in _DEFAULT_OPERANDS.get(name, ()) if each in needs]
     return list(TopologicalSorter(needs).static_order())
 
 

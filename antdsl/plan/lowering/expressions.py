@@ -22,6 +22,7 @@ from antdsl.plan.lowering.values import (
 )
 from antdsl.plan.lowering.writer import AXES, KIND_BY_TYPE_KIND, NONE_BY_KIND, PlanWriter, UnsupportedConstruct
 from antdsl.program import expectations, model
+from antdsl.program.tables.editions import OPTIONAL_ATTRIBUTES
 from antdsl.program.traverse import inside, parts
 
 
@@ -286,10 +287,10 @@ def _attribute(w: PlanWriter, e: model.AttributeRef) -> LoweredValue:
         return w.b("number", w.b("other.id") if isinstance(owner, SetElement) else owner.node)
     if e.name == "age":
         return w.b("agent.age", w.b("other.id") if isinstance(owner, SetElement) else owner.node, attrs=(owner.of,))
-    if e.name == "min_speed":
+    if e.name in OPTIONAL_ATTRIBUTES:
         species = w.program.species.get(owner.of or "")
-        if species is not None and not keeps_moving(species):
-            return w.b.number(0)
+        if species is not None and not needs_register(species, e.name):
+            return w.b.number(OPTIONAL_ATTRIBUTES[e.name])
     if e.type.kind is model.TypeKind.VECTOR:
         prefix = "" if owner.what is model.TypeKind.ITEM and e.name == "position" else f"{e.name}."
         return VectorNodes(*(_read_other(w, owner, f"{prefix}{axis}", ValueKind.F32) for axis in AXES))
@@ -313,8 +314,8 @@ def own_attribute(w: PlanWriter, name: str, type: model.ValueType) -> LoweredVal
         return values.length(w.b, w.read_vector("velocity"))
     if f"{name}.x" in w.registers:
         return w.read_vector(name)
-    if name == "min_speed" and name not in w.registers:
-        return w.b.number(0)
+    if name in OPTIONAL_ATTRIBUTES and name not in w.registers:
+        return w.b.number(OPTIONAL_ATTRIBUTES[name])
     return as_typed_value(w, w.read(name), type)
 
 
@@ -324,12 +325,12 @@ def measures_pushes(program: model.Program) -> bool:
     return any(isinstance(part, model.AttributeRef) and part.name == "moved" for part in asking)
 
 
-def keeps_moving(species: model.Species) -> bool:
-    """Return whether a species needs the register `min_speed`, because it declares or sets its lowest speed. Other species may
-    stand still."""
-    if any(a.name == "min_speed" for a in species.attributes):
+def needs_register(species: model.Species, name: str) -> bool:
+    """Return whether agents of a species have the register of an attribute. For one of OPTIONAL_ATTRIBUTES that is so if the
+    species declares or sets it."""
+    if name not in OPTIONAL_ATTRIBUTES or any(a.name == name for a in species.attributes):
         return True
-    return any(isinstance(part, model.Assign) and part.attribute == "min_speed" for part in parts(species))
+    return any(isinstance(part, model.Assign) and part.attribute == name for part in parts(species))
 
 
 def _read_other(

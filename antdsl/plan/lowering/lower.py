@@ -24,7 +24,7 @@ from antdsl.plan.lowering.rules import LOWERING_RULES
 from antdsl.plan.lowering.source_map import NotingWriter, SourceNotes
 from antdsl.plan.lowering.values import EntityRef, VectorNodes, scale, sub
 from antdsl.plan.lowering.values import add as add_vectors
-from antdsl.plan.lowering.writer import AXES, PlanWriter, UnsupportedConstruct
+from antdsl.plan.lowering.writer import AXES, BodyProportions, PlanWriter, UnsupportedConstruct
 from antdsl.plan.traverse import find_shared_senses, operands, required_nodes, statements
 from antdsl.program import model
 from antdsl.program.tables.things import KIND_BY_WORD
@@ -39,12 +39,14 @@ def lower(
     orders: Mapping[str, Sequence[str]] | None = None,
     notes: dict[str, SourceNotes] | None = None,
     begun_with: Mapping[str, Collection[str]] | None = None,
+    proportions: Mapping[str, BodyProportions] | None = None,
 ) -> tuple[ir.Plan, Report]:
     """Return the plan of a program, and errors for constructs that pass the checks but cannot run yet.
 
     - `orders`: by species, the order of the layers, each named by its text or by the word before its bracket.
     - `notes`: receives, for each species, the nodes of each part of its text.
-    - `begun_with`: by species, the attributes that the scene may set at an agent's birth."""
+    - `begun_with`: by species, the attributes that the scene may set at an agent's birth.
+    - `proportions`: of the bodies of species that set their height."""
     report = Report()
     builder = PlanBuilder()
     pushes = measures_pushes(program)
@@ -57,6 +59,7 @@ def lower(
             w = NotingWriter(builder, program, s, report, LOWERING_RULES, notes[s.name])
         w.measures_pushes = pushes
         w.begun_with = frozenset((begun_with or {}).get(s.name, ()))
+        w.proportions = (proportions or {}).get(s.name, w.proportions)
         return _species(w, (orders or {}).get(s.name))
 
     with _deep_recursion():
@@ -116,6 +119,7 @@ def _species(w: PlanWriter, order: Sequence[str] | None) -> ir.SpeciesPlan:
         species.name, w.registers, tuple(m.plan() for m in machines), born, decide, act, blend, events, layers,
         find_shared_senses(decide, act, blend), {a.name: pair_values.rest_value(w, a) for a in species.attributes if a.each},
         clips.clips_of(species), appearance.wears_of(species), appearance.channels_of(species), appearance.looks_of(species),
+        species.clears_body, birth.newer_attributes(species),
     )  # fmt: skip
 
 

@@ -37,6 +37,15 @@ class UnsupportedConstruct(Exception):
         self.what, self.span, self.help = what, span, help
 
 
+class BodyProportions(NamedTuple):
+    """Proportions of the body of a species that stands; without a scene, those of a person.
+
+    `size_per_height`: its length over its height. `radius_per_size`: half of its width over its length."""
+
+    size_per_height: float = 0.5 / 1.75
+    radius_per_size: float = 0.42
+
+
 class LoweringRules(NamedTuple):
     """The functions that lower compound expressions: operations by name, sets, reductions, pair values and clip tests. These
     functions lower their own parts, so a PlanWriter receives them as an argument."""
@@ -62,6 +71,7 @@ class PlanWriter:
         self.registers: dict[str, Register] = {}
         self.born = False
         self.measures_pushes = False  # whether agents have the register `moved`
+        self.proportions = BodyProportions()
         self.begun_with: frozenset[str] = frozenset()  # attributes that the scene may set at birth
         self.snapshot = False
         self.elements: list[model.Binding] = []

@@ -4,15 +4,18 @@ reads."""
 from __future__ import annotations
 
 from collections.abc import Mapping
+from math import inf
 
+from antdsl.diagnostics import Label
 from antdsl.diagnostics.suggestion import nearest_name
 from antdsl.program import model
 from antdsl.program.declarations.behaviours import declared_type
-from antdsl.program.kinds import BAD_TYPE
+from antdsl.program.kinds import BAD_TYPE, BOOL_TYPE
 from antdsl.program.model import Expr, TypeKind
 from antdsl.program.names.ordering import order_declarations
 from antdsl.program.names.scope import (
     NameScope,
+    SpeciesNames,
     StableKeys,
     bad_expression,
     did_you_mean,
@@ -20,7 +23,17 @@ from antdsl.program.names.scope import (
     report_duplicate,
     type_from_words,
 )
-from antdsl.program.tables.defaults import parse_product
+from antdsl.program.tables.defaults import parse_default
+from antdsl.program.tables.editions import (
+    CRAWLING_SETTING,
+    DEFAULT_BY_SETTING,
+    NO_LIMIT_WORD,
+    OPTIONAL_ATTRIBUTES,
+    STANDING_DEFAULTS,
+    STANDING_SETTING,
+    SWITCH_EDITION,
+    SWITCH_HELP,
+)
 from antdsl.program.tables.vocabulary import BUILTIN_ATTRIBUTE_BY_NAME, BUILTINS_BY_NAME, REDUCER_HELP, SENSE_REPLACEMENTS
 from antdsl.program.types.descriptions import quote_source, type_words
 from antdsl.program.types.folding import constant_behind
@@ -30,7 +43,7 @@ from antdsl.syntax import nodes
 from antdsl.syntax.words import LANGUAGE_WORDS
 
 _STORABLE_KINDS = (TypeKind.NUMBER, TypeKind.VECTOR, TypeKind.BOOL, TypeKind.ITEM, TypeKind.AGENT, TypeKind.BAD)
-_ZERO_ALLOWED_ATTRIBUTES = ("radius", "clearance", "min_speed")
+_ZERO_ALLOWED_ATTRIBUTES = ("radius", "clearance", "min_speed", "upright", "max_slope")
 _TOO_EARLY_REASON = "starting values are computed before the animal has sensed anything"
 
 
@@ -40,25 +53,42 @@ _TOO_EARLY_REASON = "starting values are computed before the animal has sensed a
 def attributes(scope: NameScope, node: nodes.Species) -> list[model.AttributeDecl]:
     """Return built-in and own attributes. Each comes after the attributes that its initial value reads."""
     declared: dict[str, nodes.Declaration | nodes.AnimalProperty] = {}
-    for name, row in BUILTIN_ATTRIBUTE_BY_NAME.items():
-        if row.settable and row.default is not None:
+    assert scope.species is not None
+    for name, row in scope.builtins.items():
+        default = default_text(name, scope.species) if row.settable else None
+        if default is not None and default != NO_LIMIT_WORD and not has_usual_value(name, scope.species):
             declared[name] = nodes.AnimalProperty(
-                nodes.Name(name, node.name.span), parse_product(row.default, node.name.span), None, node.name.span
+                nodes.Name(name, node.name.span), parse_default(default, node.name.span), None, node.name.span
             )
     written: dict[str, Span] = {}
     for member in node.members:
         if isinstance(member, nodes.AnimalProperty):
             if member.name.text in written:
                 report_duplicate(scope.report, "property", member.name, written[member.name.text])
-            if _is_settable(scope, member):
+            if member.name.text not in SWITCH_HELP and _is_settable(scope, member):
                 declared[member.name.text] = member
             written.setdefault(member.name.text, member.name.span)
-        elif isinstance(member, nodes.Declaration) and member.name.text not in BUILTIN_ATTRIBUTE_BY_NAME:
+        elif isinstance(member, nodes.Declaration) and member.name.text not in scope.builtins:
             declared.setdefault(member.name.text, member)
+    if scope.edition >= SWITCH_EDITION:
+        _check_extent(scope, node, written)
     order, circular = order_declarations(scope.report, "starting values", declared, lambda d: [d.value], lambda d: d.name)
     declarations = [_attribute(scope, each, each.name.text in circular) for each in order]
     _check_speeds(scope, declarations, declared)
     return declarations
+
+
+def _check_extent(scope: NameScope, node: nodes.Species, written: Mapping[str, Span]) -> None:
+    """Check that a species sets exactly one of `size` and `height`."""
+    size, height = written.get(CRAWLING_SETTING), written.get(STANDING_SETTING)
+    if size is not None and height is not None:
+        message = "`size` follows from `height` and the body"
+        labels = (Label(height, "the height is here"),)
+        scope.report.error("duplicate-name", message, size, "delete one of the two lines", labels=labels)
+    elif size is None and height is None and node.members:
+        message = f"`{node.name.text}` does not say how large it is"
+        advice = "write `size 4 mm`, or `height 1.7 m` for a body that stands"
+        scope.report.error("missing-setting", message, node.name.span, advice)
 
 
 def _check_speeds(
@@ -75,11 +105,55 @@ def _check_speeds(
     scope.report.error("out-of-range", f"`min_speed` is more than `max_speed`, which is {text}", place, f"write {text} or less")
 
 
+def default_text(name: str, species: SpeciesNames) -> str | None:
+    """Return the default of a setting of a species, as in the source. None if it has none."""
+    if species.stands and name in STANDING_DEFAULTS:
+        return STANDING_DEFAULTS[name]
+    row = DEFAULT_BY_SETTING.get(name)
+    return BUILTIN_ATTRIBUTE_BY_NAME[name].default if row is None else row.in_edition(species.edition) or None
+
+
+def has_usual_value(name: str, species: SpeciesNames) -> bool:
+    """Return whether the default of an attribute is the value that it has in species without its register."""
+    return name in OPTIONAL_ATTRIBUTES and not (species.stands and name in STANDING_DEFAULTS)
+
+
+def switches(scope: NameScope, node: nodes.Species) -> dict[str, bool]:
+    """Return the switches of a species by name: those in the text, and the defaults of its edition for the others."""
+    assert scope.species is not None
+    values = {name: default_text(name, scope.species) == "true" for name in SWITCH_HELP}
+    for member in node.members:
+        if not isinstance(member, nodes.AnimalProperty) or member.name.text not in SWITCH_HELP:
+            continue
+        name = member.name.text
+        if scope.edition < SWITCH_EDITION:
+            _report_later_edition(scope, member, SWITCH_EDITION)
+            continue
+        constant = constant_behind(value_of_type(scope.with_changes(runs_once=True), member.value, BOOL_TYPE, f"`{name}`"))
+        if constant is not None:
+            values[name] = bool(constant.number)
+        elif not any(d.span == member.value.span for d in scope.report.diagnostics):
+            message = f"`{name}` is a setting of the species, which has one value"
+            scope.report.error("wrong-rate", message, member.value.span, f"write `{name} true` or `{name} false`")
+    return values
+
+
+def _report_later_edition(scope: NameScope, member: nodes.AnimalProperty, edition: int) -> None:
+    message = f"`{member.name.text}` exists from edition {edition} on"
+    path = scope.file.node.source.path
+    advice = f"run `antdsl fmt --edition {edition} {path}`, which makes `ant {edition}` of the first line"
+    scope.report.error("unknown-property", message, member.name.span, advice)
+
+
 def _is_settable(scope: NameScope, member: nodes.AnimalProperty) -> bool:
-    row, name = BUILTIN_ATTRIBUTE_BY_NAME.get(member.name.text), member.name
+    row, name = scope.builtins.get(member.name.text), member.name
     if row is not None and row.settable:
         return True
-    known = [n for n, g in BUILTIN_ATTRIBUTE_BY_NAME.items() if g.settable]
+    later = BUILTIN_ATTRIBUTE_BY_NAME.get(name.text)
+    if row is None and later is not None and later.settable and later.edition > scope.edition:
+        _report_later_edition(scope, member, later.edition)
+        return False
+    known = [n for n, g in scope.builtins.items() if g.settable]
     if row is None and scope.species and isinstance(member.value, nodes.NameRef) and is_state_name(scope, member.value.name.text):
         known = ["start"]  # `strat search`: only `start` is followed by a state
         if nearest_name(name.text, known):
@@ -124,7 +198,7 @@ def _attribute(scope: NameScope, node: nodes.Declaration | nodes.AnimalProperty,
     help = node.help.text if node.help else ""
     if isinstance(node, nodes.AnimalProperty):
         type = type_from_words(BUILTIN_ATTRIBUTE_BY_NAME[name].type) or BAD_TYPE
-        default = bad_expression(node.value.span) if circular else value_of_type(inner, node.value, type, f"`{name}`")
+        default = bad_expression(node.value.span) if circular else _builtin_default(inner, node, type)
         _check_positive(scope, node, default)
         return model.AttributeDecl(name, type, default, True, help, node.name.span)
     stated = declared_type(scope, node.type) if node.type is not None else None
@@ -147,9 +221,21 @@ def _attribute(scope: NameScope, node: nodes.Declaration | nodes.AnimalProperty,
     return model.AttributeDecl(name, type, default, False, help, node.name.span)
 
 
+def _builtin_default(scope: NameScope, node: nodes.AnimalProperty, type: model.ValueType) -> Expr:
+    """Return the initial value of a built-in attribute. `none` stands for no limit, an infinite value."""
+    name, limits = node.name.text, BUILTIN_ATTRIBUTE_BY_NAME[node.name.text].limits
+    if limits and isinstance(node.value, nodes.NoneOf) and node.value.of is None:
+        return model.Constant(type, model.ChangeRate.CONST, node.value.span, inf)
+    return value_of_type(scope, node.value, type, f"`{name}`")
+
+
 def _check_positive(scope: NameScope, node: nodes.AnimalProperty, default: Expr) -> None:
     constant = constant_behind(default)
-    if constant is not None and (
+    most = BUILTIN_ATTRIBUTE_BY_NAME[node.name.text].most
+    if constant is not None and constant.number > most:
+        message = f"`{node.name.text}` cannot be {quote_source(node.value.span)}"
+        scope.report.error("out-of-range", message, node.value.span, f"write `{node.name.text} {100 * most:g} %` or less")
+    elif constant is not None and (
         constant.number < 0 or (constant.number == 0 and node.name.text not in _ZERO_ALLOWED_ATTRIBUTES)
     ):
         help = "write 0 or more" if node.name.text in _ZERO_ALLOWED_ATTRIBUTES else "write more than 0"

@@ -10,7 +10,7 @@ from antdsl.diagnostics import Label
 from antdsl.program import model
 from antdsl.program.declarations.amounts import ACTION_CONTEXT, HANDLER_CONTEXT
 from antdsl.program.declarations.attributes import attributes as attributes_in
-from antdsl.program.declarations.attributes import is_state_name
+from antdsl.program.declarations.attributes import is_state_name, switches
 from antdsl.program.declarations.machines import machine
 from antdsl.program.declarations.params import param
 from antdsl.program.declarations.resting import rest
@@ -31,7 +31,6 @@ from antdsl.program.names.scope import (
     did_you_mean,
     report_duplicate,
 )
-from antdsl.program.tables.vocabulary import BUILTIN_ATTRIBUTE_BY_NAME
 from antdsl.program.types.descriptions import quote_source, type_words
 from antdsl.program.types.expressions import reference_type
 from antdsl.program.types.folding import constant_behind
@@ -59,11 +58,11 @@ def draft(declared: Declarations, file: FileNames, node: nodes.Species) -> Speci
     names = declared.species[node.name.text]
     scope = NameScope(declared, file, StableKeys(names.name), declared.report, species=names, no_keep=_PURE_LET_REASON)
     _check_names(scope, node)
-    names.pending = {
-        m.name.text for m in _members_of_kind(node, nodes.Let, nodes.Latch, nodes.Fuzzy)
-    } - BUILTIN_ATTRIBUTE_BY_NAME.keys()
+    names.pending = {m.name.text for m in _members_of_kind(node, nodes.Let, nodes.Latch, nodes.Fuzzy)} - names.builtins.keys()
     head = tuple(m for m in node.members if isinstance(m, (nodes.ParamDecl, nodes.Declaration, nodes.AnimalProperty)))
-    params, attributes, known = cached_part(declared, ("draft", names.name, head, node.name), lambda: _drafted(scope, node))
+    params, attributes, known = cached_part(
+        declared, ("draft", names.name, names.edition, head, node.name), lambda: _drafted(scope, node)
+    )
     names.attributes, names.each, names.params = (dict(each) for each in known)
     return SpeciesDraft(names, node, scope, params, attributes)
 
@@ -100,7 +99,7 @@ def _check_names(scope: NameScope, node: nodes.Species) -> None:
         if each.name.text in spans_by_name:
             report_duplicate(scope.report, "name", each.name, spans_by_name[each.name.text])
         else:
-            check_free_in_species(scope.report, each.name, value_span)
+            check_free_in_species(scope.report, each.name, value_span, scope.builtins)
         spans_by_name.setdefault(each.name.text, each.name.span)
     if len(spans_by_name) > limits.MAX_ATTRIBUTES:
         message = f"species `{node.name.text}` declares more than {limits.MAX_ATTRIBUTES} names"
@@ -112,7 +111,8 @@ def _check_names(scope: NameScope, node: nodes.Species) -> None:
 
 def complete(work: SpeciesDraft) -> model.Species:
     """Check lets, latches, handlers, machines and layers. The attributes of all species must be known."""
-    names, key = work.names, ("species", work.node.name, work.node.help, work.node.members, *work.attributes, *work.params)
+    names, node = work.names, work.node
+    key = ("species", node.name, names.edition, node.help, node.members, *work.attributes, *work.params)
     species, names.bindings = cached_part(work.scope.declared, key, lambda: (_completed(work), names.bindings))
     names.pending.clear()
     return species
@@ -143,7 +143,8 @@ def _completed(work: SpeciesDraft) -> model.Species:
         names.name, node.help.text if node.help else "", tuple(attributes), tuple(work.params),
         tuple(b for b in bindings if b.role == "let"), tuple(b for b in bindings if b.role == "latch"),
         tuple(handlers), tuple(machines), layers, node.name.span,
-        rest(scope.with_changes(keys=StableKeys(f"{names.name}.rest")), machines, node.name),
+        rest(scope.with_changes(keys=StableKeys(f"{names.name}.rest")), machines, node.name), scope.edition,
+        switches(scope, node)["body_clearance"],
     )  # fmt: skip
 
 

@@ -14,7 +14,6 @@ from antdsl.program.declarations.asks import ask
 from antdsl.program.kinds import NUMBER_TYPE, PUSH_TYPE
 from antdsl.program.model import Expr, TypeKind, ValueType
 from antdsl.program.names.scope import NameScope, did_you_mean, list_names, type_from_words
-from antdsl.program.tables.vocabulary import BUILTIN_ATTRIBUTE_BY_NAME
 from antdsl.program.types.arguments import place
 from antdsl.program.types.descriptions import is_compatible, quote_source, report_disagreement, report_mismatch, type_words
 from antdsl.program.types.operators import facing_direction, value, value_of_type
@@ -124,7 +123,7 @@ def _assigned_attribute(
         return None
     if text in species.attributes:
         return text, species.attributes[text]
-    builtin = BUILTIN_ATTRIBUTE_BY_NAME.get(text)
+    builtin = scope.builtins.get(text)
     if builtin is not None and (builtin.settable or text in ("velocity", "heading")):
         if not builtin.settable and block.body:
             example = f"`enter {{ {' '.join(line.span.text.split())} }}`"
@@ -144,9 +143,7 @@ def _assigned_attribute(
             advice = "a transition changes it: `when … -> …`"
         report.error("not-settable", f"`{text}` cannot be set", name.span, advice)
     else:
-        known = [a for a in species.attributes if a not in species.each] + [
-            n for n, g in BUILTIN_ATTRIBUTE_BY_NAME.items() if g.settable
-        ]
+        known = [a for a in species.attributes if a not in species.each] + [n for n, g in scope.builtins.items() if g.settable]
         message = f"`{species.name}` has no attribute `{text}`"
         report.error(
             "unknown-name", message, name.span, did_you_mean(text, known, f"declare it: `{text} = …` in `species {species.name}`")

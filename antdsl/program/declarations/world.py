@@ -22,7 +22,7 @@ from antdsl.program.names.scope import (
 )
 from antdsl.program.tables.things import KIND_BY_WORD
 from antdsl.program.tables.units import number
-from antdsl.program.tables.vocabulary import BUILTIN_ATTRIBUTE_BY_NAME, ITEM_ATTRIBUTE_TYPES
+from antdsl.program.tables.vocabulary import ITEM_ATTRIBUTE_TYPES, builtin_attributes
 from antdsl.program.types.descriptions import is_compatible, quote_source, report_mismatch
 from antdsl.program.types.folding import constant_behind
 from antdsl.program.types.operators import value, value_of_type
@@ -72,7 +72,7 @@ def _declare_thing(declared: Declarations, names: FileNames, item: nodes.WorldIt
         attributes = known.attributes + tuple(a for a in attributes if a.name not in have)
     declared.things[name] = model.WorldThing(name, kind, attributes, item.help.text if item.help else "", item.name.span)
     if kind == "species":
-        species = declared.species.setdefault(name, SpeciesNames(name, None))
+        species = declared.species.setdefault(name, SpeciesNames(name, None, edition=names.node.edition_number))
         if species.node is None:
             species.attributes.update({a.name: a.type for a in attributes})
 
@@ -82,7 +82,7 @@ def _attribute(declared: Declarations, names: FileNames, item: nodes.WorldItem, 
     twice = [d for d in item.attributes if d.name.text == name]
     if twice[0] is not node:
         report_duplicate(report, "attribute", node.name, twice[0].name.span)
-    taken = ITEM_ATTRIBUTE_TYPES if item.kind.text == "items" else BUILTIN_ATTRIBUTE_BY_NAME
+    taken = ITEM_ATTRIBUTE_TYPES if item.kind.text == "items" else builtin_attributes(names.node.edition_number)
     if name in taken:
         message = f"every one of `{item.name.text}` has a `{name}` already"
         report.error("reserved-name", message, node.name.span, f"call it otherwise, such as `my_{name}`")

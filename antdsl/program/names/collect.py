@@ -19,12 +19,12 @@ from antdsl.program.names.scope import (
 )
 from antdsl.program.tables.effects import EFFECT_BY_OPERATION
 from antdsl.program.tables.vocabulary import (
-    BUILTIN_ATTRIBUTE_BY_NAME,
     BUILTINS_BY_NAME,
     REDUCER_HELP,
     RESERVED_WORDS,
     RUN_VALUE_TYPES,
     SENSE_TYPE_BY_NAME,
+    BuiltinAttribute,
 )
 from antdsl.source import Span
 from antdsl.syntax import nodes
@@ -164,7 +164,7 @@ def declare(declared: Declarations, names: FileNames) -> None:
                 report_duplicate(report, "species", item.name, known.node.name.span)
                 continue
             check_free(report, item.name)
-            species_names = SpeciesNames(item.name.text, item)
+            species_names = SpeciesNames(item.name.text, item, edition=names.node.edition_number)
             declared.species[item.name.text] = species_names
             _declare_machines(report, species_names, item)
     for item in names.node.items:
@@ -182,10 +182,10 @@ def check_free(report: Report, name: nodes.Name) -> bool:
     return True
 
 
-def check_free_in_species(report: Report, name: nodes.Name, value: Span) -> bool:
-    """Like `check_free`, for members of a species, which may not have built-in names either. `value`: the span of the declared
-    value."""
-    builtin = BUILTIN_ATTRIBUTE_BY_NAME.get(name.text)
+def check_free_in_species(report: Report, name: nodes.Name, value: Span, builtins: Mapping[str, BuiltinAttribute]) -> bool:
+    """Like `check_free`, for members of a species, which may not have the names of `builtins` either. `value`: the span of the
+    declared value."""
+    builtin = builtins.get(name.text)
     if builtin is None:
         return check_free(report, name)
     if builtin.settable:
@@ -209,7 +209,7 @@ def _declare_machines(report: Report, species: SpeciesNames, node: nodes.Species
             if member.name.text in species.machines:
                 report_duplicate(report, "machine", member.name, member.name.span)
                 continue
-            check_free_in_species(report, member.name, member.name.span)
+            check_free_in_species(report, member.name, member.name.span, species.builtins)
             _declare_machine(report, species, member.name.text, tuple(m for m in member.members if isinstance(m, nodes.State)))
 
 

@@ -14,9 +14,17 @@ from antdsl.program.kinds import BAD_TYPE
 from antdsl.program.memo import CheckMemo
 from antdsl.program.model import Binding, ChangeRate, Dimension, Expr, ThingRef, TypeKind, ValueType, WorldThing
 from antdsl.program.names.bindings import NameUse
-from antdsl.program.tables.vocabulary import BUILTIN_ATTRIBUTE_BY_NAME, HIT_ATTRIBUTE_TYPES, ITEM_ATTRIBUTE_TYPES, TYPE_BY_WORD
+from antdsl.program.tables.editions import STANDING_SETTING
+from antdsl.program.tables.vocabulary import (
+    HIT_ATTRIBUTE_TYPES,
+    ITEM_ATTRIBUTE_TYPES,
+    TYPE_BY_WORD,
+    BuiltinAttribute,
+    builtin_attributes,
+)
 from antdsl.source import Span
 from antdsl.syntax import nodes
+from antdsl.syntax.editions import NEWEST_EDITION
 
 TypingRules = Mapping[type, Callable[["NameScope", object, "ValueType | None"], Expr]]
 
@@ -42,6 +50,19 @@ class SpeciesNames:
     bindings: dict[str, Binding] = field(default_factory=dict)  # lets and latches that are checked
     pending: set[str] = field(default_factory=set)  # declared names without a known type yet
     machines: dict[str, MachineNames] = field(default_factory=dict)
+    edition: int = NEWEST_EDITION  # of the file that declares it
+
+    @property
+    def builtins(self) -> Mapping[str, BuiltinAttribute]:
+        """Return the built-in attributes of its agents."""
+        rows = builtin_attributes(self.edition)
+        return rows if self.stands else {name: row for name, row in rows.items() if not row.stands}
+
+    @property
+    def stands(self) -> bool:
+        """Return whether it has standing bodies, because it sets their height."""
+        members = () if self.node is None else self.node.members
+        return any(isinstance(each, nodes.AnimalProperty) and each.name.text == STANDING_SETTING for each in members)
 
 
 @dataclass(slots=True)
@@ -150,6 +171,16 @@ class NameScope:
     shades: bool = False  # in a rule of `fuzzy`: a bool next to a degree counts as 1 or 0
     runs_once: bool = False  # the line runs once, not in each step: amounts instead of rates
 
+    @property
+    def builtins(self) -> Mapping[str, BuiltinAttribute]:
+        """Return the built-in attributes of the agents at this place."""
+        return builtin_attributes(self.edition) if self.species is None else self.species.builtins
+
+    @property
+    def edition(self) -> int:
+        """Return the edition of the language at this place."""
+        return self.file.node.edition_number if self.species is None else self.species.edition
+
     def with_changes(self, **changes: Any) -> NameScope:
         return replace(self, **changes)
 
@@ -191,7 +222,7 @@ class NameScope:
     def bind_value(self, span: Span, owner: ValueType, name: str) -> None:
         """Like `bind`, for a value that an item, agent or hit has."""
         if owner.kind is TypeKind.AGENT:
-            self.bind(span, *(("given", name) if name in BUILTIN_ATTRIBUTE_BY_NAME else ("own", owner.of or "", name)))
+            self.bind(span, *(("given", name) if name in builtins_of(self.declared, owner) else ("own", owner.of or "", name)))
         elif owner.kind is TypeKind.HIT or owner.of == "hit":
             self.bind(span, "hit-given", name)
         else:
@@ -252,9 +283,16 @@ def attributes_of(declared: Declarations, type: ValueType) -> dict[str, ValueTyp
         return _types_by_name(ITEM_ATTRIBUTE_TYPES) | own
     if type.kind is TypeKind.AGENT:
         names = declared.species.get(type.of or "")
-        builtin_types = _types_by_name({name: row.type for name, row in BUILTIN_ATTRIBUTE_BY_NAME.items()})
+        builtin_types = _types_by_name({name: row.type for name, row in builtins_of(declared, type).items()})
         return builtin_types | (names.attributes if names else {})
     return {}
+
+
+def builtins_of(declared: Declarations, type: ValueType) -> Mapping[str, BuiltinAttribute]:
+    """Return the built-in attributes of an agent of a type. For an agent of unknown species, these are the ones of edition 1,
+    which every agent has."""
+    names = declared.species.get(type.of or "")
+    return builtin_attributes(1) if names is None else names.builtins
 
 
 def _types_by_name(table: Mapping[str, str]) -> dict[str, ValueType]:

@@ -1,4 +1,5 @@
-"""Parses default values of the vocabulary, which are in the language: `360 deg`, `0 .. 1`, `mass * max_speed / response`."""
+"""Parses default values of the vocabulary, which are in the language: `360 deg`, `0 .. 1`, `mass * max_speed / response`,
+`max(90 deg * max_speed / size, 600 deg/s)`."""
 
 from __future__ import annotations
 
@@ -11,11 +12,21 @@ from antdsl.syntax import nodes
 from antdsl.syntax.words import QUANTITY_PATTERN
 
 _NAME_PATTERN = re.compile("[a-z_]+")
+_CALL_PATTERN = re.compile(r"([a-z_]+)\((.+)\)")
 
 
 def default_values(scope: NameScope, text: str, span: Span) -> tuple[Expr, ...]:
     """Return the expression of a default, or both ends of a range. `span`: the location that errors refer to."""
     return tuple(scope.type_expression(parse_product(part.strip(), span)) for part in text.split(".."))
+
+
+def parse_default(text: str, span: Span) -> nodes.Expr:
+    """Return the syntax tree of a product, or of a call of a built-in function with products as arguments."""
+    call = _CALL_PATTERN.fullmatch(text)
+    if call is None:
+        return parse_product(text, span)
+    arguments = tuple(nodes.Argument(None, parse_product(part, span), span) for part in call[2].split(", "))
+    return nodes.Call(nodes.NameRef(nodes.Name(call[1], span), span), arguments, span)
 
 
 def parse_product(text: str, span: Span) -> nodes.Expr:

@@ -5,14 +5,15 @@ operation, add one row here and one rule in `plan/lowering/rules`. Senses are ro
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
-from math import pi
+from math import inf, pi
 
 from antdsl.program.model import Dimension, TypeKind
 from antdsl.program.tables import senses, set_senses
 from antdsl.program.tables.rows import BuiltinRow, UseCost, word
 from antdsl.program.tables.things import KIND_BY_WORD
+from antdsl.syntax.editions import EDITIONS
 
 LENGTH_DIMENSION, TIME_DIMENSION, MASS_DIMENSION, ANGLE_DIMENSION = (
     Dimension(length=1),
@@ -83,8 +84,12 @@ class BuiltinAttribute:
 
     type: str
     settable: bool
-    default: str | None  # as text of the language
+    default: str | None  # as text of the language; `EDITION_DEFAULTS` overrides it
     help: str
+    edition: int = 1  # the first edition that has it
+    limits: bool = False  # whether `none` says that there is no limit
+    stands: bool = False  # whether only species have it that set it: those with standing bodies
+    most: float = inf  # the greatest value, in base units
 
 
 BUILTIN_ATTRIBUTE_BY_NAME: dict[str, BuiltinAttribute] = {
@@ -102,6 +107,9 @@ BUILTIN_ATTRIBUTE_BY_NAME: dict[str, BuiltinAttribute] = {
     "age": BuiltinAttribute("time", False, None, "since birth"),
     "group": BuiltinAttribute("number", False, None, "which line of the scene's `crowd` made it, from 0"),
     "size": BuiltinAttribute("length", True, "4 mm", "body length"),
+    "height": BuiltinAttribute(
+        "length", True, None, "body height, of a species that stands; `size` follows from its body", edition=2, stands=True
+    ),
     "mass": BuiltinAttribute("mass", True, "1 g", "inertia"),
     "radius": BuiltinAttribute("length", True, "size / 2", "how much room it takes"),
     "clearance": BuiltinAttribute("length", True, "0 mm", "height of the body over the surface"),
@@ -110,9 +118,35 @@ BUILTIN_ATTRIBUTE_BY_NAME: dict[str, BuiltinAttribute] = {
         "speed", True, None, "its lowest speed, along its velocity or else its heading; may stand still if not set"
     ),
     "max_force": BuiltinAttribute("force", True, "mass * max_speed / response", "force of a push of 1"),
-    "max_turn": BuiltinAttribute("angle / time", True, None, "fastest turn of the heading; no limit if not set"),
+    "max_turn": BuiltinAttribute("angle / time", True, None, "fastest turn of the heading; `none`: no limit", limits=True),
+    "upright": BuiltinAttribute(
+        "number", True, "0 %", "how its body stands: 0 % along the normal of the ground, 100 % vertical", edition=2, most=1
+    ),
+    "max_slope": BuiltinAttribute(
+        "angle",
+        True,
+        None,
+        "steepest ground that it walks on; steeper ground is a wall; `none`: no limit",
+        edition=2,
+        limits=True,
+    ),
     "response": BuiltinAttribute("time", True, "0.15 s", "from standing to full speed; `1 step` reaches any velocity at once"),
 }
+
+_BUILTINS_BY_EDITION = {
+    edition: {name: row for name, row in BUILTIN_ATTRIBUTE_BY_NAME.items() if row.edition <= edition} for edition in EDITIONS
+}
+
+
+def builtin_attributes(edition: int) -> Mapping[str, BuiltinAttribute]:
+    """Return the attributes that every agent has in an edition, by name."""
+    return _BUILTINS_BY_EDITION[edition]
+
+
+def is_limit(name: str) -> bool:
+    """Return whether a built-in attribute is a limit, which may be infinite."""
+    return name in BUILTIN_ATTRIBUTE_BY_NAME and BUILTIN_ATTRIBUTE_BY_NAME[name].limits
+
 
 # Values of the run, usable anywhere.
 RUN_VALUE_TYPES: dict[str, str] = {"dt": "time", "time": "time", "frame": "number"}

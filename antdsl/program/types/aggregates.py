@@ -30,7 +30,7 @@ from antdsl.program.names.scope import (
 )
 from antdsl.program.tables.set_senses import SET_RESULT_OPERATIONS
 from antdsl.program.tables.things import KIND_BY_WORD
-from antdsl.program.tables.vocabulary import BUILTIN_ATTRIBUTE_BY_NAME, SENSE_TYPE_BY_NAME
+from antdsl.program.tables.vocabulary import SENSE_TYPE_BY_NAME
 from antdsl.program.traverse import written_nodes
 from antdsl.program.typed import ParamRef, ReduceExpr, ThingRef
 from antdsl.program.types import calls, expressions, operators
@@ -375,7 +375,7 @@ def _has_values(declared: Declarations, species: str, operand: nodes.Expr) -> bo
     names = declared.species[species]
     states = {state for machine in names.machines.values() for state in machine.states}
     mine = {*names.attributes, *names.params, *names.bindings, *names.pending, *names.machines, *states}
-    mine |= {*BUILTIN_ATTRIBUTE_BY_NAME}
+    mine |= {*names.builtins}
     everywhere = {*declared.things, *declared.fields, *declared.species, *declared.events, "state", "previous", "next"}
     everywhere |= {*GEOMETRY_MEASURES, "time_in_state", "time", "frame", "dt", "true", "false", *SENSE_TYPE_BY_NAME, "self"}
     called = {id(part.function) for part, _ in written_nodes(operand) if isinstance(part, nodes.Call)}

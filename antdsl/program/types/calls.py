@@ -84,7 +84,7 @@ def _report_unknown(scope: NameScope, node: nodes.Call, name: nodes.Name, want: 
     known = set(vocabulary.BUILTINS_BY_NAME) | set(vocabulary.REDUCER_HELP) | set(scope.file.own) | set(scope.file.library)
     instead, fix = call_replacement(node, name.text), None
     if not node.arguments and name.text in (
-        vocabulary.BUILTIN_ATTRIBUTE_BY_NAME.keys() | vocabulary.RUN_VALUE_TYPES.keys() | vocabulary.SENSE_TYPE_BY_NAME.keys()
+        scope.builtins.keys() | vocabulary.RUN_VALUE_TYPES.keys() | vocabulary.SENSE_TYPE_BY_NAME.keys()
     ):
         advice, fix = f"`{name.text}` is a value: write it without brackets", Fix(node.span, name.text)
     elif instead is not None:

@@ -37,7 +37,6 @@ from antdsl.program.tables.other_words import NAME_REPLACEMENTS
 from antdsl.program.tables.things import KIND_BY_WORD
 from antdsl.program.tables.units import constant, number
 from antdsl.program.tables.vocabulary import (
-    BUILTIN_ATTRIBUTE_BY_NAME,
     BUILTINS_BY_NAME,
     REDUCER_HELP,
     RESERVED_WORDS,
@@ -209,8 +208,8 @@ def _species_value(scope: NameScope, name: str, span: Span) -> Expr | None:
 
 
 def _builtin_value(scope: NameScope, name: str, span: Span) -> Expr | None:
-    if name in BUILTIN_ATTRIBUTE_BY_NAME:
-        type = type_from_words(BUILTIN_ATTRIBUTE_BY_NAME[name].type)
+    if name in scope.builtins:
+        type = type_from_words(scope.builtins[name].type)
         return AttributeRef(type or BAD_TYPE, ChangeRate.AGENT, span, None, name)
     if name in RUN_VALUE_TYPES:
         type, rate = type_from_words(RUN_VALUE_TYPES[name]) or BAD_TYPE, ChangeRate.RUN if name == "dt" else ChangeRate.STEP
@@ -245,13 +244,7 @@ def _world_value(scope: NameScope, name: str, span: Span) -> Expr | None:
 
 def visible_names(scope: NameScope) -> set[str]:
     """Return every name that may be used as a value at a place."""
-    names = (
-        set(scope.locals)
-        | set(BUILTIN_ATTRIBUTE_BY_NAME)
-        | set(RUN_VALUE_TYPES)
-        | set(SENSE_TYPE_BY_NAME)
-        | {"self", "true", "false"}
-    )
+    names = set(scope.locals) | set(scope.builtins) | set(RUN_VALUE_TYPES) | set(SENSE_TYPE_BY_NAME) | {"self", "true", "false"}
     names |= set(scope.declared.fields) | set(scope.declared.things) | set(scope.declared.species) | set(scope.declared.events)
     if scope.species is not None and scope.behaviour is None:
         own = scope.species
@@ -284,9 +277,7 @@ def _report_unknown(scope: NameScope, node: nodes.NameRef, want: ValueType | Non
         advice, fix = missing_thing(scope, name, want) or _foreign_word_fix(name, node.span)
         if advice is None:
             advice = did_you_mean(
-                name,
-                visible_names(scope),
-                f"declare it, or use one of {list_names(visible_names(scope) - set(BUILTIN_ATTRIBUTE_BY_NAME))}",
+                name, visible_names(scope), f"declare it, or use one of {list_names(visible_names(scope) - set(scope.builtins))}"
             )
         report.error("unknown-name", f"no `{name}` is known here", node.span, advice, fix=fix)
     return bad_expression(node.span)

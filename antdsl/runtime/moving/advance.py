@@ -33,7 +33,9 @@ from antdsl.runtime.moving.falling import limit_fall
 from antdsl.runtime.moving.heads import MIN_BODY_HEIGHT_SHARE
 from antdsl.runtime.moving.obstacles import slide, slow_velocities
 from antdsl.runtime.moving.orienting import orient_bodies
+from antdsl.runtime.moving.postures import posture_of
 from antdsl.runtime.moving.rises import find_walls
+from antdsl.runtime.moving.slopes import SlopeStart, deflect_steps, find_walls_of_slope, has_slope_limit, lay_pushes
 from antdsl.runtime.moving.strides import IntendedMotion, WaitingWalks, prepare_steps, walk_plane, walk_triangles
 from antdsl.runtime.moving.tilting import BodyPosture, TurnLimits, follow_ground, limit_pace
 from antdsl.runtime.moving.velocities import (
@@ -67,21 +69,30 @@ def move_agents(world: World, population: Population, substep: int) -> None:
     if not len(population):
         return
     dt = _F(world.dt / world.setting.substeps)
+    posture = posture_of(world, population)
     others = world.setting.orient != "normal"
-    crowd = _CrowdStep.of(world, population, dt, others)
+    crowd = _CrowdStep.of(world, population, dt, others or posture.is_set or has_slope_limit(population))
     previous_pose = (vec.copy(crowd.registers[1]), vec.copy(crowd.registers[3]), population.normal) if others else None
+    slopes = SlopeStart.of(population) if has_slope_limit(population) else None
+    if slopes is not None:
+        lay_pushes(world, population)
     crowd.prepare_steps(substep)
     crowd.bend_at_obstacles()
     _, _, heading, up = crowd.registers
     *walls, half = find_walls(world, population, crowd.looking, crowd.step, crowd.reach, crowd.state)
     n, threads = len(population), crowd.threads
-    work = partial(limit_pace, crowd.state, crowd.step, crowd.velocity, up, population.normal, crowd.most, tuple(walls))
+    work = partial(limit_pace, crowd.state, crowd.step, crowd.velocity, up, population.normal, crowd.most, tuple(walls), posture)
     parallel.in_parts(work, n, threads)
     came_from = population.position
-    crowd.walk(world.ground)
+    arrival = crowd.walk(world.ground)
+    if slopes is not None:
+        crowd.stop_at_slopes(slopes, arrival)
     if previous_pose is not None:
         orient_bodies(world, population, *previous_pose)
-    previous, limits = BodyPosture(*crowd.previous_axes, came_from), TurnLimits(crowd.most, population.now["max_turn"], dt)
+    previous, limits = (
+        BodyPosture(*crowd.previous_axes, came_from),
+        TurnLimits(crowd.most, population.now["max_turn"], dt, posture),
+    )
     (rows,) = population.get_buffers("following", 1, (n,), np.int64)
     work = partial(
         follow_ground,
@@ -176,8 +187,8 @@ class _CrowdStep:
             parallel.in_parts(work, len(p), self.threads, parallel.MIN_LIGHT_ITEMS_PER_THREAD)
             self.step = step
 
-    def walk(self, ground: Ground) -> None:
-        """Walk all agents over a ground to their new positions, and update their registers."""
+    def walk(self, ground: Ground) -> ArrivalArrays:
+        """Walk all agents over a ground to their new positions, and update their registers. Return what it read and wrote."""
         now = self.population.now
         limits = ArrivalLimits(now["max_speed"], now["max_turn"], now["response"])
         times = ArrivalTimes(self.frame_time * KINEMATIC_STEPS, self.dt, share(self.dt))
@@ -191,6 +202,28 @@ class _CrowdStep:
             self._walk_plane(ground, arrival)
         elif not isinstance(ground, MeshGround) or not self._walk_meshes(ground, arrival):
             self._walk_ground(ground, arrival)
+        return arrival
+
+    def stop_at_slopes(self, start: SlopeStart, arrival: ArrivalArrays) -> None:
+        """Walk again, along the slope, the agents with a step onto ground that is too steep for them."""
+        p = self.population
+        rows = find_walls_of_slope(self.world, p, start)
+        if not len(rows):
+            return
+        step, moved = deflect_steps(self.world, p, start, rows, vec.rows(vec.take(self.step, rows)))
+        for k in range(3):
+            self.step[k][rows] = step[:, k]
+            self.velocity[k][rows] = step[:, k] / self.dt
+            for registers, previous in zip(self.registers[2:], reversed(self.previous_axes), strict=True):
+                registers[k][rows] = previous[k][rows]
+        n = len(p)
+        p.footing.put(rows, moved.footing)
+        p.position[rows] = moved.position
+        place, above, ahead, direction = np.empty((4, 3, n))
+        blocked = np.zeros(n, np.bool_)
+        for to, values in ((place, moved.position), (above, moved.up), (ahead, moved.heading), (direction, moved.direction)):
+            to[:, rows] = values.T
+        self._arrive(rows, WalkedPoses(place, above, ahead, direction, blocked), arrival)
 
     def _walk_plane(self, plane: PlaneGround, arrival: ArrivalArrays) -> None:
         p, n = self.population, len(self.population)

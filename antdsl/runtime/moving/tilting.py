@@ -33,16 +33,16 @@ from antdsl.numerics.kernel_vectors import (
     unit,
 )  # fmt: skip
 from antdsl.numerics.vectors import VectorArrays
+from antdsl.runtime.moving.postures import Posture, posture_of, stand_up
 from antdsl.runtime.moving.rises import fill_reach, find_walls
-from antdsl.runtime.moving.velocities import LEANING_STATE, STANDING_STATE
+from antdsl.runtime.moving.velocities import LEANING_STATE, STANDING_STATE, maximum
 from antdsl.runtime.world import Population, World
 
 # Of walls: normal and direction ahead (3, k), angle, how far, over how much.
 WallArrays = tuple[Strided2[F64], Strided2[F64], Array1[F64], Array1[F64], Array1[F64]]
 
 _F = np.float32
-_FLOAT32_ZERO, _FLOAT32_ONE, _FLOAT32_PI = _F(0), _F(1), _F(np.pi)
-_RIGHT_ANGLE = _F(np.pi / 2)
+_FLOAT32_ZERO, _FLOAT32_ONE, _FLOAT32_PI, _RIGHT_ANGLE = _F(0), _F(1), _F(np.pi), _F(np.pi / 2)
 _MIN_TILT_RATE = _F(np.pi / 4)  # rad/s that a body tilts at least: one that turns slower still comes round an edge
 # Sine of an angle near half a turn, below which its axis is drowned in rounding: it goes over the head then
 _OPPOSITE_SINE = 0.05
@@ -51,14 +51,15 @@ _WAITING_VELOCITY_SHARE = _F(0.05)  # of a velocity: retained by an agent that w
 
 
 def settle_bodies(world: World, population: Population, rows: NDArray[np.intp]) -> None:
-    """Tilt new bodies at once as far as the walls ahead require, so that their heads are free."""
+    """Tilt new bodies at once as far as their posture and the walls ahead require, so that their heads are free."""
     n, now = len(population), population.now
     state, reach, rest = np.full(n, STANDING_STATE, np.int32), np.empty(n), np.zeros(n, np.float32)
     x, y, z = np.empty((3, n), np.float32)
     fill_reach(now["size"], reach)
     *walls, _ = find_walls(world, population, (x, y, z), (rest, rest, rest), reach, state)
     start = population.start
-    settle_rows(rows, state, population.normal, (x, y, z), tuple(walls), *_pose_registers(start), *_pose_registers(now))
+    poses = *_pose_registers(start), *_pose_registers(now)
+    settle_rows(rows, state, population.normal, (x, y, z), tuple(walls), posture_of(world, population), *poses)
 
 
 def lay_headings(population: Population, threads: int = 1) -> None:
@@ -106,12 +107,6 @@ def _perpendicular(v: Vec3, up: Vec3) -> Vec3:
 def _is_leaning(up: VectorColumns, normal: Array2[F32], i: I64) -> BOOL:
     x, y, z = three(normal, i)
     return up[0][i] != x or up[1][i] != y or up[2][i] != z
-
-
-@inlined
-def _maximum(a: F32, b: F32) -> F32:
-    """Return the greater number as np.maximum does. Only the first may be NaN."""
-    return b if a <= b else a
 
 
 @called
@@ -174,13 +169,13 @@ def begin_stance(
 
     Writes its tilt limit (radians) to `most`, its `state` without walls, and, if it leans, its heading along the ground to
     `looking`."""
-    walking = _maximum(max_speed[i], _FLOAT32_ZERO) / (size[i] if size[i] > 0 else _FLOAT32_ONE) * _RIGHT_ANGLE
-    rate = _maximum(max_turn[i], _FLOAT32_ZERO)
+    walking = maximum(max_speed[i], _FLOAT32_ZERO) / (size[i] if size[i] > 0 else _FLOAT32_ONE) * _RIGHT_ANGLE
+    rate = maximum(max_turn[i], _FLOAT32_ZERO)
     if not rate < walking and rate == rate:
         rate = walking
     if walking != walking:
         rate = walking
-    rate = _maximum(rate, _MIN_TILT_RATE)
+    rate = maximum(rate, _MIN_TILT_RATE)
     most[i] = (rate if np.isfinite(rate) else _FLOAT32_PI / dt) * dt
     state[i] = STANDING_STATE
     if _is_leaning(up, normal, i):
@@ -191,17 +186,22 @@ def begin_stance(
 
 @kernel
 def settle_rows(
-    rows: Array1[I64], state: Array1[I32], normal: Array2[F32], looking: VectorColumns, walls: WallArrays,
+    rows: Array1[I64], state: Array1[I32], normal: Array2[F32], looking: VectorColumns, walls: WallArrays, posture: Posture,
     start_up: VectorColumns, start_heading: VectorColumns, now_up: VectorColumns, now_heading: VectorColumns,
 ) -> None:  # fmt: skip
-    """Tilt the bodies of `rows` that have a wall ahead according to `state`."""
+    """Tilt the bodies of `rows` that have a wall ahead according to `state`, or a posture."""
     wall, ahead, angle, far, over = walls
     for i in rows:
         j = state[i]
-        if j >= 0:
+        if j >= 0 or posture.is_set:
             ground = row64(normal, i)
-            up = _tilt_up(ground, column64(wall, j), column64(ahead, j), angle[j], far[j], over[j], (0.0, 0.0, 0.0))
-            facing = _turn_heading(_read_vector(looking, i), ground, up)
+            heading, up = _read_vector(now_heading, i), ground
+            if j >= 0:
+                heading = _read_vector(looking, i)
+                up = _tilt_up(ground, column64(wall, j), column64(ahead, j), angle[j], far[j], over[j], (0.0, 0.0, 0.0))
+            if posture.is_set:
+                up = stand_up(up, posture, i)
+            facing = _turn_heading(heading, ground, up)
             for k in range(3):
                 start_up[k][i] = _F(up[k])
                 now_up[k][i] = _F(up[k])
@@ -275,6 +275,7 @@ def limit_pace(
     normal: Array2[F32],
     most: Array1[F32],
     walls: WallArrays,
+    posture: Posture,
     begin: I64,
     end: I64,
 ) -> None:
@@ -291,7 +292,7 @@ def limit_pace(
         size = np.sqrt(dot(own_step, own_step))
         target_up = row64(normal, i)
         limit = np.inf
-        if j >= 0:
+        if j >= 0 and not (posture.is_set and posture.upright[i] > 0):  # upright bodies do not tilt before walls
             w, a = column64(wall, j), column64(ahead, j)
             target_up = _tilt_up(target_up, w, a, angle[j], far[j], over[j], zero)
             towards = _approach(divide(own_step, max(size, 1e-300)), w, a)
@@ -300,9 +301,11 @@ def limit_pace(
             tilt = angle[j] - left + np.float64(most[i])
             free = max(over[j] * (tilt / angle[j] - 1.0) + far[j], 0.0)
             limit = free / max(towards, 0.05) if towards > 0.05 else np.inf
+        if posture.is_set:
+            target_up = stand_up(target_up, posture, i)
         lag = min(1.0, 2.0 * max(dot(stands, target_up), 0.0))
         part = _F(min(lag, min(max(limit / max(size, 1e-300), 0.0), 1.0)))
-        speed_part = _maximum(part, _WAITING_VELOCITY_SHARE)
+        speed_part = maximum(part, _WAITING_VELOCITY_SHARE)
         for k in range(3):
             step[k][i] = step[k][i] * part
             velocity[k][i] = velocity[k][i] * speed_part
@@ -317,11 +320,13 @@ class BodyPosture(NamedTuple):
 
 
 class TurnLimits(NamedTuple):
-    """Limits of a turn. `most`: the largest tilt of each body (radians). `max_turn`: turn limits (rad/s). `dt`: duration (s)."""
+    """Limits and goal of a turn. `most`: the largest tilt of each body (radians). `max_turn`: turn limits (rad/s).
+    `dt`: duration (s). `posture`: how the bodies stand."""
 
     most: Array1[F32]
     max_turn: Array1[F32]
     dt: F32
+    posture: Posture
 
 
 @kernel
@@ -345,7 +350,7 @@ def follow_ground(
     Bodies that stand as their feet do, according to `state`, are skipped. A body that would turn its head into a wall tilts
     first."""
     before_up, before_heading, before = previous
-    most, max_turn, dt = limits
+    most, max_turn, dt, posture = limits
     wall, ahead, angle, far, over = walls
     count = begin
     for row in range(begin, end):
@@ -361,6 +366,8 @@ def follow_ground(
         target_up = normal
         if j >= 0:
             target_up = _tilt_up(normal, column64(wall, j), column64(ahead, j), angle[j], far[j], over[j], displacement)
+        if posture.is_set:
+            target_up = stand_up(target_up, posture, i)
         axis, cosine, sine = _turn_axis(stands, target_up, look)
         full_tilt = atan2(_F(sine), _F(cosine))
         if full_tilt <= most[i]:

@@ -1,0 +1,102 @@
+"""Sizes of species and of their bodies: proportions of bodies that stand, and warnings where the numbers do not fit."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from antdsl.bodies.agents.body_extents import standing_box
+from antdsl.bodies.agents.definition import Definition
+from antdsl.bodies.library import library_body
+from antdsl.bodies.posed_body import COLLISION_LAYER, own_layer
+from antdsl.diagnostics import Report
+from antdsl.plan.lowering.birth import is_standing
+from antdsl.plan.lowering.writer import BodyProportions
+from antdsl.program.kinds import Dimension
+from antdsl.program.model import AttributeDecl, Constant, Expr, OperationExpr, ParamRef, Program, Species
+from antdsl.scene.library_bodies import CAPSULE_BY_BODY
+from antdsl.scene.load import Scene
+from antdsl.scene.matching import const_in_base_units
+
+_GREATEST_RATIO = 2.0  # between numbers about one body
+_LENGTH = Dimension(length=1)
+_STANDING_BODIES = ("person",)  # of the library, with a size of their own; animals of a kind differ by more
+
+
+def standing_proportions(
+    program: Program, worn: Mapping[str, Definition], words: Mapping[str, str]
+) -> dict[str, BodyProportions]:
+    """Return the proportions of the bodies of species that set their height. `worn`: bodies from files. `words`: the library's
+    bodies by species."""
+    return {
+        name: _proportions(worn.get(name) or library_body(words[name]), words.get(name))
+        for name, species in program.species.items()
+        if is_standing(species) and (name in worn or name in words)
+    }
+
+
+def _proportions(body: Definition, word: str | None) -> BodyProportions:
+    low, high = standing_box(body, own_layer(body))
+    if word in CAPSULE_BY_BODY:
+        return BodyProportions(1.0 / max(float(high[1] - low[1]), 1e-3), CAPSULE_BY_BODY[word].width / 2)
+    least, most = standing_box(body, body.layers.get(COLLISION_LAYER) or own_layer(body))
+    return BodyProportions(1.0 / max(float(high[1] - low[1]), 1e-3), max(float(most[2] - least[2]), 1e-3) / 2)
+
+
+def warn_of_sizes(
+    scene: Scene, program: Program, worn: Mapping[str, Definition], words: Mapping[str, str], report: Report
+) -> None:
+    """Warn where `size`, `height`, `radius` and the body of a species differ by more than a factor of 2. Only constants are
+    compared, and of a random number the first one."""
+    for line in scene.model.crowd:
+        species = program.species.get(line.species)
+        word = words.get(line.species)
+        body = worn.get(line.species) or (library_body(word) if word in _STANDING_BODIES else None)
+        if species is not None and body is not None:
+            _warn_of_species(scene, program, species, body, word, report)
+
+
+def _warn_of_species(
+    scene: Scene, program: Program, species: Species, body: Definition, word: str | None, report: Report
+) -> None:
+    own = {a.name: a for a in species.attributes if a.is_builtin and a.span != species.span}
+    lengths = {name: _first_length(own[name].default, program, scene) for name in ("size", "height", "radius") if name in own}
+    proportions, natural = _proportions(body, word), body.length * body.unit
+    size = lengths.get("size")
+    height = lengths.get("height")
+    if height is not None:
+        _compare(own["height"], height, natural / proportions.size_per_height, "its body is {} tall", report)
+        size = height * proportions.size_per_height
+    elif size is not None:
+        _compare(own["size"], size, natural, "its body is {} long", report)
+    radius = lengths.get("radius")
+    if size is not None and radius is not None:
+        _compare(own["radius"], radius, size * proportions.radius_per_size, "half the width of its body is {}", report)
+
+
+def _compare(attribute: AttributeDecl, length: float, body_length: float, words: str, report: Report) -> None:
+    """Warn if two lengths (mm) differ by more than the greatest ratio. `words`: what the body has, with its length as `{}`."""
+    if length > 0 and body_length > 0 and not 1 / _GREATEST_RATIO <= length / body_length <= _GREATEST_RATIO:
+        has = words.format(_describe(body_length))
+        message = f"`{attribute.name}` is about {_describe(length)}, but {has}"
+        if report.diagnostics and any(d.span == attribute.default.span and d.code == "odd-size" for d in report.diagnostics):
+            return
+        report.warning("odd-size", message, attribute.default.span, f"write `{attribute.name} {_describe(body_length)}`")
+
+
+def _describe(length: float) -> str:
+    """Return a length (mm) in the unit that people use for it."""
+    return f"{length / 1000:.3g} m" if length >= 300 else f"{length:.3g} mm"
+
+
+def _first_length(expression: Expr, program: Program, scene: Scene) -> float | None:
+    """Return the first length in an expression such as `uniform(3 mm, 5 mm)`, in millimetres; None without one."""
+    stack: list[Expr | None] = [expression]
+    while stack:
+        part = stack.pop()
+        if isinstance(part, Constant) and part.type.dim == _LENGTH and part.number > 0:
+            return const_in_base_units(part, scene)
+        if isinstance(part, ParamRef):
+            stack.append(program.params[part.name].default)
+        elif isinstance(part, OperationExpr):
+            stack.extend(reversed(part.args))
+    return None

@@ -1,0 +1,48 @@
+"""Defaults that differ between editions of the language, one row for each setting of a species.
+
+A file has the defaults of its edition. `antdsl fmt --edition` writes the previous defaults into the text (`upgrade.py`), so
+that an upgraded program has the same results. New settings need a row only if their default in edition 1 has another effect."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import inf
+
+NO_LIMIT_WORD = "none"  # the value of a limit that does not apply
+# Settings of a species that are fixed for all agents, with their help. They are no attributes: nothing reads or assigns them.
+SWITCH_HELP = {"body_clearance": "whether trunk, head and abdomen stay outside every surface, obstacle and solid"}
+SWITCH_EDITION = 2  # the first edition that has them
+
+
+@dataclass(frozen=True, slots=True)
+class EditionDefault:
+    """A setting with the defaults of the editions, in order, as in the source; "" if a species must set it. `reason`: why a
+    newer default differs."""
+
+    setting: str
+    defaults: tuple[str, ...]
+    reason: str
+
+    def in_edition(self, edition: int) -> str:
+        """Return the default in an edition, as in the source."""
+        return self.defaults[edition - 1]
+
+    def explicit_line(self, edition: int) -> str:
+        """Return the line of a species that sets what is the default in an edition."""
+        return f"{self.setting} {self.in_edition(edition)}"
+
+
+# Defaults of species with standing bodies, which set `height` instead of `size`.
+STANDING_DEFAULTS = {"body_clearance": "false", "upright": "100 %", "max_slope": "40 deg"}
+STANDING_SETTING, CRAWLING_SETTING = "height", "size"
+# Attributes of which only those species have a register that set them, with the value that all other species have.
+OPTIONAL_ATTRIBUTES = {"min_speed": 0.0, "upright": 0.0, "max_slope": inf}
+
+EDITION_DEFAULTS = (
+    EditionDefault("body_clearance", ("false", "true"), "bodies were drawn inside the ground and walls"),
+    EditionDefault("size", ("4 mm", ""), "a species says how large it is: by `size`, or by `height` if its body stands"),
+    EditionDefault(
+        "max_turn", ("none", "max(90 deg * max_speed / size, 600 deg/s)"), "kinematic agents turned round in one frame"
+    ),
+)
+DEFAULT_BY_SETTING = {row.setting: row for row in EDITION_DEFAULTS}

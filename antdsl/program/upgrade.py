@@ -1,0 +1,75 @@
+"""Rewrites a file for a newer edition of the language: the first line, and the previous defaults that its species rely on.
+
+An upgraded program has the same results until its author deletes the lines that were added."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+
+from antdsl.diagnostics import Report
+from antdsl.program.tables.editions import EDITION_DEFAULTS, SWITCH_HELP
+from antdsl.program.tables.vocabulary import builtin_attributes
+from antdsl.source import Source
+from antdsl.syntax import nodes
+from antdsl.syntax.parser import parse
+
+_BLANK_REST_PATTERN = re.compile(r"[ \t;]*(?:#[^\n]*)?(?=\n|$)")  # of a line: nothing that the program reads
+Insertion = tuple[int, str]  # where in the text, and what
+
+
+def upgrade(source: Source, edition: int) -> tuple[Source | None, Report]:
+    """Return the text of a file in an edition, with the same meaning, and the report of parsing.
+
+    The layout is not standard. Returns None if the text has errors, or names that the newer edition reserves. A file of this
+    edition or a newer one is returned as it is."""
+    file, report = parse(source)
+    previous = file.edition_number
+    if not report.ok or (file.edition is not None and previous >= edition):
+        return (source if report.ok else None), report
+    if file.edition is None:
+        return Source(source.path, f"ant {previous}\n{source.text}"), report
+    insertions = []
+    for item in file.items:
+        if isinstance(item, nodes.Species):
+            _report_reserved(item, previous, edition, report)
+            insertions += list(_explicit_lines(source, item, previous, edition))
+    if not report.ok:
+        return None, report
+    text = source.text
+    for at, added in sorted(insertions, reverse=True):
+        text = text[:at] + added + text[at:]
+    span = file.edition.span
+    return Source(source.path, f"{text[: span.start]}{edition}{text[span.end :]}"), report
+
+
+def _explicit_lines(source: Source, species: nodes.Species, previous: int, edition: int) -> Iterator[Insertion]:
+    """Yield the lines that set the defaults of the previous edition, where they differ and the species does not set them."""
+    properties = [member for member in species.members if isinstance(member, nodes.AnimalProperty)]
+    written = {member.name.text for member in properties}
+    lines = [
+        row.explicit_line(previous)
+        for row in EDITION_DEFAULTS
+        if row.setting not in written and row.in_edition(previous) != row.in_edition(edition)
+    ]
+    if not lines or not species.members:
+        return
+    if not properties:
+        yield species.members[0].span.start, "".join(f"{line}\n" for line in lines)
+        return
+    end = properties[-1].span.end
+    rest = _BLANK_REST_PATTERN.match(source.text, end)
+    if rest is None:
+        yield end, "".join(f"; {line}" for line in lines)
+    else:
+        yield rest.end(), "".join(f"\n{line}" for line in lines)
+
+
+def _report_reserved(species: nodes.Species, previous: int, edition: int, report: Report) -> None:
+    """Report names of a species that are built in from a newer edition on."""
+    reserved = (builtin_attributes(edition).keys() - builtin_attributes(previous).keys()) | SWITCH_HELP.keys()
+    for member in species.members:
+        own = member.declaration if isinstance(member, nodes.ParamDecl) else member
+        if isinstance(own, nodes.Declaration | nodes.Let | nodes.Latch | nodes.Fuzzy) and own.name.text in reserved:
+            message = f"`{own.name.text}` is built in from edition {edition} on"
+            report.error("reserved-name", message, own.name.span, f"call it otherwise, such as `my_{own.name.text}`")

@@ -1,0 +1,157 @@
+"""Ground that is too steep for agents acts as a wall: steps onto it are deflected along it, or end where they began.
+
+A species with `max_slope` has the register. A step is too steep if it leads up ground steeper than that, or from other
+ground onto it. Steps of stairs are no walls: an agent crosses a steep part if it can stand beyond it, at most a quarter of
+its height higher or lower. Only the agents with such a step are computed here, each from its own values."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from antdsl.ground.protocol import Footing, GroundMove
+from antdsl.numerics import elementary
+from antdsl.runtime.world import AXES, Population, World
+
+Floats = NDArray[np.float64]
+Rows = NDArray[np.intp]
+
+MAX_SLOPE_REGISTER = "max_slope"  # of species that set it, by `SpeciesPlan.settings`
+_STEP_PER_HEIGHT = 0.25  # how much higher or lower the ground may be beyond a steep part
+_LEAD_PER_HEIGHT = 0.15  # how far ahead of its feet, in addition to its step, an agent stands beyond a steep part
+_CLEARANCE_PER_STEP = 0.05  # of a step's height: how far over the next tread a ray passes
+_MIN_RISE_SHARE = 0.02  # of a step's length: less of a rise is level
+_COSINE_TOLERANCE = 1e-6
+_NUDGE = 0.3  # of a step: how far an agent turns away from a wall that it would touch again
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SlopeStart:
+    """Where the agents of a species stand before a substep: footings, positions (n, 3) mm, smooth normals of the ground and
+    headings of the bodies (n, 3)."""
+
+    footing: Footing
+    position: Floats
+    normal: NDArray[np.float32]
+    heading: Floats
+
+    @staticmethod
+    def of(population: Population) -> SlopeStart:
+        return SlopeStart(population.footing, population.position, population.normal, population.vector("heading"))
+
+    def find_steep(self, world: World, population: Population, rows: Rows, footing: Footing, pose: tuple[Floats, Floats]) -> Rows:
+        """Return the indices in `rows` of agents with too steep a step to a footing. `pose`: its positions (k, 3) mm and smooth
+        normals (k, 3)."""
+        up, limit = np.asarray(world.up, np.float64), steepest_cosines(population, rows)
+        position, smooth = pose
+        displacement = position - self.position[rows]
+        distance = np.sqrt((displacement * displacement).sum(axis=1))
+        which = np.flatnonzero((face_normals(world, footing, smooth) @ up < limit) & (distance > 0))
+        rises = (displacement @ up)[which] > _MIN_RISE_SHARE * distance[which]
+        before = self.footing.take(rows[which])
+        was_steep = face_normals(world, before, self.normal[rows[which]].astype(np.float64)) @ up < limit[which]
+        steep: Rows = which[rises | ~was_steep]
+        return steep
+
+
+def face_normals(world: World, footing: Footing, smooth: Floats) -> Floats:
+    """Return the unit normals (k, 3) of the faces below agents, on the side of the smooth normals; these without a footing."""
+    normal = world.ground.normal(footing)
+    side = (normal * smooth).sum(axis=1)[:, None]
+    facing: Floats = np.where(side != 0, normal * np.sign(side), smooth)
+    return facing
+
+
+def steepest_cosines(population: Population, rows: Rows) -> Floats:
+    """Return the cosines of the steepest slopes of agents, a little less because of rounding."""
+    angle = np.clip(population.now[MAX_SLOPE_REGISTER][rows], np.float32(0), np.float32(np.pi))
+    cosine: Floats = elementary.cos(angle).astype(np.float64)
+    return cosine - _COSINE_TOLERANCE
+
+
+def has_slope_limit(population: Population) -> bool:
+    """Return whether a species has a steepest slope."""
+    return MAX_SLOPE_REGISTER in population.plan.settings
+
+
+def lay_pushes(world: World, population: Population) -> None:
+    """Lay the pushes of agents on steep ground along it, so that a push ahead leads up or down to the end of a step of stairs.
+
+    What a push has across the ground turns into a push up or down along it."""
+    up, every = np.asarray(world.up, np.float64), np.arange(len(population))
+    normal = face_normals(world, population.footing, population.normal.astype(np.float64))
+    rows = np.flatnonzero(normal @ up < steepest_cosines(population, every))
+    if not len(rows):
+        return
+    normal, push = normal[rows], population.vector("push")[rows].astype(np.float64)
+    across = (push * normal).sum(axis=1)[:, None]
+    uphill = up - normal * (normal @ up)[:, None]
+    uphill = uphill / np.maximum(np.sqrt((uphill * uphill).sum(axis=1))[:, None], 1e-12)
+    laid = push - normal * across - uphill * across
+    for k, axis in enumerate(AXES):
+        population.now[f"push.{axis}"][rows] = laid[:, k]
+
+
+def find_walls_of_slope(world: World, population: Population, start: SlopeStart) -> Rows:
+    """Return the agents whose last step was too steep, and that cannot cross the steep part as a step of stairs."""
+    every, pose = np.arange(len(population)), (population.position, population.normal.astype(np.float64))
+    rows = start.find_steep(world, population, every, population.footing, pose)
+    if not len(rows):
+        return rows
+    return rows[~_can_cross(world, population, start, rows)]
+
+
+def _can_cross(world: World, population: Population, start: SlopeStart, rows: Rows) -> NDArray[np.bool_]:
+    """Return which agents can stand beyond the steep part ahead of them."""
+    meshes = world.ground.meshes
+    crosses = np.zeros(len(rows), np.bool_)
+    if meshes is None:
+        return crosses
+    up, now, threads = np.asarray(world.up, np.float64), population.now, world.options.threads
+    high = (now["height"] if "height" in population.plan.settings else now["size"])[rows].astype(np.float64)
+    tread = (_STEP_PER_HEIGHT * np.where(np.isfinite(high) & (high > 0), high, 0.0))[:, None]
+    heading = start.heading[rows].astype(np.float64)
+    ahead = heading - (heading @ up)[:, None] * up
+    step = population.position[rows] - start.position[rows]
+    lead = np.sqrt((step * step).sum(axis=1))[:, None] + _LEAD_PER_HEIGHT / _STEP_PER_HEIGHT * tread
+    ahead = ahead / np.maximum(np.sqrt((ahead * ahead).sum(axis=1))[:, None], 1e-12) * lead
+    origin = start.position[rows] + up * tread * (1 + _CLEARANCE_PER_STEP)
+    hit, _, _ = meshes.trace_normals(origin, ahead, threads)
+    is_free = np.ones(len(rows), np.bool_)
+    is_free[hit] = False
+    down = -up * tread * (2 + 2 * _CLEARANCE_PER_STEP)
+    hit, _, normal = meshes.trace_normals(origin + ahead, down, threads)
+    limit = steepest_cosines(population, rows)
+    crosses[hit] = np.abs(up @ normal) >= limit[hit]
+    return crosses & is_free
+
+
+def deflect_steps(world: World, population: Population, start: SlopeStart, rows: Rows, step: Floats) -> tuple[Floats, GroundMove]:
+    """Return the steps (k, 3) mm of agents along the steep ground that stopped them, and where these lead. Agents that would
+    meet steep ground again do not move.
+
+    `step` (k, 3) mm: the steps that were too steep."""
+    up = np.asarray(world.up, np.float64)
+    wall = face_normals(world, population.footing.take(rows), population.normal[rows].astype(np.float64))
+    wall = wall - (wall @ up)[:, None] * up
+    wall = wall / np.maximum(np.sqrt((wall * wall).sum(axis=1))[:, None], 1e-12)
+    into = (step * wall).sum(axis=1)[:, None]
+    along = step - wall * into
+    away = along - wall * (np.sign(into) * _NUDGE * np.sqrt((step * step).sum(axis=1))[:, None])
+    result, moved = along.copy(), _move(world, population, start, rows, along)
+    for other in (away, np.zeros_like(step)):
+        again = start.find_steep(world, population, rows, moved.footing, (moved.position, moved.up))
+        if not len(again):
+            break
+        result[again] = other[again]
+        moved.put(again, _move(world, population, start, rows[again], other[again]))
+    return result, moved
+
+
+def _move(world: World, population: Population, start: SlopeStart, rows: Rows, step: Floats) -> GroundMove:
+    """Return where the ground moves agents from their start by steps (k, 3) mm."""
+    normal, heading = start.normal[rows].astype(np.float64), population.vector("heading")[rows].astype(np.float64)
+    size = population.now["size"][rows].astype(np.float64)
+    return world.ground.move(start.footing.take(rows), step, heading, normal, size, world.options.threads)

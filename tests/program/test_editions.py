@@ -1,0 +1,159 @@
+"""Editions: defaults by edition, settings that a newer edition adds, and upgrades that keep the results to the bit."""
+
+from __future__ import annotations
+
+import shutil
+from math import inf, radians
+from pathlib import Path
+
+import pytest
+from meaning import crowd
+from sampling import sampled
+from state_hashes import SCENES, frames_of, named, recorded
+
+from antdsl import syntax
+from antdsl.diagnostics import Report
+from antdsl.loading import find_library
+from antdsl.plan.lowering.lower import lower
+from antdsl.program.checker import check
+from antdsl.program.model import Program
+from antdsl.program.tables.editions import EDITION_DEFAULTS, SWITCH_HELP
+from antdsl.program.tables.vocabulary import BUILTIN_ATTRIBUTE_BY_NAME
+from antdsl.program.upgrade import upgrade
+from antdsl.runtime import Options, WorldSetting, bind
+from antdsl.source import Source
+from antdsl.syntax.editions import EDITIONS
+
+ROOT = Path(__file__).resolve().parents[2]
+_QUICK_SCENES = [each for each in SCENES if each.parent.name in ("roaches", "worth", "flow")]
+
+
+def checked(text: str) -> tuple[Program, Report]:
+    file, report = syntax.parse(Source("a.ant", text))
+    program, findings = check(file, find_library)
+    report.extend(findings)
+    return program, report
+
+
+def species(members: str, edition: int = 2) -> str:
+    return f"ant {edition}\nworld {{ surface ground }}\nspecies a {{\n{members}\nstart s\nstate s {{ steer heading }} }}\n"
+
+
+def upgraded(text: str) -> str:
+    source, report = upgrade(Source("a.ant", text), 2)
+    assert source is not None, str(report)
+    result, report = syntax.format(source)
+    assert result is not None, str(report)
+    return result
+
+
+@pytest.fixture(scope="session")
+def upgraded_examples(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A copy of all examples in edition 2."""
+    folder = tmp_path_factory.mktemp("upgraded") / "examples"
+    shutil.copytree(ROOT / "examples", folder)
+    for path in folder.rglob("*.ant"):
+        path.write_text(upgraded(path.read_text(encoding="utf-8").replace("\r\n", "\n")), encoding="utf-8")
+    return folder
+
+
+@pytest.mark.parametrize("scene", sampled(SCENES, _QUICK_SCENES), ids=named)
+def test_an_upgraded_example_has_the_recorded_states(scene: Path, upgraded_examples: Path) -> None:
+    known = recorded()[named(scene)]
+    path = upgraded_examples / scene.relative_to(ROOT / "examples")
+    for frame, state_hash in frames_of(path, 2, None):
+        assert state_hash == known[frame], f"frame {frame}"
+
+
+def test_upgrades_write_the_old_defaults_and_preserve_comments() -> None:
+    text = species("  size 4 mm  # body length\n  # how fast\n  max_speed 10 mm/s  # slow", 1)
+    result = upgraded(text)
+    assert result.startswith("ant 2\n") and result.count("body_clearance false") == 1
+    assert "# body length" in result and "max_speed      10 mm/s  # slow\n" in result
+    assert upgraded(result) == result
+
+
+@pytest.mark.parametrize(
+    "text", ["species a { size 4 mm }", "species a { load = 0 }", "species a { size 4 mm; load = 0 }  # end"]
+)
+def test_upgrades_of_short_species_are_valid(text: str) -> None:
+    program, report = checked(upgraded(f"ant 1\n{text}\n"))
+    assert report.ok, str(report)
+    assert not program.species["a"].clears_body and program.species["a"].edition == 2
+
+
+def test_an_upgrade_reports_names_that_become_built_in() -> None:
+    source, report = upgrade(Source("a.ant", species("body_clearance = 1", 1)), 2)
+    assert source is None
+    assert [(d.code, d.span and d.span.text) for d in report.diagnostics] == [("reserved-name", "body_clearance")]
+
+
+def test_a_file_without_an_edition_has_the_newest() -> None:
+    text = "species a { size 4 mm }\n"
+    program, report = checked(text)
+    assert [d.code for d in report.diagnostics] == ["missing-edition"] and program.species["a"].edition == EDITIONS[-1]
+    assert upgraded(text) == f"ant {EDITIONS[-1]}\n{text}"
+
+
+def test_switches_have_the_default_of_the_edition_and_are_true_or_false() -> None:
+    for members, edition, expected in (("", 1, False), ("", 2, True), ("body_clearance false", 2, False)):
+        program, report = checked(species(members, edition))
+        assert report.ok and program.species["a"].clears_body is expected
+        plan, report = lower(program)
+        assert report.ok and plan.species["a"].clears_body is expected
+        assert not any("body_clearance" in register for register in plan.species["a"].registers)
+
+
+@pytest.mark.parametrize(
+    ("members", "edition", "code", "place", "advice"),
+    [
+        ("body_clearance true", 1, "unknown-property", "body_clearance", "antdsl fmt --edition 2"),
+        ("body_clearance 3 mm", 2, "wrong-kind", "3 mm", ""),
+        ("body_clearance id == 3", 2, "wrong-rate", "id == 3", "`body_clearance true`"),
+        ("max_turn none of a", 2, "wrong-kind", "none of a", ""),
+        ("size none", 2, "none-of-what", "none", ""),
+    ],
+)
+def test_wrong_settings_are_reported_with_the_text_to_write(
+    members: str, edition: int, code: str, place: str, advice: str
+) -> None:
+    _, report = checked(species(members, edition))
+    assert [(d.code, d.span and d.span.text) for d in report.diagnostics] == [(code, place)], str(report)
+    assert advice in (report.diagnostics[0].help or "")
+
+
+def test_none_is_no_limit() -> None:
+    program, report = checked(species("max_turn none", 2))
+    assert report.ok
+    (attribute,) = (each for each in program.species["a"].attributes if each.name == "max_turn")
+    assert attribute.default.number == inf  # type: ignore[attr-defined]
+
+
+def test_the_rows_are_settings_with_a_default_for_each_edition() -> None:
+    for row in EDITION_DEFAULTS:
+        assert row.setting in BUILTIN_ATTRIBUTE_BY_NAME or row.setting in SWITCH_HELP
+        assert len(row.defaults) == len(EDITIONS) and row.reason
+    assert SWITCH_HELP.keys() <= {row.setting for row in EDITION_DEFAULTS}
+
+
+def test_the_reference_has_the_table_of_editions() -> None:
+    page = (ROOT / "grammar" / "README.md").read_text(encoding="utf-8")
+    for row in EDITION_DEFAULTS:
+        values = " | ".join(f"`{each}`" for each in row.defaults)
+        assert f"| `{row.setting}` | {values} | {row.reason} |\n" in page
+
+
+def test_the_default_turn_limit_is_a_right_angle_per_body_length() -> None:
+    for members, edition, expected in (
+        ("size 4 mm; max_speed 30 mm/s", 1, inf),
+        ("size 4 mm; max_speed 30 mm/s; max_turn none", 2, inf),
+        ("size 4 mm; max_speed 60 mm/s", 2, radians(1350)),
+        ("size 4 mm; max_speed 3 mm/s", 2, radians(600)),
+        ("size 4 mm; max_speed 3 mm/s; max_turn 90 deg/s", 2, radians(90)),
+    ):
+        program, report = checked(species(members, edition))
+        assert report.ok, str(report)
+        plan, report = lower(program)
+        assert report.ok, str(report)
+        world = bind(plan, WorldSetting(crowds=(crowd(2),)), Options(backend="reference"))
+        assert world.populations["a"].now["max_turn"] == pytest.approx([expected] * 2, rel=1e-6)
