@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import re
 import shutil
 from math import inf, radians
 from pathlib import Path
 
 import pytest
+from commands import run
 from meaning import crowd
 from sampling import sampled
 from state_hashes import SCENES, frames_of, named, recorded
@@ -36,7 +38,8 @@ def checked(text: str) -> tuple[Program, Report]:
 
 
 def species(members: str, edition: int = 2) -> str:
-    return f"ant {edition}\nworld {{ surface ground }}\nspecies a {{\n{members}\nstart s\nstate s {{ steer heading }} }}\n"
+    size = "" if "size " in members or "height " in members else "size 4 mm\n"
+    return f"ant {edition}\nworld {{ surface ground }}\nspecies a {{\n{size}{members}\nstart s\nstate s {{ steer heading }} }}\n"
 
 
 def upgraded(text: str) -> str:
@@ -139,7 +142,7 @@ def test_the_rows_are_settings_with_a_default_for_each_edition() -> None:
 def test_the_reference_has_the_table_of_editions() -> None:
     page = (ROOT / "grammar" / "README.md").read_text(encoding="utf-8")
     for row in EDITION_DEFAULTS:
-        values = " | ".join(f"`{each}`" for each in row.defaults)
+        values = " | ".join(f"`{each}`" if each else "none" for each in row.defaults)
         assert f"| `{row.setting}` | {values} | {row.reason} |\n" in page
 
 
@@ -157,3 +160,25 @@ def test_the_default_turn_limit_is_a_right_angle_per_body_length() -> None:
         assert report.ok, str(report)
         world = bind(plan, WorldSetting(crowds=(crowd(2),)), Options(backend="reference"))
         assert world.populations["a"].now["max_turn"] == pytest.approx([expected] * 2, rel=1e-6)
+
+
+def test_the_command_lists_settings_with_their_values_and_origins(tmp_path: Path) -> None:
+    (tmp_path / "a.ant").write_text(species("height 1.7 m\nmax_slope 30 deg"))
+    lines = [line.split(maxsplit=1) for line in run("check", "a.ant", "--params", cwd=tmp_path).stdout.splitlines()]
+    table = {words[0]: re.split(r"  +", words[1]) for words in lines if words and words[0].startswith("a.") and len(words) == 2}
+    assert table == {
+        "a.height": ["1.7 m", "line 4"],
+        "a.body_clearance": ["false", "edition 2"],
+        "a.max_turn": ["max(90 deg * max_speed / size, 600 deg/s)", "edition 2"],
+        "a.upright": ["100 %", "edition 2"],
+        "a.max_slope": ["30 deg", "line 5"],
+    }
+
+
+@pytest.mark.parametrize(("number", "code"), [("1", 0), ("2", 0), ("7", 2)])
+def test_fmt_takes_known_editions_and_never_goes_back(tmp_path: Path, number: str, code: int) -> None:
+    text = upgraded(species("", 1))
+    (tmp_path / "a.ant").write_text(text)
+    result = run("fmt", "a.ant", "--edition", number, cwd=tmp_path)
+    assert result.returncode == code and (tmp_path / "a.ant").read_text() == text
+    assert code == 0 or "no edition 7" in result.stderr

@@ -10,7 +10,7 @@ from antdsl.diagnostics.places import escape_text
 from antdsl.program.cost import StateCost, costs
 from antdsl.program.kinds import TypeKind
 from antdsl.program.model import Constant, Param, Program, Species
-from antdsl.program.tables.editions import EDITION_DEFAULTS
+from antdsl.program.tables.editions import STANDING_SETTING, setting_defaults
 from antdsl.program.tables.units import measure
 from antdsl.source import Span
 from antdsl.syntax import nodes
@@ -64,11 +64,11 @@ def _setting_rows(source: nodes.File, program: Program, listed: set[Span]) -> It
             continue
         listed.add(species.span)
         lines = {each.name.text: each for each in species.members if isinstance(each, nodes.AnimalProperty)}
-        for row in EDITION_DEFAULTS:
-            line = lines.get(row.setting)
-            value = row.in_edition(edition) if line is None else " ".join(line.value.span.text.split())
+        for name, default in setting_defaults(edition, STANDING_SETTING in lines).items():
+            line = lines.get(name)
+            value = default if line is None else " ".join(line.value.span.text.split())
             origin = f"edition {edition}" if line is None else f"line {source.source.line_column(line.span.start)[0]}"
-            yield f"{species.name.text}.{row.setting}", value, origin
+            yield f"{species.name.text}.{name}", value, origin
 
 
 def _param_row(param: Param) -> tuple[str, ...]:

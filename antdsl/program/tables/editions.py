@@ -46,3 +46,13 @@ EDITION_DEFAULTS = (
     ),
 )
 DEFAULT_BY_SETTING = {row.setting: row for row in EDITION_DEFAULTS}
+
+
+def setting_defaults(edition: int, stands: bool) -> dict[str, str]:
+    """Return the settings of a species that depend on the edition, with their defaults as in the source; "" if the species must
+    set one. `stands`: it sets its height."""
+    defaults = {row.setting: row.in_edition(edition) for row in EDITION_DEFAULTS}
+    if stands:
+        del defaults[CRAWLING_SETTING]
+        defaults = {STANDING_SETTING: "", **defaults, **STANDING_DEFAULTS}
+    return defaults
