@@ -210,7 +210,8 @@ class Reference:
         ahead = ahead - (ahead @ smooth) * smooth
         position = w.place + w.over * up
         ahead = ahead / _length(ahead)
-        return Step(w.face, position, smooth, ahead, w.direction, w.travelled, w.blocked, w.over * w.side, w.hops)
+        onward = w.direction - up * ((w.direction @ smooth) / (up @ smooth))  # the vector over it in the smooth plane
+        return Step(w.face, position, smooth, ahead, onward / _length(onward), w.travelled, w.blocked, w.over * w.side, w.hops)
 
     def _laid(self, face: int, v: Floats, otherwise: Floats) -> tuple[Floats, float]:
         """The direction of a vector in a face, and its length there: its own up to 60 degrees off the face, then less."""

@@ -174,7 +174,8 @@ class GroundMove:
 
     - `up`: the smooth normal on the agent's side
     - `heading`: a unit vector perpendicular to `up`
-    - `direction`: the unit direction of travel at the end, in the face; multiply it by a speed to transport a velocity
+    - `direction`: the unit direction of travel at the end, at right angles to `up`; multiply it by a speed to transport a
+      velocity. Projected into the face, it is the direction of the path
     - `travelled`: the distance walked
     - `blocked`: an open border ended the path, or the path could not be walked to its end
     - `lost`: there was no footing to walk from, or no surface near enough to stand on"""

@@ -37,7 +37,7 @@ def check(ground: MeshGround, meshes: list, at: GroundMove) -> None:
     assert np.abs(nearest_on_triangle(at.position, corners) - at.position).max() < 1e-9
     assert np.allclose(np.linalg.norm(at.up, axis=1), 1) and np.allclose(np.linalg.norm(at.heading, axis=1), 1)
     assert np.abs((at.up * at.heading).sum(axis=1)).max() < 1e-9
-    assert np.abs((ground.normal(at.footing) * at.direction).sum(axis=1)).max() < 1e-9
+    assert np.allclose(np.linalg.norm(at.direction, axis=1), 1) and np.abs((at.up * at.direction).sum(axis=1)).max() < 1e-9
     assert (np.abs((ground.normal(at.footing) * at.up).sum(axis=1)) > 0.5).all()
 
 

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from fractions import Fraction
 
+import meshes
 import numpy as np
 import plans
 import pytest
 
 from antdsl.plan import ir
 from antdsl.runtime import Options, bind, step
+from antdsl.scene.setting import MeshData
 
 
 def world_of(plan: ir.Plan, count: int = 1, **setting):
@@ -126,6 +128,20 @@ def test_a_way_does_not_depend_on_the_rate(fps, substeps):
         return read(world, "position")[0]
 
     assert np.linalg.norm(end_position(fps, substeps) - end_position(24, 1)) < 0.6  # of 57 mm: first-order steps
+
+
+def test_hills_neither_slow_nor_turn_an_agent_that_coasts_at_any_rate():
+    ground, ends = MeshData(*meshes.terrain(400.0, 24)), []  # faces are up to 10 degrees off the smooth normals
+    for fps in (24, 240):
+        plan = store_plan((0.0, 0.0, 0.0), **{**STILL, "velocity.x": 20.0})
+        world = bind(plan, plans.crowd(60, radius=80.0, surfaces={"ground": ground}, fps=Fraction(fps)), Options())
+        speed = None
+        for _ in range(2 * fps):
+            step(world)
+            speed = np.linalg.norm(read(world, "velocity"), axis=1) if speed is None else speed
+        assert np.linalg.norm(read(world, "velocity"), axis=1) == pytest.approx(speed, rel=1e-5)
+        ends.append(world.populations["ant"].position.copy())
+    assert np.linalg.norm(ends[0] - ends[1], axis=1).max() < 0.05  # of 40 mm
 
 
 def test_no_speed_limit_means_none_and_bad_mass_means_none_moves():

@@ -22,6 +22,7 @@ from antdsl.machine_code.kernels import BOOL, F64, I64, Array1, fetch_ahead, inl
 from antdsl.numerics.kernel_vectors import AgentPose, TriangleWeights, Vec3, clamp_weights, plus, times
 
 MAX_EDGE_CROSSINGS = 400  # most edges crossed in one step; the agent then stops until the next step
+_MIN_NORMAL_COSINE = 0.1  # of face and smooth normal: below it a direction is not lifted completely
 CROSSINGS_BEFORE_NUDGE = 24  # crossings after which a walker is nudged, because it may circle a corner
 NUDGE_FRACTION = 1e-7  # share of a face by which it is moved
 BORDER_INWARD_SHARE = 1e-6  # share of the direction that points inwards, so that rounding does not lead back to the border
@@ -173,7 +174,9 @@ def _cross_edge(
 
 @inlined
 def final_pose(table: Array1[F64], walker: FaceWalker, over: F64) -> AgentPose:
-    """Return position, smooth normal, transported heading and direction of travel in world space."""
+    """Return position, smooth normal, transported heading and direction of travel in world space.
+
+    Heading and direction are unit vectors in the plane of the smooth normal."""
     f, (b1, b2), side, (c, s), (heading_c, heading_s) = walker
     row = ROW_FLOATS * f
     b0 = 1.0 - b1 - b2
@@ -209,8 +212,12 @@ def final_pose(table: Array1[F64], walker: FaceWalker, over: F64) -> AgentPose:
         corner[1] + b1 * edge1[1] + b2 * edge2[1] + over * ny,
         corner[2] + b1 * edge1[2] + b2 * edge2[2] + over * nz,
     )
-    direction = plus(times(axis1, c), times(axis2, s))
-    return AgentPose(place, (sx, sy, sz), (hx / size, hy / size, hz / size), direction)
+    dx, dy, dz = plus(times(axis1, c), times(axis2, s))
+    # Up or down along the face's normal into the plane of the smooth one: the next step's projection leads exactly back.
+    lift = (dx * sx + dy * sy + dz * sz) / max(nx * sx + ny * sy + nz * sz, _MIN_NORMAL_COSINE)
+    dx, dy, dz = dx - lift * nx, dy - lift * ny, dz - lift * nz
+    long = np.sqrt(dx * dx + dy * dy + dz * dz)
+    return AgentPose(place, (sx, sy, sz), (hx / size, hy / size, hz / size), (dx / long, dy / long, dz / long))
 
 
 @inlined
