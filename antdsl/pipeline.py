@@ -149,7 +149,10 @@ def open_scene(
     if not report.ok:
         return None, report
     setting = with_changed_params(setting, scene, program, choices.changes)
-    setting = replace(setting, clips=bodies.clips, rooms=bodies.rooms, legs=bodies.legs, unseen=_undrawn_things(scene))
+    setting = replace(
+        setting, body_weights=bodies.weights, clips=bodies.clips, rooms=bodies.rooms, legs=bodies.legs,
+        unseen=_undrawn_things(scene),
+    )  # fmt: skip
     inputs = {"antdsl": __version__, "scene": scene.digest(), **loaded.hashes(), **meshes, **bodies.hashes}
     inputs |= {f"--set {name}": text for name, text in choices.params.items()}
     inputs |= {f"set {change.name}": change.value.span.text for change in choices.changes}

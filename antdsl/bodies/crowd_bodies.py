@@ -22,24 +22,44 @@ from antdsl.limits import MAX_WORN_LAYERS
 from antdsl.plan.lowering.writer import BodyProportions
 from antdsl.program.model import Channel, ClipTest, Look, Machine, Play, Program, Species, Wear
 from antdsl.program.traverse import parts
-from antdsl.scene.library_bodies import BODY_WORDS, body_for_species
+from antdsl.scene.body_choice import body_key, number_of_key, species_of_key
+from antdsl.scene.existence_checks import body_span
+from antdsl.scene.library_bodies import BODY_WORDS, CAPSULE_BY_BODY, body_for_species
 from antdsl.scene.load import Scene
 from antdsl.scene.setting import ClipData, LegsData, RoomData
 from antdsl.source import Span
 
+Body = TypeVar("Body", Definition, str)
 _MAX_LISTED_NAMES = 12  # names in a message
+
+
+@dataclass(frozen=True, slots=True)
+class NamedBody:
+    """A body that a scene names for a species, or that fits the species' name.
+
+    `key`: its key, as `scene.body_choice` makes them.
+    `text`: the word or path.
+    `place`: where the scene names it.
+    `weight`: its share among the bodies of the species."""
+
+    key: str
+    species: str
+    text: str
+    place: Span
+    weight: float = 1.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CrowdBodies:
-    """Bodies by species.
+    """Bodies by their keys (`scene.body_choice`): a species with one body is its own key.
 
-    `definitions`: of species with a body file; species that name the same file share one object.
+    `definitions`: of bodies from files; bodies from the same file share one object.
     `clips`: of all species.
-    `rooms`: the collision sizes of the bodies in `definitions`.
-    `legs`: of species with legs and gaits.
+    `rooms`: the collision sizes of the bodies in `definitions`, and of all bodies of species with several.
+    `legs`: of bodies with legs and gaits.
     `hashes`: content hash of each file, by its path in the scene.
     `proportions`: of species that set their height.
+    `weights`: of species with several bodies, the weight of each.
     """
 
     definitions: Mapping[str, Definition] = field(default_factory=dict)
@@ -48,13 +68,13 @@ class CrowdBodies:
     legs: Mapping[str, LegsData] = field(default_factory=dict)
     hashes: Mapping[str, str] = field(default_factory=dict)
     proportions: Mapping[str, BodyProportions] = field(default_factory=dict)
+    weights: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
 
 
-class LegsBySpecies(Mapping[str, LegsData]):
-    """The legs of all species with a body that has legs and gaits. Computed on first access, because most commands do not need
-    them.
+class LegsByBody(Mapping[str, LegsData]):
+    """The legs of all bodies that have legs and gaits, by key. Computed on first access, because most commands do not need them.
 
-    `bodies`: by species, a definition or the name of a library body.
+    `bodies`: by key, a definition or the name of a library body.
     """
 
     def __init__(self, bodies: Mapping[str, Definition | str]) -> None:
@@ -66,8 +86,8 @@ class LegsBySpecies(Mapping[str, LegsData]):
         definitions = {name: library_body(body) if isinstance(body, str) else body for name, body in self._bodies.items()}
         return {name: legs_data(body) for name, body in definitions.items() if body.legs and body.gaits}
 
-    def __getitem__(self, species: str) -> LegsData:
-        return self._legs[species]
+    def __getitem__(self, key: str) -> LegsData:
+        return self._legs[key]
 
     def __iter__(self) -> Iterator[str]:
         return iter(self._legs)
@@ -81,48 +101,63 @@ def crowd_bodies(scene: Scene, program: Program) -> tuple[CrowdBodies, Report]:
     where the scene names the body; a label marks where the program uses the missing part."""
     report = Report()
     files: dict[str, Definition | None] = {}
-    named = _named_bodies(scene)
+    named = named_bodies(scene, tuple(program.species))
     chosen = {line.species for line in scene.model.crowd if line.body is not None}
-    worn: dict[str, Definition] = {}
-    words = _library_bodies(scene, program)
-    library_species = {line.species for line in scene.model.crowd if line.wear}
-    library_species |= {
+    words = {each.key: each.text for each in named if each.text in BODY_WORDS and each.species in program.species}
+    shown_species = {line.species for line in scene.model.crowd if line.wear} | {
         n for n, s in program.species.items() if any(True for m in s.machines for _ in (*_play_lines(m), *_display_lines(m)))
     }
-    library = {name: library_body(text) for name, text in words.items() if name in library_species}
-    for species, (text, place) in named.items():
-        if text in BODY_WORDS:
-            if species in library:
-                _check_body(program.species[species], library[species], text, place, report, species not in chosen)
+    library = {each.key: library_body(each.text) for each in named if each.key in words and each.species in shown_species}
+    worn: dict[str, Definition] = {}
+    in_crowd = {line.species for line in scene.model.crowd}
+    for each in named:
+        if each.text in BODY_WORDS:
+            if each.key in library and each.species in in_crowd:
+                species = program.species[each.species]
+                _check_body(species, library[each.key], each.text, each.place, report, each.species not in chosen)
             continue
-        if text not in files:
-            files[text], findings = load_definition(text, scene.roots, place)
+        if each.text not in files:
+            files[each.text], findings = load_definition(each.text, scene.roots, each.place)
             report.extend(findings)
-        definition = files[text]
-        if definition is not None and species in program.species:
-            _check_body(program.species[species], definition, text, place, report)
-            worn[species] = definition
-    _check_layers(scene, program, worn | library, report)
+        definition = files[each.text]
+        if definition is not None and each.species in program.species:
+            _check_body(program.species[each.species], definition, each.text, each.place, report)
+            worn[each.key] = definition
+    _check_layers(scene, program, named, worn | library, report)
+    weights: dict[str, tuple[float, ...]] = {}
+    for each in named:
+        weights[each.species] = (*weights.get(each.species, ()), each.weight)
+    weights = {species: parts for species, parts in weights.items() if len(parts) > 1}
+    mixed = {each.key: each.text for each in named if each.species in weights and each.text in BODY_WORDS}
     definitions = {text: definition for text, definition in files.items() if definition is not None}
     bodies = CrowdBodies(
         worn,
-        {
-            species: {name: clip_data(clip, body) for name, clip in body.clips.items()}
-            for species, body in (worn | library).items()
-        },
-        {species: body_room(body, program.species[species].edition > 1) for species, body in worn.items()},
-        LegsBySpecies({**worn, **words}),
+        {key: {name: clip_data(clip, body) for name, clip in body.clips.items()} for key, body in (worn | library).items()},
+        {key: body_room(body, program.species[species_of_key(key)].edition > 1) for key, body in worn.items()}
+        | {key: _capsule_room(text) for key, text in mixed.items()},
+        LegsByBody({**worn, **words}),
         {text: digest(body) for text, body in definitions.items()},
-        standing_proportions(program, worn, words),
+        standing_proportions(program, _first_bodies(worn), _first_bodies(words)),
+        weights,
     )
-    warn_of_sizes(scene, program, worn, words, report)
+    warn_of_sizes(scene, program, _first_bodies(worn), _first_bodies(words), report)
     return bodies, report
 
 
-def _check_layers(scene: Scene, program: Program, worn: Mapping[str, Definition], report: Report) -> None:
-    """Report layers that crowd lines wear and that their body does not have. Also report more layers than can be
+def _first_bodies(bodies: Mapping[str, Body]) -> dict[str, Body]:
+    """Return by species the first of its bodies. `bodies`: by key."""
+    return {species_of_key(key): body for key, body in bodies.items() if number_of_key(key) == 0}
+
+
+def _check_layers(
+    scene: Scene, program: Program, bodies: Iterable[NamedBody], worn: Mapping[str, Definition], report: Report
+) -> None:
+    """Report layers that crowd lines wear and that a body of the species does not have. Also report more layers than can be
     distinguished."""
     layers: dict[str, set[str]] = {}
+    keys_by_species: dict[str, list[str]] = {}
+    for each in bodies:
+        keys_by_species.setdefault(each.species, []).append(each.key)
     for number, line in enumerate(scene.model.crowd):
         if line.species not in program.species:
             continue
@@ -130,20 +165,28 @@ def _check_layers(scene: Scene, program: Program, worn: Mapping[str, Definition]
         named = layers.setdefault(line.species, {each.layer for each in appearances if isinstance(each, Wear)})
         dressed = tuple(dict.fromkeys(name for part in line.layers() for name in part if name))
         named |= set(dressed)
-        body = worn.get(line.species)
         place = scene.span("crowd", number, "wear")
-        for name in dressed:
-            if body is not None and name not in body.layers:
-                near, known = (
-                    nearest_name(name, list(body.layers)),
-                    ", ".join(f"`{each}`" for each in list(body.layers)[:_MAX_LISTED_NAMES]),
-                )
-                has = f"it has {known}" if known else "it has no layers"
-                words = f"the body of `{line.species}` has no layer `{name}`"
-                report.error("unknown-name", words, place, f"did you mean `{near}`? {has}" if near else has)
+        for key in keys_by_species[line.species]:
+            if key in worn:
+                _check_worn_layers(line.species, worn[key], dressed, len(keys_by_species[line.species]) > 1, place, report)
         if len(named) > MAX_WORN_LAYERS:
             words = f"agents of `{line.species}` may wear {len(named)} layers, and {MAX_WORN_LAYERS} at most can be distinguished"
             report.error("too-large", words, place, "combine shapes that are worn together in one layer")
+
+
+def _check_worn_layers(
+    species: str, body: Definition, dressed: Iterable[str], several: bool, place: Span, report: Report
+) -> None:
+    """Report layers of a crowd line that a body does not have. `several`: the species has other bodies too."""
+    for name in dressed:
+        if name not in body.layers:
+            near = nearest_name(name, list(body.layers))
+            known = ", ".join(f"`{each}`" for each in list(body.layers)[:_MAX_LISTED_NAMES])
+            has = f"it has {known}" if known else "it has no layers"
+            which = f"the body `{body.name}` of `{species}`" if several else f"the body of `{species}`"
+            report.error(
+                "unknown-name", f"{which} has no layer `{name}`", place, f"did you mean `{near}`? {has}" if near else has
+            )
 
 
 def clip_data(clip: Clip, body: Definition) -> ClipData:
@@ -154,9 +197,12 @@ def clip_data(clip: Clip, body: Definition) -> ClipData:
 
 
 def body_room(body: Definition, stands: bool = False) -> RoomData:
-    """Return the collision size of a body: length and width of the box of its layer `collision` in the rest pose, or, if it
-    `stands`, in its idle clip. Without that layer, use the layer that is always displayed. The length is never less than the
-    width."""
+    """Return the collision size of a body: its own capsule, else length and width of the box of its layer `collision` in the rest
+    pose, or, if it `stands`, in its idle clip. Without that layer, use the layer that is always displayed. The length is never
+    less than the width."""
+    if body.capsule is not None:
+        length, width, height, ahead = (each / body.length for each in body.capsule)
+        return RoomData(max(length, width), width, height, ahead)
     layer = body.layers.get(COLLISION_LAYER) or own_layer(body)
     low, high = standing_box(body, layer) if stands else turn_box(body, rest_box(replace(body, layers={layer.name: layer})))
     width = max(float(high[2] - low[2]), 1e-3)
@@ -164,23 +210,33 @@ def body_room(body: Definition, stands: bool = False) -> RoomData:
     return RoomData(max(float(high[0] - low[0]), width), width, float(middle[1]), float(middle[0]))
 
 
-def _library_bodies(scene: Scene, program: Program) -> dict[str, str]:
-    """Return the library body of each species that has no body file."""
-    named = _named_bodies(scene)
-    words = {name: named[name][0] if name in named else body_for_species(name) for name in program.species}
-    return {name: text for name, text in words.items() if text in BODY_WORDS}
+def _capsule_room(word: str) -> RoomData:
+    """Return the collision size of a body of the library."""
+    capsule = CAPSULE_BY_BODY[word]
+    return RoomData(capsule.length, capsule.width, capsule.height, capsule.ahead)
 
 
-def _named_bodies(scene: Scene) -> dict[str, tuple[str, Span]]:
-    """Return the body of each species: from its first crowd line that names a body, else the library body that matches the
-    species' name."""
-    bodies: dict[str, tuple[str, Span]] = {}
+def named_bodies(scene: Scene, species: Iterable[str] = ()) -> list[NamedBody]:
+    """Return the bodies of each species of the crowd, and of further `species`: those of its first crowd line that names any,
+    else the library body that matches the species' name."""
+    lines: dict[str, int] = {}
     for number, line in enumerate(scene.model.crowd):
         if line.body is not None:
-            bodies.setdefault(line.species, (line.body, scene.span("crowd", number, "body")))
+            lines.setdefault(line.species, number)
+    bodies: list[NamedBody] = []
+    for name, number in lines.items():
+        weights = scene.model.crowd[number].body_weights
+        bodies += [
+            NamedBody(body_key(name, k, len(weights)), name, text, body_span(scene, number, text), weight)
+            for k, (text, weight) in enumerate(weights.items())
+        ]
     for number, line in enumerate(scene.model.crowd):
-        bodies.setdefault(line.species, (body_for_species(line.species), scene.span("crowd", number, "species")))
-    return bodies
+        if line.species not in lines:
+            lines[line.species] = number
+            span = scene.span("crowd", number, "species")
+            bodies.append(NamedBody(line.species, line.species, body_for_species(line.species), span))
+    whole = scene.span("antdsl", key=True)
+    return bodies + [NamedBody(name, name, body_for_species(name), whole) for name in species if name not in lines]
 
 
 def _check_body(species: Species, body: Definition, text: str, place: Span, report: Report, by_name: bool = False) -> None:

@@ -4,25 +4,25 @@ The size of an item shows its remaining amount."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import replace
 from typing import cast
 
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl.bodies.agents.definition import BodyError, Definition
-from antdsl.bodies.agents.machine_clips import PlayedClip
+from antdsl.bodies.agents.definition import BodyError
 from antdsl.bodies.body import turned
-from antdsl.bodies.library import library_body
 from antdsl.bodies.posed_body import PosedBody
 from antdsl.bodies.shapes import item_shape
-from antdsl.outputs.cache.body_arrays import definition_of
+from antdsl.numerics.records import take_rows
 from antdsl.outputs.cache.cache_reader import Arrays, Cache, CacheError
 from antdsl.outputs.cache.dug_solids import DugSolids
 from antdsl.outputs.cache.frame_agents import agent_ids, species_rows
-from antdsl.outputs.cache.manifest import CameraEntry, ClipEntry, MeshEntry, SpeciesEntry
-from antdsl.outputs.cache.pose_arrays import driven_values, feet_of, layers_of, machines_of, worn_masks
+from antdsl.outputs.cache.manifest import CameraEntry, MeshEntry, SpeciesEntry
+from antdsl.outputs.cache.pose_arrays import driven_values, feet_of, machines_of, worn_masks
+from antdsl.outputs.cache_bodies import CacheBodies
 from antdsl.outputs.cutting import CutPlane
 from antdsl.outputs.feelers import feeler_rays
 from antdsl.outputs.flow_arrows import read_arrows
@@ -41,7 +41,6 @@ from antdsl.outputs.pictures.model import (
     Trail,
 )
 from antdsl.outputs.pictures.trails import robust_full_strength
-from antdsl.scene.library_bodies import BODY_WORDS, body_for_species
 
 _SURFACE_KIND_BY_NAME: tuple[tuple[str, SurfaceKind], ...] = (
     ("boulder", "boulder"),
@@ -60,6 +59,15 @@ _MAX_STRENGTH_FRAMES = 8  # frames examined for the strongest value of a field
 
 class PictureUnavailable(Exception):
     """Reason why a cache cannot be drawn. The message is complete without context."""
+
+
+@contextmanager
+def _body_problems(species: SpeciesEntry) -> Iterator[None]:
+    """Raise PictureUnavailable for a damaged body of a species."""
+    try:
+        yield
+    except BodyError as why:
+        raise PictureUnavailable(f"the body of `{species.name}` in the cache {why}") from None
 
 
 class Gallery:
@@ -101,8 +109,7 @@ class Gallery:
             FlowArrows(name, place, displacement, _FLOW_COLOURS[number % len(_FLOW_COLOURS)])
             for number, (name, (place, displacement)) in enumerate(read_arrows(self.static).items())
         )
-        self._worn: dict[tuple[int, int], PosedBody] = {}  # by species and the mask of the layers that are worn
-        self._definitions: dict[int, Definition] = {}
+        self.bodies = CacheBodies(self.manifest, self.static)
         self._first: Arrays | None = None
         self._full: dict[str, float] | None = None
         self._places: dict[str, NDArray[np.float64]] = {}
@@ -164,8 +171,8 @@ class Gallery:
         Only species with an agent definition have a larger reach."""
         reach = np.ones(len(self.manifest.species))
         for number, species in enumerate(self.manifest.species):
-            if species.definition is not None:
-                reach[number] = max(1.0, self.body(number).reach)
+            with _body_problems(species):
+                reach[number] = self.bodies.reach(number)
         if "species" not in arrays or not len(reach):
             return float(reach.max(initial=1.0))
         return reach[np.clip(np.asarray(arrays["species"], np.int64), 0, len(reach) - 1)]
@@ -213,11 +220,14 @@ class Gallery:
         next_arrays = self.cache.frame(frame + 1) if self._blurred and frame + 1 in self.cache.frames() else None
         for number, species in enumerate(self.manifest.species):
             rows = species_rows(arrays, number)
-            crowd = self._species_crowd(number, frame, arrays)
-            if next_arrays is not None:
-                crowd = replace(crowd, next_crowd=follow_agents(crowd, self._species_crowd(number, frame + 1, next_arrays)))
-            dressed = self._split_by_layers(crowd, number, arrays)
-            crowds += [self._with_lines(part, species, number, frame) for each in dressed for part in _split_chosen(each, agents)]
+            later = () if next_arrays is None else self._species_crowds(number, frame + 1, next_arrays)
+            for which, crowd in enumerate(self._species_crowds(number, frame, arrays)):
+                if later:
+                    crowd = replace(crowd, next_crowd=follow_agents(crowd, later[which]))
+                dressed = self._split_by_layers(crowd, number, which, arrays)
+                crowds += [
+                    self._with_lines(part, species, number, frame) for each in dressed for part in _split_chosen(each, agents)
+                ]
             if species.machines and "state" in arrays:
                 counts = np.bincount(np.asarray(arrays["state"])[rows], minlength=len(species.machines[0].states))
                 legend += [
@@ -226,52 +236,54 @@ class Gallery:
                 ]
         return tuple(crowds), tuple(legend)
 
-    def _species_crowd(self, number: int, frame: int, arrays: Arrays) -> Crowd:
-        """Return all agents of a species, posed by the clips, feet and appearance of the frame. Agents without a clip play the
-        idle clip."""
+    def _species_crowds(self, number: int, frame: int, arrays: Arrays) -> tuple[Crowd, ...]:
+        """Return the agents of a species, one crowd for each of its bodies, posed by the clips, feet and appearance of the frame.
+        Agents without a clip play the idle clip."""
         species, rows = self.manifest.species[number], species_rows(arrays, number)
-        ids = agent_ids(arrays)[rows]
-        body, count = self.body(number), len(rows)
-        return Crowd(
-            species=species.name,
-            position=np.asarray(arrays["P"], np.float64)[rows],
-            orient=np.asarray(arrays["orient"], np.float64)[rows],
-            scale=np.asarray(arrays["pscale"], np.float64)[rows],
-            colour=np.asarray(arrays["Cd"], np.float64)[rows] if "Cd" in arrays else np.full((count, 3), 0.35),
-            ids=ids,
-            velocity=np.asarray(arrays["v"], np.float64)[rows] if "v" in arrays else None,
-            worn=body,
-            plays=(*body.idle_clips(ids, frame * self.dt), *(machines_of(species, arrays, count) or ())),
-            feet=feet_of(species.name, arrays, count, 0 if body.legs is None else body.legs.count),
-            driven=driven_values(species, arrays, ids, self.manifest.seed),
-        )
+        ids, keys = agent_ids(arrays)[rows], self.bodies.keys(number)
+        count, plays = len(rows), machines_of(species, arrays, len(rows)) or ()
+        driven, numbers = driven_values(species, arrays, ids, self.manifest.seed), self.bodies.numbers(number, ids)
+        crowds = []
+        for which, key in enumerate(keys):
+            body = self.body(number, 0, which)
+            own = np.arange(count) if len(keys) == 1 else np.flatnonzero(numbers == which)
+            some = rows[own]
+            crowds.append(
+                Crowd(
+                    species=species.name,
+                    position=np.asarray(arrays["P"], np.float64)[some],
+                    orient=np.asarray(arrays["orient"], np.float64)[some],
+                    scale=np.asarray(arrays["pscale"], np.float64)[some],
+                    colour=np.asarray(arrays["Cd"], np.float64)[some] if "Cd" in arrays else np.full((len(some), 3), 0.35),
+                    ids=ids[own],
+                    velocity=np.asarray(arrays["v"], np.float64)[some] if "v" in arrays else None,
+                    worn=body,
+                    plays=(*body.idle_clips(ids[own], frame * self.dt), *(take_rows(plays, own) if len(keys) > 1 else plays)),
+                    feet=feet_of(key, arrays, len(own), 0 if body.legs is None else body.legs.count),
+                    driven=take_rows(driven, own) if len(keys) > 1 else driven,
+                    body_key=key,
+                )
+            )
+        return tuple(crowds)
 
-    def _split_by_layers(self, crowd: Crowd, number: int, arrays: Arrays) -> list[Crowd]:
-        """Return one crowd for each set of layers that some agents wear."""
-        masks = worn_masks(self.manifest.species[number], arrays, len(crowd.position))
+    def _split_by_layers(self, crowd: Crowd, number: int, which: int, arrays: Arrays) -> list[Crowd]:
+        """Return one crowd for each set of layers that some agents wear. `which`: the body of the crowd."""
+        rows = species_rows(arrays, number)
+        masks = worn_masks(self.manifest.species[number], arrays, len(rows))
+        if len(crowd.position) != len(rows):
+            masks = masks[self.bodies.numbers(number, agent_ids(arrays)[rows]) == which]
         sets = [int(mask) for mask in np.unique(masks)] or [0]
         if len(sets) == 1:
-            return [replace(crowd, worn=self.body(number, sets[0]))]
+            return [replace(crowd, worn=self.body(number, sets[0], which))]
         parts = ((mask, np.flatnonzero(masks == np.uint64(mask))) for mask in sets)
-        return [replace(crowd.rows(rows), worn=self.body(number, mask)) for mask, rows in parts]
+        return [replace(crowd.rows(rows), worn=self.body(number, mask, which)) for mask, rows in parts]
 
-    def body(self, number: int, mask: int = 0) -> PosedBody:
-        """Return the body of a species with the layers of a mask. It is stored in the cache, or comes from the library."""
-        species = self.manifest.species[number]
-        if (number, mask) not in self._worn:
-            if number not in self._definitions:
-                self._definitions[number] = self._definition(species)
-            clips = tuple(PlayedClip(*(getattr(clip, name) for name in ClipEntry.model_fields)) for clip in species.clips)
-            self._worn[number, mask] = PosedBody(self._definitions[number], clips, layers_of(species, mask))
-        return self._worn[number, mask]
+    def body(self, number: int, mask: int = 0, which: int = 0) -> PosedBody:
+        """Return a body of a species with the layers of a mask. It is stored in the cache, or comes from the library.
 
-    def _definition(self, species: SpeciesEntry) -> Definition:
-        if species.definition is None:
-            return library_body(species.body if species.body in BODY_WORDS else body_for_species(species.name))
-        try:
-            return definition_of(self.manifest, self.static, species.definition)
-        except BodyError as why:
-            raise PictureUnavailable(f"the body of `{species.name}` in the cache {why}") from None
+        `which`: its index among the bodies of the species."""
+        with _body_problems(self.manifest.species[number]):
+            return self.bodies.body(number, mask, which)
 
     def _with_lines(self, crowd: Crowd, species: SpeciesEntry, number: int, frame: int) -> Crowd:
         """Return the crowd with the paths and feelers of its agents, if these are displayed."""

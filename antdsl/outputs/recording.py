@@ -35,6 +35,7 @@ from antdsl.outputs.starting import start_from_cache, start_hash
 from antdsl.pipeline import Shot
 from antdsl.runtime import CheckpointError, Options, World, bind, feet_hash, restore, state_hash, step, take_emissions
 from antdsl.runtime.profiling import StepMeter
+from antdsl.scene.crowd_model import named_weights
 from antdsl.scene.model import Camera, SceneModel
 from antdsl.scene.setting import CameraData
 from antdsl.scene.thing_models import PlacedThing, millimetres
@@ -200,7 +201,7 @@ def record(recording: Recording, watch: Callable[[str, int], None] = lambda what
     model = shot.scene.model
     pieces = PieceMaker(shot.frames.first, model.output.checkpoint, 1.0 / shot.setting.unit_mm)
     maker = FrameMaker(world, shot.program, model.output.attributes, pieces, model.output.events)
-    stored_bodies = StoredBodies.of(shot.bodies, {line.species: line.body for line in model.crowd if line.body is not None})
+    stored_bodies = StoredBodies.of(shot.bodies, named_weights(model.crowd))
     name = Path(shot.scene.source.path).name
     manifest = make_manifest(
         world,
@@ -216,7 +217,6 @@ def record(recording: Recording, watch: Callable[[str, int], None] = lambda what
         preroll=model.preroll,
         checkpoint=model.output.checkpoint,
         attributes=maker.attributes,
-        bodies={line.species: line.body for line in model.crowd if line.body is not None},
         definitions=stored_bodies.entries,
         worn=stored_bodies.worn,
         feelers={

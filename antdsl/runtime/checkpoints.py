@@ -17,6 +17,7 @@ from antdsl.numerics.row_hash import describe_columns
 from antdsl.program.tables.columns import FIXED
 from antdsl.runtime.feet import walking
 from antdsl.runtime.feet.state import feet_from_arrays
+from antdsl.runtime.feet.wearers import sorted_ids_of
 from antdsl.runtime.motion_measures import MotionMeasures
 from antdsl.runtime.moving.moving_geometry import pose_world
 from antdsl.runtime.world import Population, World, fixed_columns
@@ -118,7 +119,7 @@ def _restore_feet(world: World, arrays: Mapping[str, NDArray[Any]]) -> None:
             walking.begin_feet(world)
             return
         try:
-            restored_feet[name] = feet_from_arrays(foot_arrays, feet.legs, world.populations[name].sorted_ids()[0])
+            restored_feet[name] = feet_from_arrays(foot_arrays, feet.legs, sorted_ids_of(world, name))
         except ValueError as why:
             raise CheckpointError(f"`feet.{name}`: {why}") from None
     world.feet = restored_feet

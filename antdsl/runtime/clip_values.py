@@ -1,4 +1,4 @@
-"""Properties of the clips that a species plays, from the definition of its body and the clip names of its states."""
+"""Properties of the clips that a species plays, from the definitions of its bodies and the clip names of its states."""
 
 from __future__ import annotations
 
@@ -7,26 +7,41 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from antdsl.runtime.body_rows import numbers_by_row
 from antdsl.runtime.world import Population, World
+from antdsl.scene.body_choice import body_keys
 from antdsl.scene.setting import ClipData
 
 _UNKNOWN_CLIP = ClipData()
 
 
 def clip_table(world: World, population: Population, what: str) -> NDArray[np.float32]:
-    """Return a property of each clip of the species' plan; the last entry is for an unknown clip.
+    """Return a property of each clip of the species' plan; a last entry is for an unknown clip. A species with several bodies has
+    these entries for each body in turn.
 
     `what`: the property `seconds`, `stride`, `loop` or `mark NAME`."""
-    known = world.setting.clips.get(population.name, {})
-    every = [known.get(each.name, _UNKNOWN_CLIP) for each in population.plan.clips]
-    return np.array([_clip_number(each, what) for each in (*every, _UNKNOWN_CLIP)], np.float32)
+    every = []
+    for key in body_keys(population.name, len(world.setting.body_weights.get(population.name, ()))):
+        known = world.setting.clips.get(key, {})
+        every += [*(known.get(each.name, _UNKNOWN_CLIP) for each in population.plan.clips), _UNKNOWN_CLIP]
+    return np.array([_clip_number(each, what) for each in every], np.float32)
 
 
-def clip_value(world: World, population: Population, what: str, clip: Any) -> NDArray[np.float32]:
-    """Return a property of clips, given by their numbers in the species' plan. No clip has the value of an unknown clip."""
+def table_starts(world: World, population: Population) -> NDArray[np.int32]:
+    """Return where the entries of each agent's body begin in `clip_table`, int32[n]."""
+    return numbers_by_row(population, world.setting).astype(np.int32) * np.int32(len(population.plan.clips) + 1)
+
+
+def clip_value(world: World, population: Population, what: str, clip: Any, rows: Any = slice(None)) -> NDArray[np.float32]:
+    """Return a property of clips, given by their numbers in the species' plan. No clip has the value of an unknown clip.
+
+    `rows`: those of the agents with these clips."""
     values = clip_table(world, population, what)
-    number, last = np.asarray(clip), len(values) - 1
-    chosen_values: NDArray[np.float32] = values[np.where((number >= 0) & (number < last), number, last)]
+    number, last = np.asarray(clip), len(population.plan.clips)
+    place = np.where((number >= 0) & (number < last), number, last)
+    if len(values) > last + 1:
+        place = place + table_starts(world, population)[rows]
+    chosen_values: NDArray[np.float32] = values[place]
     return chosen_values
 
 

@@ -345,7 +345,7 @@ def _widest_gap(
 
 
 def _clip_value(world: World, population: Population, node: ir.PlanNode, rows: Rows, clip: SenseValue) -> SenseValue:
-    return clip_value(world, population, node.attrs[0], clip)
+    return clip_value(world, population, node.attrs[0], clip, rows)
 
 
 def _contact(world: World, population: Population, node: ir.PlanNode, rows: Rows, *touched: SenseValue) -> SenseValue:

@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from antdsl.runtime.faults import FaultLog
     from antdsl.runtime.feet.seeking import FootGround
     from antdsl.runtime.feet.state import Feet
-    from antdsl.runtime.feet.walking import LegsOfSpecies
+    from antdsl.runtime.feet.walking import LegsOfBody
     from antdsl.runtime.lod import DetailLevels
     from antdsl.runtime.motion_measures import MotionMeasures
     from antdsl.senses.neighbours import CellGrid
@@ -128,6 +128,7 @@ class Population:
     _zeros: RowCopier = field(default_factory=RowCopier)  # copies zeros to registers that exist only within a step
     _rows: tuple[int, NDArray[np.int64], NDArray[np.intp]] | None = None
     _ranks: tuple[int, NDArray[np.int32]] | None = None
+    bodies: tuple[int, NDArray[np.uint8]] | None = None  # version, and the index of each row's body: see `body_rows`
     _stated: tuple[ir.SpeciesPlan, tuple[str, ...]] | None = None
     _temps: tuple[ir.SpeciesPlan, int, dict[str, NDArray[Any]]] | None = None  # of a plan and so many agents, with their zeros
 
@@ -271,8 +272,8 @@ class World:
     detail: DetailLevels | None = None
     crowded: list[OvercrowdedLine] = field(default_factory=list)  # crowd lines without space for all agents
     watchers: list[Callable[[World], None]] = field(default_factory=list)  # called in each step after the phase `act`
-    feet: dict[str, Feet] = field(default_factory=dict)  # by species; only those with computed feet
-    walkers: dict[str, LegsOfSpecies] = field(default_factory=dict)  # legs and gaits, by species
+    feet: dict[str, Feet] = field(default_factory=dict)  # by body key; only those with computed feet
+    walkers: dict[str, LegsOfBody] = field(default_factory=dict)  # legs and gaits, by body key
     floor: FootGround | None = None  # the ground for feet
     stepping: bool = False  # between the first and the last phase of a step
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from typing import Annotated, Any
 
 from pydantic import BeforeValidator, Discriminator, Field, Tag
@@ -29,6 +30,7 @@ from antdsl.scene.values import (
 NO_LAYER = "none"  # stands for no layer of a part
 # Of the library of bodies.
 BodyText = Annotated[str, BeforeValidator(word_or_file(*BODY_WORDS))]
+BodyWeight = Annotated[float, BeforeValidator(number(limits.MIN_BODY_WEIGHT, limits.MAX_BODY_WEIGHT))]
 SpacingValue = Annotated[Quantity | str, BeforeValidator(word_or("even", positive(LENGTH_DIMENSION)))]
 DirectionComponent = Annotated[float, BeforeValidator(number(-1e6, 1e6))]
 PlacementMethod = Annotated[str, BeforeValidator(one_of("above", "area"))]
@@ -98,10 +100,22 @@ def _layer_or_any(value: Any) -> str:
 WornLayer = Annotated[Annotated[SceneName, Tag("layer")] | Annotated[AnyOf, Tag("any")], Discriminator(_layer_or_any)]
 
 
+def _text_or_weights(value: Any) -> str:
+    return "body-weights" if isinstance(value, dict) else "one-body"
+
+
+BodyValue = Annotated[
+    Annotated[BodyText, Tag("one-body")]
+    | Annotated[dict[BodyText, BodyWeight], Field(min_length=1, max_length=limits.MAX_SPECIES_BODIES), Tag("body-weights")],
+    Discriminator(_text_or_weights),
+]
+
+
 class CrowdLine(Part):
     """Agents of one species.
 
-    `body`: the body in pictures, a word or the file of an agent definition; by default it depends on the species' name.
+    `body`: the body in pictures, a word or the file of an agent definition; by default it depends on the species' name. Several
+    bodies have a weight each: agents get one of them, in proportion.
     `wear`: additional layers of the body that the agents show."""
 
     species: SceneName
@@ -109,10 +123,26 @@ class CrowdLine(Part):
     count: Annotated[int, BeforeValidator(integer(0, limits.MAX_AGENTS))]
     place: Placement = Placement()
     walk: Walk | None = None
-    body: BodyText | None = None
+    body: BodyValue | None = None
     wear: Annotated[tuple[WornLayer, ...], Field(max_length=limits.MAX_WORN_LAYERS)] = ()
+
+    @property
+    def body_weights(self) -> dict[str, float]:
+        """Return the bodies of this line with their weights. A single body has the weight 1; a line without `body` has none."""
+        if isinstance(self.body, dict):
+            return self.body
+        return {} if self.body is None else {self.body: 1.0}
 
     def layers(self) -> tuple[tuple[str, ...], ...]:
         """Return, for each part of `wear`, the layers from which one is drawn per agent. "" means no layer."""
         chosen = (each.any if isinstance(each, AnyOf) else (each,) for each in self.wear)
         return tuple(tuple("" if name == NO_LAYER else name for name in names) for names in chosen)
+
+
+def named_weights(crowd: Iterable[CrowdLine]) -> dict[str, dict[str, float]]:
+    """Return, by species, the bodies that the lines of a crowd name, with their weights. The first line that names any counts."""
+    weights: dict[str, dict[str, float]] = {}
+    for line in crowd:
+        if line.body is not None:
+            weights.setdefault(line.species, line.body_weights)
+    return weights

@@ -16,6 +16,7 @@ from antdsl.program.traverse import parts
 from antdsl.scene.library_bodies import BODY_WORDS
 from antdsl.scene.load import Scene
 from antdsl.scene.paths import PathRefused, Roots
+from antdsl.source import Span
 
 _SUGGESTION_PATTERN = re.compile(r"did you mean `([^`]+)`\?")
 
@@ -28,21 +29,35 @@ def bodies(scene: Scene, program: Program, report: Report) -> None:
             continue
         place = scene.span("crowd", number, "body")
         earlier = first.setdefault(line.species, number)
-        known = scene.model.crowd[earlier].body
-        if known != line.body:
+        known = scene.model.crowd[earlier]
+        if list(known.body_weights.items()) != list(line.body_weights.items()):
             report.error(
                 "wrong-value", f"`{line.species}` has another body in a line above", place,
-                f"write `{known}` in both, or make it another species",
+                f"write `{scene.span('crowd', earlier, 'body').text.strip()}` in both, or make it another species",
                 labels=(Label(scene.span("crowd", earlier, "body"), "the first one"),),
             )  # fmt: skip
-        elif line.body not in BODY_WORDS and earlier == number:
-            try:
-                size = scene.roots.file_size(line.body)
-            except PathRefused as refused:
-                report.error(refused.code, str(refused), place, refused.help)
-                continue
-            if size > limits.MAX_BODY_FILE_BYTES:
-                report.error("too-large", f"`{line.body}` has {size:,} bytes, more than {limits.MAX_BODY_FILE_BYTES:,}", place)
+        elif earlier == number:
+            for text in line.body_weights:
+                if text not in BODY_WORDS:
+                    _check_body_file(scene, text, body_span(scene, number, text), report)
+
+
+def body_span(scene: Scene, number: int, text: str) -> Span:
+    """Return where crowd line `number` names the body `text`: its key in a mapping of bodies, else the value of `body`."""
+    if isinstance(scene.model.crowd[number].body, dict):
+        return scene.span("crowd", number, "body", text, key=True)
+    return scene.span("crowd", number, "body")
+
+
+def _check_body_file(scene: Scene, text: str, place: Span, report: Report) -> None:
+    """Report a body's file that does not exist or is too large."""
+    try:
+        size = scene.roots.file_size(text)
+    except PathRefused as refused:
+        report.error(refused.code, str(refused), place, refused.help)
+        return
+    if size > limits.MAX_BODY_FILE_BYTES:
+        report.error("too-large", f"`{text}` has {size:,} bytes, more than {limits.MAX_BODY_FILE_BYTES:,}", place)
 
 
 def check_absent_species(scene: Scene, program: Program, report: Report) -> None:

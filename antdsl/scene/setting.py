@@ -300,8 +300,9 @@ class WorldSetting:
     the directions to two `probes`.
     `deviations`: the largest distance (mm) of the triangles of height surfaces from bilinear patches.
     `contacts`: how bodies are separated.
-    `clips`: the clips of each species' body, by name.
-    `rooms`: the sizes of bodies from files.
+    `body_weights`: of species with several bodies, the weight of each.
+    `clips`: the clips of bodies, by name. Here and below, bodies have the keys of `scene.body_choice`.
+    `rooms`: the sizes of bodies from files, and of all bodies of species with several.
     `legs`: the legs of bodies with gaits.
     `unseen`: things that are not drawn, on which no foot stands.
     `imports`: by mesh, the import report of its file.
@@ -330,6 +331,7 @@ class WorldSetting:
     camera: CameraData | None = None
     detail: DetailData | None = None
     deviations: Mapping[str, float] = field(default_factory=dict)
+    body_weights: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
     clips: Mapping[str, Mapping[str, ClipData]] = field(default_factory=dict)
     rooms: Mapping[str, RoomData] = field(default_factory=dict)
     legs: Mapping[str, LegsData] = field(default_factory=dict)

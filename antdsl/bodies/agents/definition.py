@@ -288,6 +288,8 @@ class Definition:
     `gaits`: from slow to fast.
     `idle`: the clip of agents that play no other clip; "" means the rest pose.
     `variation`: differences between bodies.
+    `capsule`: the collision shape, in its own units: length and width of the trunk, height of its centre above the feet, and
+        distance of its centre ahead of the origin. None: measured from the shapes.
     """
 
     name: str
@@ -306,6 +308,7 @@ class Definition:
     gaits: tuple[Gait, ...] = ()
     idle: str = ""
     variation: Variation = NO_VARIATION
+    capsule: tuple[float, float, float, float] | None = None
 
     def base_matrix(self) -> NDArray[np.float64]:
         """Return the matrix float64[4, 4] from the definition's space to agent space: length 1, front +x, up +y."""

@@ -33,8 +33,16 @@ def convert_axes(body: Definition, front: AxisVector, up: AxisVector, unit: floa
         shapes={name: _convert_shape(each, change, back) for name, each in body.shapes.items()},
         layers={name: _convert_layer(each, np.abs(turn)) for name, each in body.layers.items()},
         gaits=tuple(replace(g, speed=g.speed * size, stride=g.stride * size, lift=g.lift * size) for g in body.gaits),
-        front=front, up=up, length=body.length * size, unit=unit,
+        front=front, up=up, length=body.length * size, unit=unit, capsule=_scaled(body.capsule, size),
     )  # fmt: skip
+
+
+def _scaled(capsule: tuple[float, float, float, float] | None, size: float) -> tuple[float, float, float, float] | None:
+    """Return a collision shape in other units."""
+    if capsule is None:
+        return None
+    length, width, height, ahead = capsule
+    return length * size, width * size, height * size, ahead * size
 
 
 def _axis_frame(front: AxisVector, up: AxisVector) -> Floats:

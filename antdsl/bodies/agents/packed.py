@@ -91,6 +91,8 @@ def pack_definition(body: Definition) -> Arrays:
     }  # fmt: skip
     if body.variation:
         document["variation"] = [dict(body.variation.scales), dict(body.variation.materials)]
+    if body.capsule is not None:
+        document["capsule"] = list(body.capsule)
     text = json.dumps(document, ensure_ascii=True, separators=(",", ":"), allow_nan=False)
     packed_arrays: Arrays = {"text": np.frombuffer(text.encode("ascii"), np.uint8)}
     return packed_arrays | {kind: np.concatenate([np.zeros(0, kind), *flat[kind]]) for kind in NUMBER_KINDS}
@@ -207,8 +209,18 @@ def _read(arrays: Mapping[str, NDArray[Any]]) -> Definition:
         {_text(name): _triple(colour) for name, colour in said["materials"].items()},
         _triple(said["front"]), _triple(said["up"]), _number(said["length"]), _number(said["unit"]),
         tuple(Leg(*map(_text, each)) for each in said["legs"]), tuple(_gait(*each) for each in said["gaits"]),
-        _text(said["idle"]), _variation(*said.get("variation", ({}, {}))),
+        _text(said["idle"]), _variation(*said.get("variation", ({}, {}))), _capsule(said.get("capsule")),
     )  # fmt: skip
+
+
+def _capsule(sizes: Any) -> tuple[float, float, float, float] | None:
+    """Return the collision shape from its four numbers; None stays None."""
+    if sizes is None:
+        return None
+    length, width, height, ahead = (float(each) for each in sizes)
+    if not all(abs(each) <= limits.MAX_NUMBER for each in (length, width, height, ahead)) or min(length, width) <= 0:
+        raise BodyError("has a capsule without size")
+    return length, width, height, ahead
 
 
 def _variation(scales: Any, materials: Any) -> Variation:

@@ -69,6 +69,9 @@ def read_document(root: Node, files: BodyFiles, name: str) -> Parts | None:
     if "gaits" in form.model_fields_set:
         gaits = sorted((Gait(**dict(gait)) for gait in form.gaits), key=lambda gait: gait.speed)
         definition = replace(definition, gaits=tuple(gaits))
+    if form.capsule is not None:
+        room = form.capsule
+        definition = replace(definition, capsule=(room.length, room.width, room.height, room.ahead))
     parts.definition = replace(definition, idle=form.idle or definition.idle)
     return parts
 

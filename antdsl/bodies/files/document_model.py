@@ -218,6 +218,14 @@ class GaitForm(Form):
     phases: Annotated[tuple[Share, ...], FailFast()] = Field(examples=["[0, 0.5]"])
 
 
+class CapsuleForm(Form):
+    noun = "a capsule"
+    length: Stride = Field(examples=["1.2"])
+    width: Stride = Field(examples=["0.4"])
+    height: Amount = Field(examples=["0.5"])
+    ahead: Number = 0.0
+
+
 class VariationForm(Form):
     noun = "variation"
     scale: dict[str, tuple[Scale, Scale]] = Field(default={}, examples=['{"head": [0.9, 1.2]}'])
@@ -264,6 +272,7 @@ class BodyForm(Form):
     gaits: Annotated[tuple[GaitForm, ...], Unique, Entries, at_most("MAX_BODY_GAITS", "gaits")] = ()
     idle: Text | None = None
     variation: VariationForm = VariationForm()
+    capsule: CapsuleForm | None = Field(None, examples=['{"length": 1.2, "width": 0.4, "height": 0.5}'])
 
 
 def keys_of(form: type[Form]) -> list[str]:

@@ -69,6 +69,8 @@ def definition_files(body: Definition, name: str) -> dict[str, bytes]:
         document["legs"] = [asdict(leg) for leg in body.legs]
     if body.gaits:
         document["gaits"] = [asdict(gait) for gait in body.gaits]
+    if body.capsule is not None:
+        document["capsule"] = dict(zip(("length", "width", "height", "ahead"), body.capsule, strict=True))
     if body.idle:
         document["idle"] = body.idle
     if body.variation:

@@ -37,6 +37,9 @@ def body(
     layer: str = typer.Option(
         "", "--layer", metavar="NAME", help="For .glb and .gltf: the layer of shapes to write. [default: the drawn one]"
     ),
+    propose: bool = typer.Option(
+        False, "--propose", help="Propose a definition file to correct: legs, gaits, axes, units, strides, idle clip and capsule."
+    ),
     quiet: bool = typer.Option(False, "--quiet", "-q", help="Print findings only."),
     root: list[str] = typer.Option([], "--root", metavar="NAME=DIR", help="Grant a folder outside the file's own."),
 ) -> None:
@@ -57,19 +60,48 @@ def body(
         definition = library_body(str(file))
     else:
         definition, report = read_definition(file, roots, prim=prim, rate=rate)
-    if as_json:
+    if propose:
+        show(report)
+        if definition is not None and report.ok:
+            _propose(definition, file, to, quiet)
+    elif as_json:
         print_result(body_document(definition, report), newline=False)
     else:
         show(report)
         if definition is not None and not quiet and to is None:
             for line in body_lines(definition):
                 print_result(line)
-    if definition is not None and report.ok and to is not None:
+    if definition is not None and report.ok and to is not None and not propose:
         _write_body(definition, file, to, layer, quiet)
     if not report.ok:
         raise CommandError(
             ExitCode.FINDINGS if as_json and report_exit_code(report) is not ExitCode.INPUT_OUTPUT else report_exit_code(report)
         )
+
+
+def _propose(body: Definition, source: Path, to: Path | None, quiet: bool) -> None:
+    """Print a proposed definition file, or write it to `to`."""
+    from antdsl.bodies.proposing.proposal import propose
+    from antdsl.cli.destinations import protect_inputs, require_writable_file
+    from antdsl.whole import write_atomically
+
+    if source.suffix.lower() == ".json" or not source.is_file():
+        raise typer.BadParameter(f"`{source.name}` is not a glTF or USD file", param_hint="FILE")
+    if to is None:
+        print_result(propose(body, source.name).text(), newline=False)
+        return
+    if to.suffix.lower() != ".json":
+        raise typer.BadParameter(f"`{to.name}` must end in .json", param_hint="--to")
+    folder = to.resolve().parent
+    if folder not in source.resolve().parents:
+        advice = f"write it beside the file: `--to {source.with_suffix('.json')}`"
+        raise typer.BadParameter(f"`{source}` is not in the folder of `{to}` or below it; {advice}", param_hint="--to")
+    require_writable_file(to, "--to")
+    with protect_inputs({"--to": to}) as inputs:
+        inputs.append(source)
+    write_atomically(to, propose(body, source.resolve().relative_to(folder).as_posix()).text().encode())
+    if not quiet:
+        print_note(f"{to}: read the reasons in it, correct what is wrong, and name it in a scene: `body: {to.name}`")
 
 
 def _write_body(body: Definition, source: Path, to: Path, layer: str, quiet: bool) -> None:

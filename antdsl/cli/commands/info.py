@@ -59,6 +59,8 @@ def describe_cache(cache: Cache) -> list[str]:
             lines.append(f"clips        {species.name}: {', '.join(clip_names)}")
         if species.definition is not None and species.definition < len(manifest.bodies):
             lines.append(f"body         {species.name}: {manifest.bodies[species.definition].name}")
+        if species.bodies:
+            lines.append(f"bodies       {species.name}: {', '.join(f'{each.body} × {each.weight:g}' for each in species.bodies)}")
     lines += [f"field        {field.name}, cells of {field.cell:g} {manifest.units}" for field in manifest.fields]
     lines += [f"items        {items.name}: {' '.join(items.names)}" for items in manifest.items]
     for mesh in manifest.meshes:

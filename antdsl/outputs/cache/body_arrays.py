@@ -13,7 +13,8 @@ from antdsl.bodies.agents.definition import BodyError, Definition
 from antdsl.bodies.agents.packed import ARRAY_NAMES, digest, pack_definition, unpack_definition
 from antdsl.bodies.files.definition_checks import Parts, check_definition
 from antdsl.diagnostics import Report
-from antdsl.outputs.cache.manifest import BodyEntry, Manifest
+from antdsl.outputs.cache.manifest import BodyEntry, Manifest, WornBodyEntry
+from antdsl.scene.body_choice import body_key
 
 Arrays = Mapping[str, NDArray[Any]]
 
@@ -23,26 +24,34 @@ class StoredBodies:
     """Definitions for a cache.
 
     `entries`: a manifest entry for each definition.
-    `worn`: the index of the definition of each species.
+    `worn`: the bodies of each species that has bodies from files, or bodies that the scene names.
     `arrays`: the arrays of all definitions."""
 
     entries: tuple[BodyEntry, ...]
-    worn: Mapping[str, int]
+    worn: Mapping[str, tuple[WornBodyEntry, ...]]
     arrays: Arrays
 
     @staticmethod
-    def of(definitions: Mapping[str, Definition], names: Mapping[str, str]) -> StoredBodies:
-        """Build from definitions by species. `names`: by species, the file that its definition was read from."""
+    def of(definitions: Mapping[str, Definition], named: Mapping[str, Mapping[str, float]]) -> StoredBodies:
+        """Build from definitions by body key. `named`: by species, the words and files that the scene names, with their
+        weights."""
         numbers: dict[int, int] = {}
         entries: list[BodyEntry] = []
-        worn: dict[str, int] = {}
         arrays: dict[str, NDArray[Any]] = {}
-        for species, body in sorted(definitions.items()):
+        texts = {body_key(of, k, len(ws)): text for of, ws in named.items() for k, text in enumerate(ws)}
+        for key, body in sorted(definitions.items()):
             number = numbers.setdefault(id(body), len(numbers))
-            worn[species] = number
             if number == len(entries):
-                entries.append(BodyEntry(name=names.get(species, body.name)[-500:], digest=digest(body)))
+                entries.append(BodyEntry(name=texts.get(key, body.name)[-500:], digest=digest(body)))
                 arrays |= {f"body.{number}.{part}": array for part, array in pack_definition(body).items()}
+        index = {key: numbers[id(body)] for key, body in definitions.items()}
+        worn = {
+            of: tuple(
+                WornBodyEntry(body=text[-500:], definition=index.get(body_key(of, k, len(weights))), weight=weight)
+                for k, (text, weight) in enumerate(weights.items())
+            )
+            for of, weights in named.items()
+        }
         return StoredBodies(tuple(entries), worn, arrays)
 
 

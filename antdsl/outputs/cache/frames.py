@@ -30,6 +30,7 @@ from antdsl.outputs.cache.manifest import (
     MeshEntry,
     SpeciesEntry,
     StateEntry,
+    WornBodyEntry,
 )
 from antdsl.outputs.cache.places import scene_origin, scene_places
 from antdsl.outputs.cache.pose_arrays import clips_playing, display_arrays, layers_worn, placed_feet, playing
@@ -41,6 +42,7 @@ from antdsl.runtime.checkpoints import STATE_HASH
 from antdsl.runtime.lifecycle import event_names
 from antdsl.runtime.moving.moving_geometry import ground_velocity, vertices_at
 from antdsl.runtime.world import Population, World
+from antdsl.scene.body_choice import body_keys
 from antdsl.scene.setting import WorldSetting
 
 Arrays = dict[str, NDArray[Any]]
@@ -83,7 +85,8 @@ class FrameMaker:
             arrays |= clips_playing(population, world.options.threads)
             arrays |= display_arrays(population, world.setting)
             arrays |= self._pair_arrays(population, population.in_id_order())
-            arrays |= placed_feet(world, name, self.scale)
+            for key in body_keys(name, len(world.setting.body_weights.get(name, ()))):
+                arrays |= placed_feet(world, key, self.scale)
         for name, field in world.fields.items():
             arrays[f"field.{name}.cells"], arrays[f"field.{name}.values"] = _nonzero_cells(np.asarray(field.values))
             if "places" in field.added:
@@ -176,9 +179,8 @@ def make_manifest(
     preroll: int,
     checkpoint: int,
     attributes: tuple[str, ...],
-    bodies: Mapping[str, str],
     definitions: tuple[BodyEntry, ...],
-    worn: Mapping[str, int],
+    worn: Mapping[str, tuple[WornBodyEntry, ...]],
     feelers: Mapping[str, tuple[FeelersEntry, ...]],
     camera: CameraEntry | Literal["fit"] | None,
     looks: Mapping[str, Look | Mapping[str, Look]],
@@ -206,7 +208,7 @@ def make_manifest(
         checkpoint=checkpoint,
         attributes=attributes,
         species=tuple(
-            _species_entry(world.populations[name], setting, bodies.get(name), worn.get(name), feelers.get(name, ()))
+            _species_entry(world.populations[name], setting, worn.get(name, ()), feelers.get(name, ()))
             for name in sorted(world.populations)
         ),
         bodies=definitions,
@@ -259,7 +261,7 @@ def _looks(looks: Look | Mapping[str, Look] | None, names: list[str]) -> tuple[L
 
 
 def _species_entry(
-    population: Population, setting: WorldSetting, body: str | None, definition: int | None, feelers: tuple[FeelersEntry, ...]
+    population: Population, setting: WorldSetting, bodies: tuple[WornBodyEntry, ...], feelers: tuple[FeelersEntry, ...]
 ) -> SpeciesEntry:
     machines = tuple(
         MachineEntry(
@@ -273,8 +275,9 @@ def _species_entry(
     )
     return SpeciesEntry(
         name=population.name,
-        body=body,
-        definition=definition,
+        body=bodies[0].body if len(bodies) == 1 else None,
+        definition=bodies[0].definition if len(bodies) == 1 else None,
+        bodies=bodies if len(bodies) > 1 else (),
         clips=tuple(ClipEntry(**asdict(clip)) for clip in population.plan.clips),
         playing=tuple(playing(population)),
         wears=layers_worn(population, setting),

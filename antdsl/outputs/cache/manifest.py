@@ -79,11 +79,24 @@ class ClipEntry(Part):
     down: Word = ""
 
 
+class WornBodyEntry(Part):
+    """One body of a species.
+
+    `body`: its word or file in the scene; None chooses one by the species' name.
+    `definition`: the index of its agent definition in the manifest's `bodies`; None for a body of the library.
+    `weight`: its share among the bodies of the species."""
+
+    body: Word | None = None
+    definition: Annotated[int, Field(ge=0, lt=limits.MAX_BODY_PARTS)] | None = None
+    weight: Annotated[float, Field(ge=limits.MIN_BODY_WEIGHT, le=limits.MAX_BODY_WEIGHT)] = 1.0
+
+
 class SpeciesEntry(Part):
     """A species.
 
     `body`: the body in pictures; None chooses one by the species' name.
     `definition`: the index of its agent definition in the manifest's `bodies`.
+    `bodies`: the bodies of a species with several; `antdsl.scene.body_choice` says which agent has which. Empty for one body.
     `clips`: the clips of its states; frames contain indices into this list.
     `playing`: the machines that play clips.
     `wears`: body layers that agents may show in addition to the body's own; frames have masks with one bit per layer.
@@ -93,6 +106,7 @@ class SpeciesEntry(Part):
     name: Word
     body: Word | None = None
     definition: Annotated[int, Field(ge=0, lt=limits.MAX_BODY_PARTS)] | None = None
+    bodies: Annotated[tuple[WornBodyEntry, ...], Field(max_length=limits.MAX_SPECIES_BODIES)] = ()
     clips: tuple[ClipEntry, ...] = ()
     playing: tuple[Word, ...] = ()
     wears: Annotated[tuple[Word, ...], Field(max_length=limits.MAX_WORN_LAYERS)] = ()

@@ -14,7 +14,8 @@ Fields about `earlier` are only in frames in which at least one agent has an ear
 the right of both.
 `leans.SPECIES` float32[n, 2]: turning (left is above 0) and climbing, from -1 to 1. Present if clips depend on them.
 
-`feet.SPECIES.FIELD`: the feet, with L legs in the order of the body.
+`feet.SPECIES.FIELD`: the feet, with L legs in the order of the body. Agents of a species with several bodies are in the arrays
+`feet.SPECIES#0.FIELD`, `feet.SPECIES#1.FIELD` and so on of their bodies.
 `P` float32[n, L, 3]: position of each foot in scene units, on the ground or in swing.
 `down` uint8[n, L]: 1 for feet on the ground.
 `phase` float32[n]: the phase of the gait.
@@ -94,9 +95,9 @@ def machines_of(species: SpeciesEntry, arrays: Arrays, count: int) -> tuple[Mach
     return None if any(each is None for each in clips) else tuple(each for each in clips if each is not None)
 
 
-def placed_feet(world: World, species: str, scale: float) -> dict[str, NDArray[Any]]:
-    """Return the `feet` arrays of a species; empty if its feet are not computed. `scale`: scene units per millimetre."""
-    feet = world.feet.get(species)
+def placed_feet(world: World, key: str, scale: float) -> dict[str, NDArray[Any]]:
+    """Return the `feet` arrays of a body; empty if its feet are not computed. `scale`: scene units per millimetre."""
+    feet = world.feet.get(key)
     if feet is None:
         return {}
     n, legs = len(feet), feet.legs
@@ -105,12 +106,12 @@ def placed_feet(world: World, species: str, scale: float) -> dict[str, NDArray[A
     outputs = values["P"].reshape(n, 3 * legs), values["down"], values["rise"], values["tilt"]
     parallel.in_parts(partial(frame_loops.agent_feet, *of, ranks, scale, *outputs), n, world.options.threads)
     values["phase"][ranks] = feet.phase
-    return {f"feet.{species}.{name}": array for name, array in values.items()}
+    return {f"feet.{key}.{name}": array for name, array in values.items()}
 
 
-def feet_of(species: str, arrays: Arrays, count: int, legs: int) -> PlacedFeet | None:
-    """Return the feet of the `count` agents of a species, with `legs` legs each. Return None if the frame lacks them."""
-    parts = [_stored(arrays, f"feet.{species}.{each.field}", each.type, count, *each.dimensions(legs=legs)) for each in STANCE]
+def feet_of(key: str, arrays: Arrays, count: int, legs: int) -> PlacedFeet | None:
+    """Return the feet of the `count` agents that have a body, with `legs` legs each. Return None if the frame lacks them."""
+    parts = [_stored(arrays, f"feet.{key}.{each.field}", each.type, count, *each.dimensions(legs=legs)) for each in STANCE]
     return PlacedFeet(*parts) if legs and not any(part is None for part in parts) else None  # type: ignore[arg-type]
 
 

@@ -128,16 +128,27 @@ def _compare_frames(gallery: Gallery, previous: Arrays, arrays: Arrays) -> Itera
     if "state" in arrays and "state" in previous:
         changed = np.sort(right[previous["state"][left] != arrays["state"][right]])
         yield _events("state", arrays, changed, np.asarray(arrays["state"], np.int64)[changed])
-    for number, entry in enumerate(gallery.manifest.species):
-        down = [each.get(f"feet.{entry.name}.down") for each in (previous, arrays)]
-        positions = arrays.get(f"feet.{entry.name}.P")
-        if down[0] is None or down[1] is None or positions is None:
-            continue
-        rows = [species_rows(each, number) for each in (previous, arrays)]
-        _, left, right = np.intersect1d(was[rows[0]], now[rows[1]], assume_unique=True, return_indices=True)
-        agent, leg = np.nonzero((down[0][left] == 0) & (down[1][right] != 0))
-        row = right[agent]
-        yield _events("footfall", arrays, rows[1][row], leg, np.asarray(positions, np.float64)[row, leg])
+    for number in range(len(gallery.manifest.species)):
+        for which, key in enumerate(gallery.bodies.keys(number)):
+            yield from _footfalls(gallery, (number, which, key), previous, arrays)
+
+
+def _footfalls(gallery: Gallery, body: tuple[int, int, str], previous: Arrays, arrays: Arrays) -> Iterator[EventRows]:
+    """Yield the feet that land between two frames, of agents with a body: its species, its index there, and its key."""
+    number, which, key = body
+    down = [each.get(f"feet.{key}.down") for each in (previous, arrays)]
+    positions = arrays.get(f"feet.{key}.P")
+    if down[0] is None or down[1] is None or positions is None:
+        return
+    rows = []
+    for each in (previous, arrays):
+        own = species_rows(each, number)
+        rows.append(own[gallery.bodies.numbers(number, agent_ids(each)[own]) == which])
+    was, now = (agent_keys(each)[own] for each, own in zip((previous, arrays), rows, strict=True))
+    _, left, right = np.intersect1d(was, now, assume_unique=True, return_indices=True)
+    agent, leg = np.nonzero((down[0][left] == 0) & (down[1][right] != 0))
+    row = right[agent]
+    yield _events("footfall", arrays, rows[1][row], leg, np.asarray(positions, np.float64)[row, leg])
 
 
 def _events(
@@ -184,6 +195,8 @@ def _event_words(gallery: Gallery, events: EventRows) -> list[str]:
     if events.kind == "emit":
         return [manifest.events[k] for k in events.what.tolist()]
     if events.kind == "footfall":
-        legs = {s: [leg.name for leg in gallery.body(s).definition.legs] for s in set(species)}
-        return [legs[s][k] for s, k in zip(species, events.what.tolist(), strict=True)]
+        bodies = [int(gallery.bodies.numbers(s, events.id[k : k + 1])[0]) for k, s in enumerate(species)]
+        worn = list(zip(species, bodies, strict=True))
+        legs = {(s, which): [leg.name for leg in gallery.body(s, 0, which).definition.legs] for s, which in set(worn)}
+        return [legs[each][k] for each, k in zip(worn, events.what.tolist(), strict=True)]
     return [""] * len(species)

@@ -108,7 +108,8 @@ def _clip_numbers(gallery: Gallery, arrays: Arrays) -> dict[str, tuple[NDArray[A
     """Return the attributes `clipN_time` (seconds) and `clipN_weight` of the clips that each agent plays."""
     attributes: dict[str, tuple[NDArray[Any], str]] = {}
     for number, entry, rows, slot, (clip, turns, weight) in _played_clips(gallery, arrays):
-        for name, values in (("time", turns * _seconds(gallery, number, entry)[clip]), ("weight", weight)):
+        body = gallery.bodies.numbers(number, agent_ids(arrays)[rows])
+        for name, values in (("time", turns * _seconds(gallery, number, entry)[body, clip]), ("weight", weight)):
             column, _ = attributes.setdefault(f"clip{slot}_{name}", (np.zeros(len(arrays["P"])), ""))
             column[rows] = values
     return attributes
@@ -159,11 +160,12 @@ def _slots(machines: Iterable[MachineClips], count: int) -> list[Slot]:
 
 
 def _seconds(gallery: Gallery, number: int, entry: SpeciesEntry) -> Floats:
-    """Return the duration in seconds of each clip of a species; 1 for clips that its body lacks. A last entry 0 stands for no
-    clip."""
-    body = gallery.body(number)
-    clips = {} if body is None else body.definition.clips
-    return np.array([*(clips[each.name].duration if each.name in clips else 1.0 for each in entry.clips), 0.0])
+    """Return the duration in seconds of each clip of a species, one row for each of its bodies; 1 for clips that the body lacks.
+    A last column 0 stands for no clip."""
+    bodies = [gallery.body(number, 0, which).definition.clips for which in range(len(gallery.bodies.keys(number)))]
+    return np.array(
+        [[*(clips[each.name].duration if each.name in clips else 1.0 for each in entry.clips), 0.0] for clips in bodies]
+    )
 
 
 def _angular_velocity(gallery: Gallery, frame: int, arrays: Arrays, turn: Floats) -> Floats:

@@ -1,6 +1,6 @@
 """Joints and channels of agents as NPZ: local and world transforms of each agent in each frame, and its channel values.
 
-For each species K:
+For each species K. A species with several bodies has the arrays for each of them, `SPECIES#0`, `SPECIES#1` and so on:
 
     K.id int64[r]                        the agent of each row
     K.rows int64[F + 1]                  frame k has the rows `rows[k]:rows[k + 1]`
@@ -57,11 +57,11 @@ def export_poses(gallery: Gallery, frames: Iterable[int], path: Path) -> list[st
 
     Raises ExportUnavailable if the data exceeds the memory limit, CacheError for a damaged frame, OSError if writing fails."""
     frames = list(frames)
-    rows_by_species: dict[str, _PoseRows] = {}
+    rows_by_body: dict[str, _PoseRows] = {}
     size = 0
     for number, frame in enumerate(frames):
-        for (species, _), crowd, worn in worn_crowds(gallery.picture(frame)):
-            rows = rows_by_species.setdefault(species, _PoseRows(worn.definition))
+        for (_, key, _), crowd, worn in worn_crowds(gallery.picture(frame)):
+            rows = rows_by_body.setdefault(key, _PoseRows(worn.definition))
             rows.counts += [0] * (number + 1 - len(rows.counts))
             rows.counts[number] += len(crowd.position)
             size += len(crowd.position) * (len(worn.definition.rig.names) * 128 + 200)
@@ -75,7 +75,7 @@ def export_poses(gallery: Gallery, frames: Iterable[int], path: Path) -> list[st
                 rows.arrays.setdefault(name, []).append(array)
     arrays = {"frames": np.array(frames, np.int64)}
     description = {}
-    for name, rows in rows_by_species.items():
+    for name, rows in rows_by_body.items():
         counts = rows.counts + [0] * (len(frames) - len(rows.counts))
         arrays[f"{name}.rows"] = np.concatenate([[0], np.cumsum(counts)]).astype(np.int64)
         arrays |= {f"{name}.{key}": np.concatenate(parts) for key, parts in rows.arrays.items()}
@@ -87,15 +87,20 @@ def export_poses(gallery: Gallery, frames: Iterable[int], path: Path) -> list[st
         }
     arrays["about"] = np.frombuffer(json.dumps(description).encode("ascii"), np.uint8)
     write_atomically(path, to_bytes(arrays))
-    return [] if rows_by_species else [NO_AGENTS_MESSAGE]
+    return [] if rows_by_body else [NO_AGENTS_MESSAGE]
 
 
-BodyKey = tuple[str, tuple[str, ...]]  # a species, and the layers that agents of it wear beside their body's own
+# A species, the key of one of its bodies, and the layers that agents wear in addition to the body's own.
+BodyKey = tuple[str, str, tuple[str, ...]]
 
 
 def worn_crowds(picture: Picture) -> list[tuple[BodyKey, Crowd, PosedBody]]:
-    """Return the crowds of a picture that have agents, each with its key (species and layers) and its body."""
-    return [((crowd.species, crowd.worn.layers), crowd, crowd.worn) for crowd in picture.crowds if len(crowd.position)]
+    """Return the crowds of a picture that have agents, each with its key (species, body and layers) and its body."""
+    return [
+        ((crowd.species, crowd.body_key or crowd.species, crowd.worn.layers), crowd, crowd.worn)
+        for crowd in picture.crowds
+        if len(crowd.position)
+    ]
 
 
 def placement_matrices(crowd: Crowd, body: Definition) -> NDArray[np.float64]:

@@ -54,13 +54,13 @@ def _default_body() -> PosedBody:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Crowd:
-    """Agents of one species. A species with agents in different layers is several crowds.
+    """Agents of one species. A species with several bodies, or with agents in different layers, is several crowds.
 
     `position` (n, 3): in world units.
     `orient` (n, 4): quaternions x, y, z, w that rotate +x to the heading and +y to up.
     `scale` (n,): body lengths in world units.
     `colour` (n, 3): display values 0..1.
-    `worn`: the body (by default an ant).
+    `worn`: the body (by default an ant). `body_key`: its key among the bodies of all species; empty means the species' name.
     `plays`: the clips that each machine plays.
     `driven`: channels and looks that states set.
     `feet`: positions of the feet; None if unknown.
@@ -81,6 +81,7 @@ class Crowd:
     feet: PlacedFeet | None = None
     driven: DrivenPose = NO_DRIVEN_POSE
     next_crowd: "Crowd | None" = None
+    body_key: str = ""
 
     def poses(self, local: bool = False) -> Poses:
         """Return transforms and channels of all agents in the space of their body."""

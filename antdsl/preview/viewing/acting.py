@@ -24,8 +24,9 @@ from antdsl.outputs.cache.pose_arrays import clips_playing, display_arrays, laye
 from antdsl.pipeline import Shot
 from antdsl.preview.session import Session
 from antdsl.preview.timeline import SpeciesPoses
-from antdsl.preview.viewing.bodies import BodyOutfit, BodyTraits, outfit, posed_body, traits
+from antdsl.preview.viewing.bodies import BodyOutfit, BodyTraits, outfits, posed_body, traits
 from antdsl.runtime import Population, World
+from antdsl.runtime.body_rows import numbers_by_row
 from antdsl.runtime.feet.state import Feet
 from antdsl.runtime.feet.trunk import slope_quaternions
 
@@ -51,13 +52,13 @@ def stored_poses(session: Session, frame: int) -> dict[str, Arrays]:
     arrays_by_species = {}
     for name, then in session.timeline.poses.get(frame, {}).items():
         population = session.world.populations.get(name)
-        if population is not None and outfit(session.world, session.shot, population) == then.worn:
+        if population is not None and outfits(session.world, session.shot, population) == then.worn:
             arrays_by_species[name] = then.arrays
     return arrays_by_species
 
 
 def _species_poses(session: Session, population: Population, light: Arrays) -> SpeciesPoses:
-    worn = outfit(session.world, session.shot, population)
+    worn = outfits(session.world, session.shot, population)
     return SpeciesPoses(worn, action_arrays(session.world, session.shot, population, light))
 
 
@@ -72,27 +73,47 @@ def action_arrays(world: World, shot: Shot, population: Population, light: Array
     - `SPECIES/feet` and `SPECIES/stance`: if feet are computed.
 
     Arrays of features that a body lacks are left out. `light`: the light frame of these agents, by id.
+
+    For a species with several bodies, each body has these arrays under its key, for its agents only. `SPECIES/body` uint8[n] is
+    the index of each agent's body.
     """
-    name, worn = population.name, outfit(world, shot, population)
     stored = clips_playing(population) | display_arrays(population, world.setting)
-    clips_by_machine = {each: machine_clips(name, each, stored, len(population)) for each in playing(population)}
+    every, arrays = outfits(world, shot, population), Arrays()
+    numbers = numbers_by_row(population, world.setting)[population.in_id_order()]
+    for number, (key, worn) in enumerate(every.items()):
+        if len(every) == 1:
+            arrays |= _body_arrays(world, population, key, worn, (stored, light))
+        else:
+            rows = np.flatnonzero(numbers == number)
+            some = [{name: array[rows] for name, array in each.items()} for each in (stored, light)]
+            arrays |= _body_arrays(world, population, key, worn, (some[0], some[1]))
+            arrays[f"{population.name}/body"] = numbers
+    return arrays
+
+
+def _body_arrays(world: World, population: Population, key: str, worn: BodyOutfit, of: tuple[Arrays, Arrays]) -> Arrays:
+    """Return the actions of the agents with a body. `of`: their arrays of a frame and their light frame, by id."""
+    stored, light = of
+    count = len(light["id"])
+    clips_by_machine = {each: machine_clips(population.name, each, stored, count) for each in playing(population)}
     machines = {each: clip for each, clip in clips_by_machine.items() if clip is not None}
     clips = [worn.definition.clips.get(clip) for clip, *_ in worn.plays]
     loops = np.array([*(clip is not None and clip.loop for clip in clips), False])
     arrays: Arrays = {f"plays/{each}": pack_clips(clip, loops) for each, clip in machines.items()}
     arrays |= _display_arrays(world, population, stored, worn)
     played = (*posed_body(worn).idle_clips(light["id"], world.frame * world.dt), *machines.values())
-    arrays |= _trait_arrays(world, population, stored, worn, played)
-    if name in world.feet and len(light["id"]):
-        arrays |= _stance_arrays(world, name, worn, light, tuple(machines.values()))
-    return {f"{name}/{what}": array for what, array in arrays.items()}
+    arrays |= _trait_arrays(world, population, of, worn, played)
+    if key in world.feet and count:
+        arrays |= _stance_arrays(world, key, worn, light, tuple(machines.values()))
+    return {f"{key}/{what}": array for what, array in arrays.items()}
 
 
 def _display_arrays(world: World, population: Population, stored: Arrays, worn: BodyOutfit) -> Arrays:
     arrays: Arrays = {}
     if worn.layers:
         known = layers_worn(population, world.setting)
-        mask, layer_bits = stored[f"wears.{population.name}"], np.zeros(len(population), np.uint32)
+        mask = stored[f"wears.{population.name}"]
+        layer_bits = np.zeros(len(mask), np.uint32)
         for k, layer in enumerate(worn.layers):
             layer_bits |= ((mask >> np.uint64(known.index(layer))) & np.uint64(1)).astype(np.uint32) << np.uint32(k)
         arrays["wears"] = layer_bits
@@ -105,12 +126,13 @@ def _display_arrays(world: World, population: Population, stored: Arrays, worn: 
 
 
 def _trait_arrays(
-    world: World, population: Population, stored: Arrays, worn: BodyOutfit, machines: tuple[MachineClips, ...]
+    world: World, population: Population, of: tuple[Arrays, Arrays], worn: BodyOutfit, machines: tuple[MachineClips, ...]
 ) -> Arrays:
-    differ, varied, count = traits(worn), worn.definition.variation, len(population)
+    stored, ids = of[0], of[1]["id"].astype(np.int64)
+    differ, varied, count = traits(worn), worn.definition.variation, len(ids)
     if not differ.count or not count:
         return {}
-    draws = VariationDraws(population.sorted_ids()[0], world.setting.seed, population.name)
+    draws = VariationDraws(ids, world.setting.seed, population.name)
     trait_values = np.zeros((count, -(-differ.count // 3) * 3), np.float32)
     parts = [size_of(varied, name, draws) for name in differ.scales]
     parts += [colour_position(varied, name, draws) for name in differ.materials]

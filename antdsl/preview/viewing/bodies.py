@@ -26,26 +26,30 @@ from antdsl.pipeline import Shot
 from antdsl.preview.binary_packets import pack
 from antdsl.preview.viewing.seen import SlotPackets, ViewState
 from antdsl.runtime import Population, World
+from antdsl.scene.body_choice import body_keys, number_of_key, species_of_key
+from antdsl.scene.crowd_model import named_weights
 from antdsl.scene.library_bodies import BODY_WORDS, body_for_species
 
 Arrays = dict[str, NDArray[Any]]
 MAX_PAGE_LAYERS = 24  # that pages tell apart: whole numbers of so many bits are exact in float32
+_CACHED_BODIES = 16  # outfits with built bodies
 MAX_BLEND_TARGETS = 48  # of blend shapes, that pages know
 
 
 class RigPackets:
-    """The slots `rig:SPECIES`. Sent again if the body of a species, or the clips that it plays, change."""
+    """The slots `rig:KEY`, one for each body of a species. Sent again if a body, or the clips that it plays, change."""
 
     def __init__(self) -> None:
         self._given: dict[str, tuple[BodyOutfit, tuple[str, ...]]] = {}
 
     def packets(self, view_state: ViewState) -> SlotPackets:
-        """Yield the packets of species with a new body or new clips."""
-        for name, population in view_state.world.populations.items():
-            rig_key = outfit(view_state.world, view_state.shot, population), tuple(playing(population))
-            if self._given.get(name) != rig_key:
-                self._given[name] = rig_key
-                yield f"rig:{name}", rig_packet(name, *rig_key)
+        """Yield the packets of bodies that are new or have new clips."""
+        for population in view_state.world.populations.values():
+            for key, worn in outfits(view_state.world, view_state.shot, population).items():
+                rig_key = worn, tuple(playing(population))
+                if self._given.get(key) != rig_key:
+                    self._given[key] = rig_key
+                    yield f"rig:{key}", rig_packet(key, *rig_key)
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,24 +69,30 @@ class BodyOutfit:
     leans: bool = False
 
 
-def outfit(world: World, shot: Shot, population: Population) -> BodyOutfit:
-    """Return the outfit of a species. Layers beyond the limit of pages are dropped."""
-    plan, definition = population.plan, body_of_species(shot, population.name)
+def outfits(world: World, shot: Shot, population: Population) -> dict[str, BodyOutfit]:
+    """Return the outfits of a species, by the keys of its bodies. Layers beyond the limit of pages are dropped."""
+    keys = body_keys(population.name, len(world.setting.body_weights.get(population.name, ())))
+    return {key: _outfit(world, population, body_of_key(shot, key)) for key in keys}
+
+
+def _outfit(world: World, population: Population, definition: Definition) -> BodyOutfit:
+    """Return the outfit of agents of a species that have a body."""
+    plan = population.plan
     layers = tuple(name for name in layers_worn(population, world.setting) if name in definition.layers)[:MAX_PAGE_LAYERS]
     looks = tuple(name for name in plan.looks if name in definition.groups)
     plays = tuple(PlayedClip(each.name, each.on, each.add, each.left, each.right, each.up, each.down) for each in plan.clips)
     return BodyOutfit(definition, plays, layers, looks, "lean:turn" in plan.registers)
 
 
-def rig_packet(species: str, worn: BodyOutfit, machines: tuple[str, ...] = ()) -> bytes:
-    """Return the packet of a species: its clips, and its meshes for crowds and for near agents.
+def rig_packet(key: str, worn: BodyOutfit, machines: tuple[str, ...] = ()) -> bytes:
+    """Return the packet of a body: its clips, and its meshes for crowds and for near agents.
 
     `idle` in its header: the number and duration (s) of the base clip below all others; absent without such a clip."""
     arrays, header = _rig(worn)
-    return pack(f"rig:{species}", arrays, machines=list(machines), **header)
+    return pack(f"rig:{key}", arrays, machines=list(machines), **header)
 
 
-@lru_cache(maxsize=8)
+@lru_cache(maxsize=_CACHED_BODIES)
 def posed_body(worn: BodyOutfit) -> PosedBody:
     """Return the body of an outfit. It is built once."""
     return PosedBody(worn.definition, worn.plays, worn.layers)
@@ -107,7 +117,7 @@ class BodyTraits:
         return len(self.targets) + len(self.scales) + len(self.materials)
 
 
-@lru_cache(maxsize=8)
+@lru_cache(maxsize=_CACHED_BODIES)
 def traits(worn: BodyOutfit) -> BodyTraits:
     """Return the traits of an outfit. Targets beyond the limit of pages are dropped."""
     targets = dict.fromkeys(each for level in _levels(worn).values() for each in _targets(level))
@@ -124,7 +134,7 @@ def _targets(level: PosedBody) -> dict[BlendTarget, NDArray[np.float32]]:
     return blend_targets(level.shaded, level.bindings, level.taken)
 
 
-@lru_cache(maxsize=8)
+@lru_cache(maxsize=_CACHED_BODIES)
 def _rig(worn: BodyOutfit) -> tuple[Arrays, dict[str, Any]]:
     definition, plays = worn.definition, worn.plays
     body, table = posed_body(worn), clip_table(definition)
@@ -286,12 +296,13 @@ def _mesh(body: PosedBody, table: ClipTable) -> Arrays:
     }
 
 
-def body_of_species(shot: Shot, species: str) -> Definition:
-    """Return the body of a species: from its own file, else the library body that the scene requests or that matches the name."""
-    own = shot.bodies.get(species)
+def body_of_key(shot: Shot, key: str) -> Definition:
+    """Return a body: from its own file, else the library body that the scene requests or that matches the species' name."""
+    own, species, number = shot.bodies.get(key), species_of_key(key), number_of_key(key)
     if own is not None:
         return own
-    requested_body = next((line.body for line in shot.scene.model.crowd if line.species == species), None)
+    named = list(named_weights(shot.scene.model.crowd).get(species, {}))
+    requested_body = named[number] if number < len(named) else None
     return library_body(requested_body if requested_body in BODY_WORDS else body_for_species(species))
 
 

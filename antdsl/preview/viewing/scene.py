@@ -14,6 +14,7 @@ from antdsl.preview.viewing.names import FileNames, open_text
 from antdsl.preview.viewing.units import base_units, colour_attributes, constant_in_base_units, unit_for
 from antdsl.program.model import ItemAttribute, Param
 from antdsl.runtime import Population
+from antdsl.scene.body_choice import body_keys
 from antdsl.scene.model import Camera
 from antdsl.scene.quantities import parse_quantity
 from antdsl.scene.thing_models import millimetres
@@ -86,6 +87,7 @@ def _species(session: Session, names: FileNames, population: Population) -> dict
     feelers = feelers_of(shot.program, name, world.params, world.setting.unit_mm, world.dt)
     return {
         "name": name,
+        "bodies": list(body_keys(name, len(world.setting.body_weights.get(name, ())))),
         "attributes": [{"name": each.name, "unit": unit_for(each)} for each in declared],
         "machines": [
             {"name": machine.name, "states": list(machine.states), "colours": [list(colour) for colour in machine.colours]}

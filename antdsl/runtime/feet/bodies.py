@@ -15,7 +15,7 @@ from antdsl.machine_code.kernels import F32, F64, I64, Array1, Array2, fetch_ahe
 from antdsl.numerics import parallel
 from antdsl.numerics import vectors as vec
 from antdsl.numerics.kernel_vectors import Vec3, Vec3F32, VectorColumns, cross, dot, flat, minus, unit_or_perpendicular
-from antdsl.runtime.world import Population
+from antdsl.runtime.feet.wearers import Wearers
 
 PLACE = 0  # first of the three rows of the position
 _ROWS = 13
@@ -23,7 +23,7 @@ _LEAST = 1e-12
 _F = np.float32
 
 
-def place_bodies(population: Population, buffer_name: str, threads: int) -> NDArray[np.float64]:
+def place_bodies(population: Wearers, buffer_name: str, threads: int) -> NDArray[np.float64]:
     """Return the table of a population. `buffer_name`: the buffer for the table, which the next call with the same name
     overwrites."""
     n, now = len(population), population.now

@@ -22,8 +22,9 @@ from antdsl.numerics import vectors as vec
 from antdsl.runtime.feet import footholds
 from antdsl.runtime.feet.footholds import FACE_BITS
 from antdsl.runtime.feet.state import NOTHING, PLANE
+from antdsl.runtime.feet.wearers import Wearers
 from antdsl.runtime.moving.moving_geometry import vertices_at
-from antdsl.runtime.world import Population, World
+from antdsl.runtime.world import World
 
 Vectors = NDArray[np.float64]  # (3, k)
 Rows = NDArray[np.int64]
@@ -89,7 +90,7 @@ class FootGround:
         )
         self._walked: set[int] = set()  # numbers of meshes that agents stand on
 
-    def starts(self, population: Population) -> Rows:
+    def starts(self, population: Wearers) -> Rows:
         """Return the faces below agents, from which rays near their bodies walk; encoded as `footholds.FACE_BITS` describes."""
         columns = population.footing.columns
         if "face" not in columns or not self._numbers.size:

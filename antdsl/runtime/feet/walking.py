@@ -1,4 +1,4 @@
-"""One step of all feet: runs the kernels of `stepping` for each species, with the ground that `seeking` finds."""
+"""One step of all feet: runs the kernels of `stepping` for each body, with the ground that `seeking` finds."""
 
 from __future__ import annotations
 
@@ -14,7 +14,9 @@ from antdsl.runtime.feet.bodies import PLACE, place_bodies
 from antdsl.runtime.feet.gaits import REST_X, REST_Z, Gaits
 from antdsl.runtime.feet.seeking import FootGround, FootholdRequests, seek
 from antdsl.runtime.feet.state import NOTHING, STANDS, Feet, by_leg
-from antdsl.runtime.world import Population, World
+from antdsl.runtime.feet.wearers import Wearers, wearers_of
+from antdsl.runtime.world import World
+from antdsl.scene.body_choice import species_of_key
 from antdsl.scene.setting import LegsData
 
 _F = np.float32
@@ -23,8 +25,8 @@ _GOLDEN = 0.6180339887498949  # phase difference at birth of agents with success
 _AGENTS = 256  # least number of agents for which a thread is faster
 
 
-class LegsOfSpecies:
-    """The legs of one species and their gaits."""
+class LegsOfBody:
+    """The legs of one body and their gaits."""
 
     def __init__(self, legs: LegsData) -> None:
         self.legs, self.gaits = legs, Gaits(legs)
@@ -36,8 +38,8 @@ def begin_feet(world: World) -> None:
     if not world.options.feet:
         return
     for name, legs in world.setting.legs.items():
-        if name in world.populations:
-            world.feet[name], world.walkers[name] = Feet.none(len(legs.foot)), LegsOfSpecies(legs)
+        if species_of_key(name) in world.populations:
+            world.feet[name], world.walkers[name] = Feet.none(len(legs.foot)), LegsOfBody(legs)
     if world.feet:
         world.floor = FootGround(world)
         walk(world)
@@ -46,7 +48,7 @@ def begin_feet(world: World) -> None:
 def measure(world: World) -> None:
     """Record how far the rest position of each foot moved over the ground in this step, before the ground itself moves on."""
     for name, feet in world.feet.items():
-        population, walkers = world.populations[name], world.walkers[name]
+        population, walkers = wearers_of(world, name), world.walkers[name]
         feet, new = feet.match_ids(population.ids)
         world.feet[name] = feet
         n = len(feet)
@@ -63,7 +65,7 @@ def measure(world: World) -> None:
 def walk(world: World) -> None:
     """Move all feet to their positions in the new frame."""
     for name in world.feet:
-        _Step(world, world.populations[name], world.walkers[name]).run()
+        _Step(world, name, wearers_of(world, name), world.walkers[name]).run()
 
 
 def _transpose_legs(array: NDArray[Any]) -> NDArray[Any]:
@@ -72,14 +74,14 @@ def _transpose_legs(array: NDArray[Any]) -> NDArray[Any]:
 
 
 class _Step:
-    """One step of the feet of a species with n agents and L legs."""
+    """One step of the feet of n agents that have one body, with L legs."""
 
-    def __init__(self, world: World, population: Population, walkers: LegsOfSpecies) -> None:
+    def __init__(self, world: World, name: str, population: Wearers, walkers: LegsOfBody) -> None:
         assert world.floor is not None
         self.world, self.floor, self.walkers, self.gaits = world, world.floor, walkers, walkers.gaits
         self.population = population
-        self.feet, self.new = world.feet[population.name].match_ids(population.ids)
-        world.feet[population.name] = self.feet
+        self.feet, self.new = world.feet[name].match_ids(population.ids)
+        world.feet[name] = self.feet
         self.threads, self.dt = world.options.threads, _F(world.dt)
         self.bodies = place_bodies(population, "bodies", self.threads)
         feet, (n, legs) = self.feet, self.feet.swing.shape

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from antdsl.numerics import elementary, parallel, randomness
 from antdsl.numerics import vectors as vec
+from antdsl.runtime.body_rows import rows_by_body
 from antdsl.runtime.moving.capsule_distances import (
     CapsuleArrays,
     CapsuleShape,
@@ -29,6 +30,7 @@ from antdsl.runtime.moving.capsule_distances import (
     place_trunks,
 )
 from antdsl.runtime.world import AXES, Population, World
+from antdsl.scene.body_choice import species_of_key
 from antdsl.scene.library_bodies import CAPSULE_BY_BODY, Capsule, body_for_species
 from antdsl.senses.touching import Bounds, find_touching
 
@@ -40,10 +42,10 @@ _PAIR_ID_MULTIPLIER = 0x9E3779B1  # an odd number, that numbers pairs of ids
 _SPECIES_KEY_STEP = 1 << 40  # more than there are ids of a species
 
 
-def capsule_of(world: World, species: str) -> Capsule:
-    """Return the capsule of a species' body. It comes from the body's own file, else from the body that the first crowd line
-    names, else from the body with the species' name."""
-    own = world.setting.rooms.get(species)
+def capsule_of(world: World, key: str) -> Capsule:
+    """Return the capsule of a body. It comes from the body's own file, else from the body that the first crowd line names, else
+    from the body with the species' name."""
+    own, species = world.setting.rooms.get(key), species_of_key(key)
     if own is not None:
         return Capsule(own.length, own.width, own.height, own.ahead)
     for crowd in world.setting.crowds:
@@ -62,7 +64,6 @@ class CapsuleCrowd:
         self.species = [population for population in world.populations.values() if len(population)]
         self.species = self.species or list(world.populations.values())[:1]  # no agents: arrays of no rows
         self.first = np.array([*accumulate(map(len, self.species), initial=0)], np.intp)
-        self._capsules = [capsule_of(world, population.name) for population in self.species]
         self.key = self.of(lambda p: p.ids + k * _SPECIES_KEY_STEP if (k := self.species.index(p)) else p.ids)
         self.bounds = self._measure()  # of x, y and z of middles and of reaches
 
@@ -70,14 +71,19 @@ class CapsuleCrowd:
         """Compute the capsules of each species; return the bounds of all capsules."""
         self.half, self.radius, self.ahead, self.reach = np.empty((4, len(self)))
         self.middle = np.empty((3, len(self)))
-        extremes, bounds = empty_extremes(), ()
-        for population, capsule, first in zip(self.species, self._capsules, self.first.tolist(), strict=False):
+        capsules, extremes = TrunkCapsules(self.half, self.radius, self.ahead, self.reach, self.middle), empty_extremes()
+        bounds: Any = ()
+        for population, first in zip(self.species, self.first.tolist(), strict=False):
             own = self._registers(population)
             place = np.ascontiguousarray(population.position.T)
             stands = (place, vec.vector_registers(own, "heading"), vec.vector_registers(own, "up"), own["size"])
-            shape = CapsuleShape(*map(float, (capsule.length, capsule.width, capsule.height, capsule.ahead)))
-            capsules = TrunkCapsules(self.half, self.radius, self.ahead, self.reach, self.middle)
-            bounds = place_trunks(*stands, shape, first, capsules, extremes)
+            for key, rows in rows_by_body(population, self.world.setting):
+                capsule = capsule_of(self.world, key)
+                shape = CapsuleShape(*map(float, (capsule.length, capsule.width, capsule.height, capsule.ahead)))
+                if rows is None:
+                    bounds = place_trunks(*stands, shape, first, capsules, extremes)
+                else:
+                    bounds = _place_some_trunks(stands, rows, shape, first, capsules, extremes)
         return list(zip(bounds[:4], bounds[4:], strict=True))
 
     def __len__(self) -> int:
@@ -105,6 +111,27 @@ class CapsuleCrowd:
 
     def _registers(self, population: Population) -> dict[str, NDArray[Any]]:
         return population.start if self._start else population.now
+
+
+def _place_some_trunks(
+    stands: tuple[Floats, vec.VectorArrays, vec.VectorArrays, NDArray[np.float32]],
+    rows: Rows,
+    shape: CapsuleShape,
+    first: int,
+    capsules: TrunkCapsules,
+    extremes: Floats,
+) -> Any:
+    """Compute the capsules of some rows of a species, as `place_trunks` does for all, and store them from index `first` on.
+
+    Returns the bounds, as `place_trunks` does."""
+    place, heading, up, size = stands
+    half, radius, ahead, reach = np.empty((4, len(rows)))
+    subset = TrunkCapsules(half, radius, ahead, reach, np.empty((3, len(rows))))
+    own = np.ascontiguousarray(place.take(rows, axis=1)), vec.take(heading, rows), vec.take(up, rows), size.take(rows)
+    bounds = place_trunks(*own, shape, 0, subset, extremes)
+    for whole, part in zip(capsules, subset, strict=True):
+        whole[..., first + rows] = part
+    return bounds
 
 
 @dataclass(frozen=True, slots=True, eq=False)

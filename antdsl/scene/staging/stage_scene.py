@@ -138,6 +138,11 @@ def _stage_things(staging: SceneStaging, *groups: str) -> None:
             CHECKS[group](staging)
 
 
+def _single_library_body(weights: Mapping[str, float]) -> str:
+    """Return the word of a crowd line's body if it is its only one and from the library, else an empty text."""
+    return next((text for text in weights if len(weights) == 1 and text in BODY_WORDS), "")
+
+
 def stage(
     scene: Scene, program: Program, overrides: Mapping[str, Quantity] | None = None
 ) -> tuple[stage_of.WorldSetting | None, Report, dict[str, str]]:
@@ -159,7 +164,7 @@ def stage(
             place(staging, item_points, line.place, "crowd", number, "place"),
             number,
             stage_walk(scene, line.walk),
-            line.body if line.body and line.body in BODY_WORDS else "",
+            _single_library_body(line.body_weights),
             line.layers(),
         )
         for number, line in enumerate(model.crowd)

@@ -72,6 +72,7 @@ export interface LayerInfo {
 
 export interface Species {
   name: string;
+  bodies: string[]; // the keys of its bodies, one or more
   attributes: Attribute[]; // numbers that agents can be coloured by
   machines: Machine[];
   layers: LayerInfo[];
@@ -295,6 +296,8 @@ export type Told =
 //                 NAME/plays/MACHINE u16[n,3,2 or 3]: clip and those before, how far through, what each weighs; 65535 is none, 1;
 //                 NAME/wears u32[n] NAME/look/GROUP i8[n,3] NAME/lean i8[n,3];
 //                 NAME/feet i16[n,l,3] NAME/stance i16[n,6]: see feet.ts;
+//                 of a species with several bodies NAME/body u8[n]; its plays, wears, look, lean, traits, feet and stance are
+//                 KEY/… for the agents of each body;
 //                 item/NAME/position f32[m,3] item/NAME/size f32[m] item/NAME/amount/ATTRIBUTE f32[m];
 //                 feelers f32[k,2,3] feelers/hit u8[k] of those who are followed; rows by id. header: frame, light,
 //                 felt (whose feelers: lists of species, agent and how many, one after the other).
@@ -302,7 +305,7 @@ export type Told =
 // paths           NAME/id i32[n] NAME/path f32[n,count,3]: where agents will be, from `frame` of the header on, nan where one is not
 //                 there; header: frame, count
 // mesh:NAME       position f32[n,3] face u32[m,3]; header: role `ground`, `obstacle`; moves: comes each frame
-// rig:SPECIES     sample f32[r,j,texels,4] parent i32[j] clip i32[p,3,4] group f32[g,j] leg f32[l,2,4] look f32[k,j]: what is played, see rig.ts;
+// rig:KEY         sample f32[r,j,texels,4] parent i32[j] clip i32[p,3,4] group f32[g,j] leg f32[l,2,4] look f32[k,j]: what is played, see rig.ts;
 //                 LEVEL/position f32[n,3] LEVEL/normal i8[n,3] LEVEL/face u32[m,3] LEVEL/colour u8[n,4] (linear, as roots; how
 //                 much of the agent's own) LEVEL/bone u16[n,4] LEVEL/weight f32[n,4] LEVEL/joint i32[b] LEVEL/part i32[b]
 //                 LEVEL/inverse f32[b,3,4], LEVEL `low` and `fine`; header: machines, joints, texels, base, length, idle, looks, leans, bending

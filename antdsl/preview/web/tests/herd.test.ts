@@ -1,9 +1,9 @@
 import { describe, expect, test } from "vitest";
 import { creased } from "../src/view/creases";
-import type { Herd } from "../src/view/herd";
-import { Rows } from "../src/view/herd";
+import { Herd, Rows } from "../src/view/herd";
+import { partOf } from "../src/view/herds";
 import { speck } from "../src/view/speck";
-import { frame, herd } from "./made";
+import { frame, herd, species } from "./made";
 
 function placed(of: Herd, row: number, t: number): number[] {
   const at = { x: 0, y: 0, z: 0 };
@@ -68,6 +68,16 @@ describe("a herd between two frames", () => {
     ants.take(frame([1, 2], [0, 0, 0, 0, 0, 0]), 1, false);
     expect(turn(0)).toBeCloseTo(0.118, 3);
     expect((ants.plays.data[4] as number) - turn(0)).toBeCloseTo(-0.5, 3); // through the end of the clip
+  });
+
+  test("is split by body, with all that frames say of each agent", () => {
+    const all = frame([1, 2, 5], [0, 0, 0, 1, 2, 3, 4, 5, 6], { body: Uint8Array.of(0, 1, 1), speed: Float32Array.of(7, 8, 9) });
+    const part = new Herd(species({ bodies: ["ant#0", "ant#1"] }), "ant#1");
+    part.take(partOf(all, "ant", 1), 1, true);
+    expect([...part.ids]).toEqual([2, 5]);
+    expect(placed(part, 1, 1)).toEqual([4, 5, 6]);
+    expect([...(part.column("speed") ?? [])]).toEqual([8, 9]);
+    expect(partOf(frame([], []), "ant", 0).arrays.get("ant/id")?.length).toBe(0);
   });
 
   test("has columns of its own species", () => {

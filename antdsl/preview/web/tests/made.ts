@@ -15,7 +15,7 @@ export const MACHINE: Machine = {
 };
 
 export function species(more: Partial<Species> = {}): Species {
-  return { name: "ant", attributes: [], machines: [MACHINE], layers: [], feelers: [], ...more };
+  return { name: "ant", bodies: [more.name ?? "ant"], attributes: [], machines: [MACHINE], layers: [], feelers: [], ...more };
 }
 
 export function scene(more: Partial<Scene> = {}): Scene {

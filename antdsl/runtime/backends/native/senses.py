@@ -265,10 +265,11 @@ def _field_strongest(w: Any, node: ir.PlanNode, args: tuple[Any, ...]) -> Any:
 
 
 def _clip_value(w: Any, node: ir.PlanNode, args: tuple[Any, ...]) -> Lanes:
-    """Return a value from the table of the species' clips. Its last entry is for unknown clips."""
+    """Return a value from the table of the clips of each agent's body. A body's last entry is for unknown clips."""
     e: LaneBuilder = w.e
     last = e.constant(len(w.code.species.clips), I32)
     number = e.where((args[0] >= 0) & (args[0] < last), args[0], last)
+    number = number + e.read(w.base("clip body"), w.row, I32)
     value: Lanes = e.gather(w.base("clip", node.attrs[0]), number, F32)
     return value
 

@@ -25,7 +25,7 @@ from antdsl.runtime.backends.native.block import BlockCode
 from antdsl.runtime.backends.native.lane import LaneMemories, LaneMemory
 from antdsl.runtime.backends.native.layout import AddressKey
 from antdsl.runtime.backends.native.rooms import PaddedArrays, PaddedCopy
-from antdsl.runtime.clip_values import clip_table
+from antdsl.runtime.clip_values import clip_table, table_starts
 from antdsl.runtime.moving.obstacle_clearance import cached_clearance
 from antdsl.runtime.world import Population, World
 
@@ -267,6 +267,15 @@ class AddressTables:
         copy, what = self._copy(key), str(key[1])
         return lambda world, population: copy.lasting_address(world.setting, lambda: clip_table(world, population, what))
 
+    def _find_clip_body(self, key: AddressKey) -> AddressFinder:
+        """Return a function that finds where the entries of each agent's body begin in the tables of clips."""
+        copy = self._copy(key)
+
+        def find(world: World, population: Population) -> int:
+            return copy.of(table_starts(world, population), np.int32, (population.version, len(population)))
+
+        return find
+
     def _find_reached(self, key: AddressKey) -> AddressFinder:
         """Return a function that finds the cells near which a field reaches a threshold."""
         _, name, count, bound = key
@@ -323,6 +332,7 @@ _FINDER_MAKERS: dict[str, Callable[[AddressTables, AddressKey], AddressFinder]] 
     "other": AddressTables._find_sorted_ids,
     "clear": AddressTables._find_clear,
     "clip": AddressTables._find_clip,
+    "clip body": AddressTables._find_clip_body,
     "reached": AddressTables._find_reached,
 }
 _NUMBER_GETTERS: dict[str, Callable[[World, str], int | float]] = {

@@ -1,4 +1,4 @@
-// Bodies: one call to draw for each species. They are posed by what they play, and turned and moved between two frames, where
+// Bodies: one call to draw for each body of a species. They are posed by what they play, and turned and moved between two frames, where
 // they are drawn. Below each body lies a soft shadow, so that it stands on its ground. Those near by are drawn in full.
 
 import * as THREE from "three";
@@ -20,7 +20,7 @@ const MANY = 2000;
 type Level = "fine" | "low" | "speck";
 
 export class Bodies {
-  private readonly rigs = new Map<string, { made: Rigged; levels: Record<Level, Form> }>(); // by species
+  private readonly rigs = new Map<string, { made: Rigged; levels: Record<Level, Form> }>(); // by key
   private readonly drawn = new Map<string, Drawn>();
 
   constructor(
@@ -32,16 +32,16 @@ export class Bodies {
     stage.add(() => this.place());
   }
 
-  /** `rig:SPECIES`: the body of a species. */
+  /** `rig:KEY`: a body of a species. */
   take(packet: Packet): void {
-    const species = packet.slot.slice(packet.slot.indexOf(":") + 1);
+    const key = packet.slot.slice(packet.slot.indexOf(":") + 1);
     const made = rigOf(packet);
-    const before = this.rigs.get(species);
+    const before = this.rigs.get(key);
     const { low, fine } = made;
     const still = speck(low.trunk.length ? low.trunk : low.rest);
-    this.rigs.set(species, { made, levels: { low, fine, speck: still } });
-    this.herds.acting(species, low.rig);
-    this.drawn.get(species)?.forget();
+    this.rigs.set(key, { made, levels: { low, fine, speck: still } });
+    this.herds.acting(key, low.rig);
+    this.drawn.get(key)?.forget();
     if (before) forgetRig(before.made);
     this.refresh();
     this.stage.wake();
@@ -49,7 +49,14 @@ export class Bodies {
 
   /** What one agent is drawn by, with its place among those that are: for tests. */
   posed(species: string, row: number): { figure: Figure; place: number } | null {
-    return this.drawn.get(species)?.posed(row) ?? null;
+    const one = this.drawn.get(species);
+    if (one) return one.posed(row);
+    const id = this.herds.byName.get(species)?.ids[row];
+    for (const each of this.drawn.values()) {
+      const own = each.herd.species.name === species && id !== undefined ? each.herd.row(id) : -1;
+      if (own >= 0) return each.posed(own);
+    }
+    return null;
   }
 
   /** Colours were changed: hand them over again. */
@@ -61,7 +68,7 @@ export class Bodies {
   private people(): void {
     for (const each of this.drawn.values()) each.dispose();
     this.drawn.clear();
-    for (const [name, herd] of this.herds.byName) this.drawn.set(name, new Drawn(this.stage, herd));
+    for (const [key, herd] of this.herds.byBody) this.drawn.set(key, new Drawn(this.stage, herd));
   }
 
   private refresh(): void {
@@ -73,7 +80,7 @@ export class Bodies {
     const kind = this.stage.software || this.stage.slow ? "software" : "hardware";
     const crowd = this.herds.count;
     for (const each of this.drawn.values()) {
-      const levels = this.rigs.get(each.herd.species.name)?.levels;
+      const levels = this.rigs.get(each.herd.key)?.levels;
       if (!levels) continue;
       const level: Level = crowd > CROWD[kind] ? "speck" : "low";
       each.show(levels[level], this.herds.t, level !== "speck");
@@ -83,7 +90,7 @@ export class Bodies {
   }
 }
 
-/** One species as it is drawn. */
+/** The agents of one body as they are drawn. */
 class Drawn {
   readonly close: Close;
   private readonly figure: Figure;

@@ -23,7 +23,7 @@ export class Colouring {
     if (colour !== this.way) this.range = null;
     this.way = colour;
     this.range = colour.startsWith("state") ? null : ranged(herds.byName.values(), colour, this.range);
-    for (const herd of herds.byName.values()) paint(herd, colour, this.range);
+    for (const herd of herds.all) paint(herd, colour, this.range);
     this.sight.bodies.recolour();
     for (const listener of this.listeners) listener();
   }

@@ -74,10 +74,14 @@ export class Herd {
   private readonly was = new Rows(); // the rows before, while they are matched
   private from = new Int32Array(0); // the row before of each row, -1 of who is new
 
-  constructor(readonly species: Species) {}
+  /** All agents of a species, or, with the key of a body, those that have it. */
+  constructor(
+    readonly species: Species,
+    readonly key = species.name,
+  ) {}
 
   column(name: string): NumberArray | undefined {
-    return this.arrays.get(`${this.species.name}/${name}`);
+    return this.arrays.get(`${this.key}/${name}`) ?? this.arrays.get(`${this.species.name}/${name}`);
   }
 
   /** Take a frame. Rows go on from where they are shown, `t` of the way, unless time leaps. */

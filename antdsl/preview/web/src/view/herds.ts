@@ -1,6 +1,6 @@
 // All agents: takes the frames that come, keeps the time between two of them, and tells who wants to know.
 
-import type { Packet, Scene } from "../protocol";
+import type { NumberArray, Packet, Scene } from "../protocol";
 import type { Store } from "../store";
 import { type Acts, Herd } from "./herd";
 import type { Stage } from "./stage";
@@ -9,6 +9,7 @@ const LONGEST = 300; // ms that the way from one frame to the next takes at most
 
 export class Herds {
   readonly byName = new Map<string, Herd>();
+  readonly byBody = new Map<string, Herd>(); // those of one body each, by its key
   frame = -1;
   light = false;
   t = 1; // how far between the last two frames
@@ -47,21 +48,36 @@ export class Herds {
     return sum;
   }
 
-  /** What a species can do with its body. */
-  acting(species: string, acts: Acts): void {
-    this.acts.set(species, acts);
-    this.byName.get(species)?.acting(acts);
+  /** All herds: of species, and of their bodies where there are several. */
+  get all(): Set<Herd> {
+    return new Set([...this.byName.values(), ...this.byBody.values()]);
+  }
+
+  /** What agents can do with a body. */
+  acting(key: string, acts: Acts): void {
+    this.acts.set(key, acts);
+    this.byBody.get(key)?.acting(acts);
   }
 
   private people(scene: Scene): void {
     this.byName.clear();
+    this.byBody.clear();
     for (const species of scene.species) {
+      const one = species.bodies.length < 2;
       const herd = new Herd(species);
-      const acts = this.acts.get(species.name);
-      herd.clock = this.frame / scene.fps;
-      if (acts) herd.acting(acts);
-      if (this.packet) herd.take(this.packet, 1, true);
-      this.byName.set(species.name, herd);
+      if (!one) {
+        if (this.packet) herd.take(this.packet, 1, true);
+        this.byName.set(species.name, herd);
+      }
+      for (const [body, key] of species.bodies.entries()) {
+        const part = one ? herd : new Herd(species, key);
+        const acts = this.acts.get(key);
+        part.clock = this.frame / scene.fps;
+        if (acts) part.acting(acts);
+        if (this.packet) part.take(one ? this.packet : partOf(this.packet, species.name, body), 1, true);
+        if (one) this.byName.set(species.name, part);
+        this.byBody.set(key, part);
+      }
     }
     for (const listener of this.peopled) listener();
     for (const listener of this.listeners) listener();
@@ -78,6 +94,12 @@ export class Herds {
     for (const herd of this.byName.values()) {
       herd.clock = frame / fps;
       herd.take(packet, this.t, leap);
+      const { bodies, name } = herd.species;
+      for (const [body, key] of bodies.length > 1 ? bodies.entries() : []) {
+        const part = this.byBody.get(key) as Herd;
+        part.clock = frame / fps;
+        part.take(partOf(packet, name, body), this.t, leap);
+      }
     }
     this.frame = frame;
     this.light = packet.header.light === true;
@@ -92,4 +114,21 @@ export class Herds {
     this.t = Math.min(Math.max((now - this.arrived) / this.lasts, this.t), 1);
     return this.t < 1;
   }
+}
+
+/** A frame with the agents of a species that have one of its bodies alone. */
+export function partOf(packet: Packet, species: string, body: number): Packet {
+  const arrays: Packet["arrays"] = new Map(packet.arrays);
+  const bodies = packet.arrays.get(`${species}/body`);
+  const count = packet.arrays.get(`${species}/id`)?.length ?? 0;
+  const rows: number[] = [];
+  for (let row = 0; row < count; row++) if ((bodies?.[row] ?? 0) === body) rows.push(row);
+  for (const [name, values] of packet.arrays) {
+    if (!name.startsWith(`${species}/`)) continue;
+    const wide = values.length / Math.max(count, 1);
+    const some = new (values.constructor as new (size: number) => NumberArray)(rows.length * wide);
+    for (const [k, row] of rows.entries()) some.set(values.subarray(row * wide, (row + 1) * wide) as never, k * wide);
+    arrays.set(name, some);
+  }
+  return { ...packet, arrays };
 }

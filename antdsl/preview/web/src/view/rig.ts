@@ -61,7 +61,7 @@ export function list(values: ArrayLike<number>): THREE.DataTexture {
   return made;
 }
 
-/** Of a packet `rig:SPECIES`. */
+/** Of a packet `rig:KEY`. */
 export function rigOf(packet: Packet): Rigged {
   const parent = packet.arrays.get("parent") as NumberArray;
   const clip = packet.arrays.get("clip") as NumberArray;

@@ -1,4 +1,4 @@
-// `rig:SPECIES`: what agents look like. Where they are, and what they play, comes with frames.
+// `rig:KEY`: what agents look like. Where they are, and what they play, comes with frames.
 
 import type { Scenery, Sight } from "../sight";
 

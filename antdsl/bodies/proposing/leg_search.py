@@ -1,0 +1,152 @@
+"""Finds legs: chains of joints that begin at the trunk and end where the body touches the ground."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from antdsl.bodies.agents.definition import Rig
+from antdsl.bodies.proposing.joint_motion import BodyPoints
+
+Floats = NDArray[np.float64]
+_CONTACT_HEIGHT = 0.05  # of the body's height: points up to here touch the ground
+_MIN_CONTACT_POINTS = 3  # of a joint that touches the ground
+_ANKLE_HEIGHT = 0.2  # of the body's height: a higher joint with points on the ground is a knee, and a joint below it the foot
+_SHORT_BONE = 0.15  # of a leg: a first bone shorter than this belongs to the trunk, as a collar bone or a coxa
+_MIN_LEG_HEIGHT = 0.15  # of the body's height: a lower chain lies on the ground and is no leg
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FoundLeg:
+    """A leg by joint numbers, and the points of its sole.
+
+    `chain`: all joints from the trunk to the foot.
+    `soles`: for each part of the sole, the joint that it follows and its position in the space of that joint, float64[3]."""
+
+    upper: int
+    lower: int
+    foot: int
+    chain: tuple[int, ...]
+    soles: tuple[tuple[int, Floats], ...]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LegSearch:
+    """The found legs, and reasons why other parts on the ground are none.
+
+    `feet`: all chains that touch the ground, also those that are no legs, for the motion of their soles.
+    `ground`, `height`: of the body along its up."""
+
+    legs: tuple[FoundLeg, ...]
+    feet: tuple[FoundLeg, ...]
+    reasons: tuple[str, ...]
+    ground: float
+    height: float
+
+
+def find_legs(rig: Rig, points: BodyPoints, worlds: NDArray[np.float32], up: Floats) -> LegSearch:
+    """Return the legs of a body in its standing pose. `worlds`: matrices of its joints [J, 3, 4]; `up`: a unit vector."""
+    heights = points.place @ up
+    if not len(heights):
+        return LegSearch((), (), ("the file has no points",), 0.0, 0.0)
+    ground, height = float(heights.min()), max(float(np.ptp(heights)), 1e-9)
+    low = heights < ground + _CONTACT_HEIGHT * height
+    counts = np.bincount(points.joint[low & (points.joint >= 0)], minlength=len(rig.names))
+    touching = [joint for joint in range(len(rig.names)) if counts[joint] >= _MIN_CONTACT_POINTS]
+    groups = _group_by_branch(rig, touching)
+    places = worlds[:, :, 3].astype(np.float64)
+    legs: list[FoundLeg] = []
+    feet: list[FoundLeg] = []
+    reasons: list[str] = []
+    for chain_start, every in groups.items():
+        contacts = [each for each in every if places[each] @ up < ground + _ANKLE_HEIGHT * height] or every[-1:]
+        soles = tuple(_sole(joint, points, low, worlds) for joint in contacts)
+        path = _path(rig, chain_start, contacts[0])
+        name = rig.names[contacts[0]]
+        feet.append(FoundLeg(path[0], path[0], contacts[0], tuple(path), soles))
+        rise = float((places[chain_start] - places[contacts[0]]) @ up)
+        if len(path) < 3:
+            reasons.append(f"`{name}` touches the ground, but has no hip and knee above it, so it is no leg")
+            continue
+        if rise < _MIN_LEG_HEIGHT * height:
+            reasons.append(f"`{name}` touches the ground, but its chain lies on it, so it is no leg")
+            continue
+        upper, lower = _hip_and_knee(path, places)
+        legs.append(FoundLeg(upper, lower, contacts[0], tuple(path), soles))
+        feet[-1] = legs[-1]
+    if not groups:
+        reasons.append("no joint moves the points that touch the ground")
+    return LegSearch(tuple(legs), tuple(feet), tuple(reasons), ground, height)
+
+
+def _group_by_branch(rig: Rig, touching: list[int]) -> dict[int, list[int]]:
+    """Return joints that touch the ground by the joint where their chain leaves the rest, each group from the trunk outward.
+
+    A chain begins below the nearest joint that has several branches to the ground."""
+    below = {joint: {each for each in touching if joint in _ancestors(rig, each)} for joint in range(len(rig.names))}
+    groups: dict[int, list[int]] = {}
+    for contact in touching:
+        path = _ancestors(rig, contact)  # from the contact to the root
+        start = path[0]
+        for inner, outer in pairwise(path):
+            own = below[inner]
+            others = [each for each in below[outer] - own if each != outer]
+            if others and not _is_one_chain(rig, own | set(others)):
+                break
+            start = outer
+        groups.setdefault(start, []).append(contact)
+    for contacts in groups.values():
+        contacts.sort(key=lambda joint: len(_ancestors(rig, joint)))
+    return groups
+
+
+def _is_one_chain(rig: Rig, joints: set[int]) -> bool:
+    """Return whether one of the joints is above all others, as an ankle above its toes."""
+    top = min(joints, key=lambda joint: len(_ancestors(rig, joint)))
+    return all(top in _ancestors(rig, joint) for joint in joints)
+
+
+def _ancestors(rig: Rig, joint: int) -> list[int]:
+    """Return a joint and all joints above it, up to the root."""
+    path = [joint]
+    while rig.parents[path[-1]] >= 0:
+        path.append(int(rig.parents[path[-1]]))
+    return path
+
+
+def _path(rig: Rig, start: int, end: int) -> list[int]:
+    """Return the joints from `start` down to `end`."""
+    path = _ancestors(rig, end)
+    return path[: path.index(start) + 1][::-1]
+
+
+def _hip_and_knee(path: list[int], places: Floats) -> tuple[int, int]:
+    """Return the joints of hip and knee of a chain with three joints or more.
+
+    The knee is the joint that is farthest from the line from hip to foot, measured against the shorter of both bones, so that it
+    divides the leg into two bones of use."""
+    bones = [float(np.linalg.norm(places[b] - places[a])) for a, b in pairwise(path)]
+    first, total = 0, max(sum(bones), 1e-12)
+    while len(path) - first > 3 and bones[first] < _SHORT_BONE * total:
+        first += 1
+    hip, foot = places[path[first]], places[path[-1]]
+    line = foot - hip
+    line /= max(float(np.linalg.norm(line)), 1e-12)
+
+    def usefulness(joint: int) -> float:
+        away = places[joint] - hip
+        off = float(np.linalg.norm(away - line * (away @ line)))
+        shorter = min(float(np.linalg.norm(away)), float(np.linalg.norm(foot - places[joint])))
+        return shorter + off
+
+    return path[first], max(path[first + 1 : -1], key=usefulness)
+
+
+def _sole(joint: int, points: BodyPoints, low: NDArray[np.bool_], worlds: NDArray[np.float32]) -> tuple[int, Floats]:
+    """Return a joint and the mean of its points on the ground, in the space of the joint."""
+    middle = points.place[low & (points.joint == joint)].mean(axis=0)
+    matrix = worlds[joint].astype(np.float64)
+    return joint, np.linalg.lstsq(matrix[:, :3], middle - matrix[:, 3], rcond=None)[0]

@@ -1,0 +1,71 @@
+"""The bodies of a cache's species: each is built once, from the cache or from the library."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from antdsl.bodies.agents.definition import Definition
+from antdsl.bodies.agents.machine_clips import PlayedClip
+from antdsl.bodies.library import library_body
+from antdsl.bodies.posed_body import PosedBody
+from antdsl.outputs.cache.body_arrays import definition_of
+from antdsl.outputs.cache.manifest import ClipEntry, Manifest, SpeciesEntry, WornBodyEntry
+from antdsl.outputs.cache.pose_arrays import layers_of
+from antdsl.scene.body_choice import body_key, body_numbers
+from antdsl.scene.library_bodies import BODY_WORDS, body_for_species
+
+
+class CacheBodies:
+    """Bodies by species (an index of the manifest's list), by their index among the bodies of the species, and by the mask of the
+    layers that agents wear. `static`: the arrays of the cache's `static.npz`."""
+
+    def __init__(self, manifest: Manifest, static: Mapping[str, NDArray[Any]]) -> None:
+        self._manifest, self._static = manifest, static
+        self._definitions: dict[tuple[int, int], Definition] = {}
+        self._worn: dict[tuple[int, int, int], PosedBody] = {}
+
+    def keys(self, number: int) -> tuple[str, ...]:
+        """Return the keys of the bodies of a species, by which frames name the feet of their agents."""
+        species, count = self._manifest.species[number], len(_entries(self._manifest.species[number]))
+        return tuple(body_key(species.name, which, count) for which in range(count))
+
+    def numbers(self, number: int, ids: NDArray[np.int64]) -> NDArray[np.uint8]:
+        """Return the index of the body of each agent of a species, uint8[n]."""
+        species = self._manifest.species[number]
+        return body_numbers([each.weight for each in species.bodies], self._manifest.seed, species.name, ids)
+
+    def body(self, number: int, mask: int = 0, which: int = 0) -> PosedBody:
+        """Return a body of a species with the layers of a mask. Raises BodyError if the cache's definition is damaged."""
+        key = number, which, mask
+        if key not in self._worn:
+            species = self._manifest.species[number]
+            clips = tuple(PlayedClip(*(getattr(clip, name) for name in ClipEntry.model_fields)) for clip in species.clips)
+            self._worn[key] = PosedBody(self.definition(number, which), clips, layers_of(species, mask))
+        return self._worn[key]
+
+    def definition(self, number: int, which: int = 0) -> Definition:
+        """Return the definition of a body of a species. Raises BodyError if the cache's definition is damaged."""
+        if (number, which) not in self._definitions:
+            species = self._manifest.species[number]
+            entry = _entries(species)[which]
+            self._definitions[number, which] = (
+                library_body(entry.body if entry.body in BODY_WORDS else body_for_species(species.name))
+                if entry.definition is None
+                else definition_of(self._manifest, self._static, entry.definition)
+            )
+        return self._definitions[number, which]
+
+    def reach(self, number: int) -> float:
+        """Return the reach of the bodies of a species in body lengths: at least 1, more only for bodies from files."""
+        entries = _entries(self._manifest.species[number])
+        own = [self.body(number, 0, which).reach for which, each in enumerate(entries) if each.definition is not None]
+        return max([1.0, *own])
+
+
+def _entries(species: SpeciesEntry) -> tuple[WornBodyEntry, ...]:
+    """Return the bodies of a species; at least one."""
+    return species.bodies or (WornBodyEntry(body=species.body, definition=species.definition),)

@@ -1,0 +1,27 @@
+"""Which agents of a species have which of its bodies, row by row."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from antdsl.runtime.world import Population
+from antdsl.scene.body_choice import body_keys, body_numbers
+from antdsl.scene.setting import WorldSetting
+
+
+def numbers_by_row(population: Population, setting: WorldSetting) -> NDArray[np.uint8]:
+    """Return the index of each row's body among the bodies of the species, uint8[n]. Callers must not write to the array."""
+    if population.bodies is None or population.bodies[0] != population.version or len(population.bodies[1]) != len(population):
+        weights = setting.body_weights.get(population.name, ())
+        population.bodies = population.version, body_numbers(weights, setting.seed, population.name, population.ids)
+    return population.bodies[1]
+
+
+def rows_by_body(population: Population, setting: WorldSetting) -> tuple[tuple[str, NDArray[np.intp] | None], ...]:
+    """Return the key of each body of a species and the rows of its agents, ascending. A single body has None: all rows."""
+    count = len(setting.body_weights.get(population.name, ()))
+    if count < 2:
+        return ((population.name, None),)
+    numbers = numbers_by_row(population, setting)
+    return tuple((key, np.flatnonzero(numbers == k)) for k, key in enumerate(body_keys(population.name, count)))

@@ -1,0 +1,85 @@
+"""The agents that have one body, as far as feet read them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from antdsl.ground.protocol import Footing
+from antdsl.runtime.body_rows import numbers_by_row, rows_by_body
+from antdsl.runtime.world import AXES, Population, World
+from antdsl.scene.body_choice import number_of_key, species_of_key
+
+_REGISTERS = (*(f"{name}.{axis}" for name in ("heading", "up") for axis in AXES), "size")
+
+
+class Wearers(Protocol):
+    """Agents with one body: all of a population, or some of its rows."""
+
+    @property
+    def ids(self) -> NDArray[np.int64]:
+        """Return the ids of the agents, one per row."""
+
+    @property
+    def position(self) -> NDArray[np.float64]:
+        """Return positions in mm, [n, 3]."""
+
+    @property
+    def now(self) -> Mapping[str, NDArray[Any]]:
+        """Return registers by name; at least those of heading, up and size."""
+
+    def __len__(self) -> int: ...
+
+    def get_buffers(self, name: str, count: int, shape: tuple[int, ...], dtype: type[np.generic]) -> tuple[NDArray[Any], ...]:
+        """Return arrays for results of a step, as `Population.get_buffers` does."""
+
+    @property
+    def footing(self) -> Footing:
+        """Return where the agents stand."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SomeWearers:
+    """The agents of a population in some rows, which all have the body `key`."""
+
+    population: Population
+    key: str
+    rows: NDArray[np.intp]
+    ids: NDArray[np.int64]
+    position: NDArray[np.float64]
+    now: Mapping[str, NDArray[Any]]
+
+    def __len__(self) -> int:
+        return len(self.rows)
+
+    def get_buffers(self, name: str, count: int, shape: tuple[int, ...], dtype: type[np.generic]) -> tuple[NDArray[Any], ...]:
+        return self.population.get_buffers(f"{name} of {self.key}", count, shape, dtype)
+
+    @property
+    def footing(self) -> Footing:
+        return Footing({name: column[self.rows] for name, column in self.population.footing.columns.items()})
+
+
+def wearers_of(world: World, key: str) -> Wearers:
+    """Return the agents that have the body `key`."""
+    population = world.populations[species_of_key(key)]
+    parts = rows_by_body(population, world.setting)
+    rows = dict(parts)[key]
+    if rows is None:
+        return population
+    registers = {name: population.now[name].take(rows) for name in _REGISTERS}
+    return SomeWearers(population, key, rows, population.ids.take(rows), population.position.take(rows, axis=0), registers)
+
+
+def sorted_ids_of(world: World, key: str) -> NDArray[np.int64]:
+    """Return the ids of the agents that have the body `key`, ascending."""
+    population = world.populations[species_of_key(key)]
+    if len(world.setting.body_weights.get(population.name, ())) < 2:
+        return population.sorted_ids()[0]
+    numbers = numbers_by_row(population, world.setting)[population.in_id_order()]
+    own: NDArray[np.int64] = population.sorted_ids()[0][numbers == number_of_key(key)]
+    return own

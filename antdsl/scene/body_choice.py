@@ -1,0 +1,46 @@
+"""The bodies of a species with several: which agent has which.
+
+A body is drawn for each agent by its id and the scene's seed, in proportion to weights, for the agent's lifetime. So neither
+rows, nor births, nor deaths of other agents change it. A species with one body has the body key `SPECIES`. A species with several
+has a key for each, `SPECIES#0` and so on."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from antdsl.numerics.randomness import uniform
+
+_SEPARATOR = "#"
+
+
+def body_key(species: str, number: int, count: int) -> str:
+    """Return the key of the body with index `number` of a species that has `count` bodies."""
+    return f"{species}{_SEPARATOR}{number}" if count > 1 else species
+
+
+def body_keys(species: str, count: int) -> tuple[str, ...]:
+    """Return the keys of all bodies of a species that has `count` bodies; at least one."""
+    return tuple(body_key(species, number, count) for number in range(max(1, count)))
+
+
+def species_of_key(key: str) -> str:
+    """Return the species of a body key."""
+    return key.partition(_SEPARATOR)[0]
+
+
+def number_of_key(key: str) -> int:
+    """Return the index of the body of a key among the bodies of its species."""
+    return int(key.partition(_SEPARATOR)[2] or 0)
+
+
+def body_numbers(weights: Sequence[float], seed: int, species: str, ids: NDArray[np.int64]) -> NDArray[np.uint8]:
+    """Return the index of each agent's body, uint8[n]. `weights`: of all bodies of the species, above 0; empty for one body."""
+    if len(weights) < 2:
+        return np.zeros(len(ids), np.uint8)
+    drawn = uniform(seed, 0, species, "body", 0, np.asarray(ids, np.int64)).astype(np.float64)
+    limits = np.cumsum(np.asarray(weights, np.float64))
+    numbers = np.searchsorted(limits[:-1] / limits[-1], drawn, side="right")
+    return numbers.astype(np.uint8)
