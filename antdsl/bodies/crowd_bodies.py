@@ -6,6 +6,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from typing import TypeVar
 
 from antdsl.bodies.agents.body_extents import standing_box, turn_box
 from antdsl.bodies.agents.boxes import rest_box

@@ -143,6 +143,7 @@ CODE_DESCRIPTIONS: dict[str, str] = {
     "empty-scene": "the scene says nothing",
     "far-away": "parts of a world lie so far from each other that positions become coarse",
     "inside-out": "an obstacle's faces look inward, so that it keeps agents in and not out",
+    "long-step": "agents with bodies that take room walk farther than a body is long in one step",
     "mirrored": "a mesh is scaled by a number below zero",
     "missing-key": "a part of a scene or of a body lacks a key that it must have",
     "missing-thing": "the program declares a thing of the world, or a layer, that the scene leaves out",

@@ -23,6 +23,7 @@ from antdsl.scene.field_settings import check_spreading
 from antdsl.scene.kinds import KINDS
 from antdsl.scene.load import Scene
 from antdsl.scene.quantities import Quantity
+from antdsl.scene.step_checks import check_step_lengths
 
 
 def match_scene(scene: Scene, program: Program) -> Report:
@@ -259,4 +260,5 @@ SCENE_CHECKS: tuple[Callable[[Scene, Program, Report], None], ...] = (
     _check_layers,
     _check_detail,
     _check_output,
+    check_step_lengths,  # last: a warning, about values that the others have checked
 )

@@ -153,7 +153,7 @@ class SceneModel(Part):
     fps: FramesPerSecond = Fraction(24)
     frames: FrameRangeValue = FrameRange(1, 240)
     preroll: Annotated[int, BeforeValidator(integer(0, limits.MAX_FRAMES))] = 0
-    substeps: Annotated[int, BeforeValidator(integer(1, 64))] = 1
+    substeps: Annotated[int, BeforeValidator(integer(1, limits.MAX_SUBSTEPS))] = 1
     stick: Stick = "triangles"
     orient: Orient = "normal"
     contacts: Contacts = "off"

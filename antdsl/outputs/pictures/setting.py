@@ -1,7 +1,7 @@
 """All static surfaces as one ray scene: the solids, the cut edge below open ground, and the table under them.
 
-Near a close camera there are grains and pebbles on the ground, for a sense of scale. They exist in pictures only; agents do not
-avoid them."""
+Near a close camera there are grains and pebbles in the ground, for a sense of scale. They exist in pictures only, and are sunk so
+far that agents walk over them."""
 
 from dataclasses import dataclass
 from functools import cache
@@ -20,11 +20,13 @@ from antdsl.outputs.pictures.model import Solid
 from antdsl.outputs.pictures.shading_rows import Floats
 
 _PEBBLE_SHAPES = 8
-_MAX_PEBBLES = 12_000
-_MAX_PEBBLES_PER_FACE = 48  # pebbles on one triangle at most
-_PEBBLE_RANGE_PER_BODY = 36  # body lengths round the camera
-_MIN_PEBBLE_RADIUS, _MAX_PEBBLE_RADIUS = 0.022, 0.24  # radius in body lengths
-_FINE_PEBBLE_RADIUS = 0.06  # from this radius on a pebble is worth a round shape
+_MAX_PEBBLES = 8_000  # of each size class
+_MAX_PEBBLES_PER_FACE = 48  # pebbles of a size class on one triangle at most
+_PEBBLE_CLASSES = 3  # size classes in a picture; in each, radii are between a power of two and the next one
+_MAX_PEBBLE_RADIUS = 0.066  # radius in body lengths
+_PEBBLES_PER_SQUARE_RADIUS = 0.009  # mean number of pebbles of a class on an area of one squared radius
+_PEBBLE_RANGE_PER_RADIUS = 500  # distance from the camera up to which a pebble is drawn, in its radii
+_PEBBLE_HEIGHT_PER_RADIUS = 0.3  # what is seen of a pebble above the ground: feet that pass are at most that deep in it
 Array = NDArray[np.float64]
 
 
@@ -161,46 +163,55 @@ def scatter_pebbles(
 ) -> tuple[Array, NDArray[np.int32]] | None:
     """Return pebbles on the ground near the camera, as one mesh. Return None if no pebble would be larger than a speck.
 
-    The pebbles of a triangle do not depend on the camera."""
+    The pebbles of a size class on a triangle depend on neither camera nor crowd, so pictures of one ground have the same ones.
+    Pebbles are sunk into the ground, because agents walk over them as if there were none."""
     corners = vertices[faces]
-    middle = corners.mean(axis=1)
-    away = np.linalg.norm(middle - view.eye, axis=1)
-    if not len(faces) or view.pixel_size(np.maximum(away.min(), 1e-9)) * 4 > _MAX_PEBBLE_RADIUS * scales.grain:
+    away = np.linalg.norm(corners.mean(axis=1) - view.eye, axis=1)
+    if not len(faces):
         return None
     across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     area = np.linalg.norm(across, axis=1) / 2
-    level = (across @ up) / np.maximum(2 * area, 1e-30)
-    draw = np.random.Generator(np.random.Philox(77)).random((len(faces), 2))
-    patch = 0.35 + 1.3 * draw[:, 0] ** 2
-    many = np.where(level > 0.55, area / scales.grain**2 * 11.0 * patch, 0.0)
-    count = np.minimum((many + draw[:, 1]).astype(np.int64), _MAX_PEBBLES_PER_FACE)
-    near = np.flatnonzero((away < _PEBBLE_RANGE_PER_BODY * scales.grain) & (count > 0))
+    is_level = (across @ up) > 1.1 * area
+    normal = across / np.maximum(2 * area, 1e-300)[:, None]
+    largest = int(np.floor(np.log2(_MAX_PEBBLE_RADIUS * scales.grain))) - 1
+    meshes = []
+    for size_class in range(largest, largest - _PEBBLE_CLASSES, -1):
+        radius = 2.0**size_class
+        if view.pixel_size(np.maximum(away.min(), 1e-9)) > 2 * radius:
+            break
+        face, chance = _draw_pebbles(np.where(is_level, area, 0.0), away, size_class)
+        if not len(face):
+            continue
+        u, v = chance[:, 0], chance[:, 1]
+        over = u + v > 1
+        u, v = np.where(over, 1 - u, u), np.where(over, 1 - v, v)
+        place = corners[face, 0] * (1 - u - v)[:, None] + corners[face, 1] * u[:, None] + corners[face, 2] * v[:, None]
+        detail = 1 if size_class == largest else 0
+        meshes.append(_place_pebbles(place, normal[face], radius * 2 ** chance[:, 2], chance, detail))
+    return join_meshes(meshes) if meshes else None
+
+
+def _draw_pebbles(area: Array, away: Array, size_class: int) -> tuple[NDArray[np.int64], Array]:
+    """Return the triangles of the pebbles of a size class near the camera, and five random numbers for each pebble.
+
+    `area`: of each triangle, 0 if it has no pebbles. `away`: distances of the triangles from the camera."""
+    radius, own = 2.0**size_class, np.arange(len(area))
+    patch, rest = _random_numbers(own, np.full(len(area), _MAX_PEBBLES_PER_FACE), size_class)[:, :2].T
+    mean = area * (_PEBBLES_PER_SQUARE_RADIUS / radius**2) * (0.35 + 1.3 * patch**2)
+    count = np.minimum(mean + rest, _MAX_PEBBLES_PER_FACE).astype(np.int64)
+    near = np.flatnonzero((away < _PEBBLE_RANGE_PER_RADIUS * radius) & (count > 0))
     near = near[np.argsort(away[near], kind="stable")]
     near = near[: int(np.searchsorted(np.cumsum(count[near]), _MAX_PEBBLES))]
     face = np.repeat(near, count[near])
-    if not len(face):
-        return None
     rank = np.arange(len(face)) - np.repeat(np.cumsum(count[near]) - count[near], count[near])
-    chance = _random_numbers(face, rank)
-    u, v = chance[:, 0], chance[:, 1]
-    over = u + v > 1
-    u, v = np.where(over, 1 - u, u), np.where(over, 1 - v, v)
-    place = corners[face, 0] * (1 - u - v)[:, None] + corners[face, 1] * u[:, None] + corners[face, 2] * v[:, None]
-    size = scales.grain * _MIN_PEBBLE_RADIUS * (_MAX_PEBBLE_RADIUS / _MIN_PEBBLE_RADIUS) ** (chance[:, 2] ** 5)
-    normal = across[face] / (2 * area[face])[:, None]
-    small = size < _FINE_PEBBLE_RADIUS * scales.grain
-    return join_meshes(
-        [
-            _place_pebbles(place[rows], normal[rows], size[rows], chance[rows], detail)
-            for rows, detail in ((small, 0), (~small, 1))
-        ]
-    )
+    return face, _random_numbers(face, rank, size_class)
 
 
-def _random_numbers(face: NDArray[np.int64], rank: NDArray[np.int64]) -> Array:
-    """Return five random numbers within 0..1 for each pebble. They depend only on the pebble's triangle and on its rank there."""
-    own = (face * _MAX_PEBBLES_PER_FACE + rank).astype(np.uint64)[:, None]
+def _random_numbers(face: NDArray[np.int64], rank: NDArray[np.int64], size_class: int) -> Array:
+    """Return five random numbers within 0..1 for each pebble. They depend only on its triangle, its rank there and its class."""
+    own = (face * (_MAX_PEBBLES_PER_FACE + 1) + rank).astype(np.uint64)[:, None]
     key: NDArray[np.uint64] = np.add(own * np.uint64(5), np.arange(5, dtype=np.uint64), dtype=np.uint64)
+    key ^= np.uint64((size_class + 1024) << 48)
     # The finaliser of SplitMix64 (Steele et al., Fast Splittable Pseudorandom Number Generators, OOPSLA 2014).
     key = (key ^ np.right_shift(key, np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
     key = (key ^ np.right_shift(key, np.uint64(27))) * np.uint64(0x94D049BB133111EB)
@@ -215,12 +226,10 @@ def _place_pebbles(place: Array, normal: Array, size: Array, chance: Array, deta
     other = np.cross(side, normal)
     turn = chance[:, 3:4] * 2 * np.pi
     first, second = np.cos(turn) * side + np.sin(turn) * other, np.cos(turn) * other - np.sin(turn) * side
-    local = shapes[(chance[:, 4] * _PEBBLE_SHAPES).astype(np.int64)] * size[:, None, None]
-    points = (
-        local[:, :, :1] * first[:, None]
-        + (local[:, :, 1:2] + 0.22 * size[:, None, None]) * normal[:, None]
-        + local[:, :, 2:] * second[:, None]
-    )
+    local = shapes[(chance[:, 4] * _PEBBLE_SHAPES).astype(np.int64)]
+    local[:, :, 1] += _PEBBLE_HEIGHT_PER_RADIUS - local[:, :, 1].max(axis=1, keepdims=True)
+    local *= size[:, None, None]
+    points = local[:, :, :1] * first[:, None] + local[:, :, 1:2] * normal[:, None] + local[:, :, 2:] * second[:, None]
     points += place[:, None]
     triangles = faces[None] + (np.arange(len(place), dtype=np.int32) * shapes.shape[1])[:, None, None]
     return points.reshape(-1, 3), triangles.reshape(-1, 3).astype(np.int32)

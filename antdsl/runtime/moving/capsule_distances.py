@@ -144,17 +144,21 @@ def place_trunks(
     return CrowdBounds((x + unknown, y + unknown, z + unknown, far + unknown), (u, v, w, wide))
 
 
-@called
-def _measure_gap(
-    away: Vec3, a: Vec3, b: Vec3, one: Vec3, other: Vec3, reach: F64, length: F64, wide: F64
-) -> tuple[F64, Vec3, BOOL]:
-    """Return the gap (mm) and separation axis of a pair, and whether both have the same position and thus no axis.
-
-    The nearest points of two segments are computed as in C. Ericson, Real-Time Collision Detection, 2005, 5.1.9. If the
-    capsule axes cross, the separation axis is the direction between the middles."""
+@inlined
+def mean_up(one: Vec3, other: Vec3) -> Vec3:
+    """Return the unit vector between two up directions; zero if the agents are on opposite sides of something."""
     between = plus(one, other)
     factor = 0.0 if dot(one, other) < _OPPOSITE_SIDES_COSINE else 1 / np.sqrt(max(dot(between, between), 1e-12))
-    between = times(between, factor)
+    return times(between, factor)
+
+
+@inlined
+def find_separation(away: Vec3, a: Vec3, b: Vec3, between: Vec3, reach: F64, length: F64) -> tuple[Vec3, F64, Vec3]:
+    """Return the vector between the nearest points of two axes across `between`, its height along `between`, and the vector
+    between the middles across `between`.
+
+    The nearest points of two segments are computed as in C. Ericson, Real-Time Collision Detection, 2005, 5.1.9.
+    `away`: from the second middle to the first. `a`, `b`: unit vectors along the axes. `reach`, `length`: their half lengths."""
     flat = minus(away, times(between, dot(away, between)))
     one, other = minus(a, times(between, dot(a, between))), minus(b, times(between, dot(b, between)))
     aa, bb, ab = max(dot(one, one), 1e-9), max(dot(other, other), 1e-9), dot(one, other)
@@ -166,7 +170,17 @@ def _measure_gap(
     s = min(max((ab * t - c) / aa, -reach), reach)
     separation = minus(plus(away, times(a, s)), times(b, t))
     over = dot(separation, between)
-    separation = minus(separation, times(between, over))
+    return minus(separation, times(between, over)), over, flat
+
+
+@called
+def _measure_gap(
+    away: Vec3, a: Vec3, b: Vec3, one: Vec3, other: Vec3, reach: F64, length: F64, wide: F64
+) -> tuple[F64, Vec3, BOOL]:
+    """Return the gap (mm) and separation axis of a pair, and whether both have the same position and thus no axis.
+
+    If the capsule axes cross, the separation axis is the direction between the middles."""
+    separation, over, flat = find_separation(away, a, b, mean_up(one, other), reach, length)
     distance = np.sqrt(dot(separation, separation))
     margin = wide * wide - over * over
     gap = distance - np.sqrt(margin) if margin > 0 else np.inf

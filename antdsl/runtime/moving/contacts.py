@@ -24,6 +24,7 @@ from antdsl.numerics.vectors import VectorArrays, dot
 from antdsl.runtime.moving import corrections, cutting
 from antdsl.runtime.moving.capsules import CapsuleCrowd, NearbyPairs, find_near_pairs
 from antdsl.runtime.moving.corrections import CorrectionWalker, FootPositions, fill_approach, fill_stances
+from antdsl.runtime.moving.long_steps import StartPositions, find_long_steps, stop_long_steps
 from antdsl.runtime.moving.separation import DEAD_ZONE_SHARE, SUM_BITS, arrays, restore_headings, separate_pairs
 from antdsl.runtime.world import PUSHED_REGISTER, World
 
@@ -56,10 +57,9 @@ SOLVER_EFFORTS: Mapping[str, SolverEffort] = {"soft": SolverEffort(1, 1, 1), "ha
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class StartStances:
-    """Positions (n, 3) mm of agents at the start of a substep, by species; with hard contacts also their headings."""
+class StartStances(StartPositions):
+    """Positions and ground normals of agents at the start of a substep, by species; with hard contacts also their headings."""
 
-    positions: Mapping[str, Floats]
     headings: Mapping[str, VectorArrays]
 
 
@@ -70,7 +70,8 @@ def record_stances(world: World) -> StartStances | None:
     species, headings = world.populations.items(), {}
     if world.setting.contacts == "hard":
         headings = {name: vec.copy(vec.vector_registers(population.now, "heading")) for name, population in species}
-    return StartStances({name: population.position for name, population in species}, headings)
+    normals = {name: population.normal for name, population in species}
+    return StartStances({name: population.position for name, population in species}, normals, headings)
 
 
 def resolve_contacts(world: World, began: StartStances, dt: float) -> None:
@@ -78,18 +79,28 @@ def resolve_contacts(world: World, began: StartStances, dt: float) -> None:
     if len(world) < 2:
         return
     effort, crowd = SOLVER_EFFORTS[world.setting.contacts], CapsuleCrowd(world)
+    is_hard = world.setting.contacts == "hard"
+    long = find_long_steps(crowd, began) if is_hard else None
     near = find_near_pairs(crowd, DEAD_ZONE_SHARE if effort.is_single else None)
-    if not len(near.i):
+    if not len(near.i) and long is None:
         return
-    share = 1.0 if world.setting.contacts == "hard" else 1.0 - float(elementary.exp(_F(-dt / _SOFT_CONTACT_SECONDS)))
+    share = 1.0 if is_hard else 1.0 - float(elementary.exp(_F(-dt / _SOFT_CONTACT_SECONDS)))
     agents, walked = _PairAgents.of(crowd, near, began, dt)
     gap, direction, depth = near.measure_before(walked)
-    if world.setting.contacts == "hard":
+    cut = np.zeros_like(near.middle)
+    if is_hard and len(near.i):
         cut, stopped, changed = cutting.cut_steps(near, _find_approach(crowd, near.rows, dt), agents.mass, walked, gap, direction)
         _restore_headings(crowd, near, stopped, began.headings)
-        near.measure(cut, changed)
-    else:
+    if long is not None and stop_long_steps(world, began, long, near, cut, dt):
+        crowd = CapsuleCrowd(world)
+        near = find_near_pairs(crowd)
+        agents, walked = _PairAgents.of(crowd, near, began, dt)
+        _, _, depth = near.measure_before(walked)
         cut = np.zeros_like(near.middle)
+    elif is_hard and len(near.i):
+        near.measure(cut, changed)
+    if not len(near.i):
+        return
     which, held, walking = np.ones(len(near.i), np.bool_), agents.frozen, CorrectionWalker(crowd, began.positions, dt)
     work = arrays(len(near.rows), len(near.i))
     for left in range(effort.rounds - 1, -1, -1):
@@ -166,7 +177,9 @@ class _PairAgents:
             first += len(own)
         start, walked, normal = vectors
         yields = np.ones(len(rows))
-        if mass.min() < mass.max():  # or the sweeps would push at a heavy one as often as a light one cannot get away
+        if (
+            len(rows) and mass.min() < mass.max()
+        ):  # or the sweeps would push at a heavy one as often as a light one cannot get away
             yields[:] = 0.0
             for k, other in ((near.i, near.j), (near.j, near.i)):
                 one, two = mass.take(k), mass.take(other)

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl.machine_code.kernels import BOOL, F64, I64, Array1, Array2, independent, inlined, kernel
+from antdsl.machine_code.kernels import BOOL, F64, I64, Array1, Array2, called, independent, inlined, kernel
 from antdsl.numerics.kernel_vectors import Vec3, dot, minus, of, put_vector, times
 from antdsl.numerics.sorting import compact_indices
 from antdsl.runtime.moving.capsules import NearbyPairs
@@ -35,14 +35,19 @@ def cut_steps(
     Towards a neighbour it walks at most half of the gap, plus the neighbour's withdrawal if that continues its previous
     displacement. Since limits are shared in this way, agents need no iteration, and a pressing crowd comes to rest. Of two
     masses, the heavier is cut less."""
-    most = max(walked.max(), -walked.min(), 1e-30)
-    magic = np.ldexp(1.5, int(np.frexp(most)[1]) + 2 - _SUM_BITS + 52)
+    magic = sum_magic(walked)
     rows, pairs = len(near.rows), len(gap)
     (short, sums), part, changed = np.empty((2, 3, rows)), np.empty(rows), np.empty(rows, np.bool_)
     meeting_counts, bent_rows, stopped = np.empty((3, rows), np.intp)
     buffers = CutBuffers(np.empty((2, pairs)), sums, part, meeting_counts, bent_rows, np.empty(pairs, np.intp))
     count = _bend_steps(near.i, near.j, gap, direction, approach, mass, walked, magic, buffers, short, stopped, changed)
     return short, stopped[:count], changed
+
+
+def sum_magic(walked: Floats) -> float:
+    """Return the number that defines the quantum of sums of steps of the given lengths, for `add_rounded`."""
+    most = max(walked.max(), -walked.min(), 1e-30)
+    return float(np.ldexp(1.5, int(np.frexp(most)[1]) + 2 - _SUM_BITS + 52))
 
 
 @inlined
@@ -68,14 +73,11 @@ class CutBuffers(NamedTuple):
     pairs: Array1[I64]
 
 
-@kernel
-def _bend_steps(
+@called
+def bend_along(
     i: Array1[I64],
     j: Array1[I64],
-    gap: Array1[F64],
     direction: Array2[F64],
-    approach: Array2[F64],
-    mass: Array1[F64],
     walked: Array2[F64],
     magic: F64,
     buffers: CutBuffers,
@@ -83,24 +85,13 @@ def _bend_steps(
     stopped: Array1[I64],
     changed: Array1[BOOL],
 ) -> I64:
-    """Deflect and cut steps as `cut_steps` describes. Return the number of stopped rows.
+    """Deflect and cut steps along the limits in `buffers.free`. Return the number of stopped rows.
 
+    `buffers.pairs` flags the pairs with a step beyond a limit.
     `cut` (3, k): receives the corrections (mm). `changed`: receives flags of changed rows.
     `stopped`: receives the stopped rows at its start.
     After a pass over all pairs, only pairs with a deflected row are visited again, because no other step has changed."""
     free, sums, part, meeting_counts, bent_rows, pairs = buffers
-    for pair in independent(0, i.size):
-        pair_direction, over = of(direction, pair), 0
-        for side in range(2):
-            own, other = (j[pair], i[pair]) if side else (i[pair], j[pair])
-            towards = -dot(pair_direction, of(walked, own))
-            far = max(gap[pair], 0.0) * 0.5 + max(-dot(pair_direction, of(approach, other)), 0.0)
-            heavier = 1 - min(2 * mass[other] / (mass[own] + mass[other]), 1.0)
-            far += heavier * max(towards - far, 0.0)
-            free[side, pair] = far
-            over = 1 if towards - far > 0 else over
-            pair_direction = negate(pair_direction)
-        pairs[pair] = over
     count, rows = compact_indices(pairs, i.size), 0
     meeting_counts[:] = 0
     part[:] = 1.0
@@ -155,3 +146,35 @@ def _bend_steps(
         stopped[k] = 1 if held else 0
         changed[k] = held | (short[0] != 0) | (short[1] != 0) | (short[2] != 0)
     return compact_indices(stopped, part.size)
+
+
+@kernel
+def _bend_steps(
+    i: Array1[I64],
+    j: Array1[I64],
+    gap: Array1[F64],
+    direction: Array2[F64],
+    approach: Array2[F64],
+    mass: Array1[F64],
+    walked: Array2[F64],
+    magic: F64,
+    buffers: CutBuffers,
+    cut: Array2[F64],
+    stopped: Array1[I64],
+    changed: Array1[BOOL],
+) -> I64:
+    """Deflect and cut steps as `cut_steps` describes. Return the number of stopped rows. The results are as in `bend_along`."""
+    free, pairs = buffers.free, buffers.pairs
+    for pair in independent(0, i.size):
+        pair_direction, over = of(direction, pair), 0
+        for side in range(2):
+            own, other = (j[pair], i[pair]) if side else (i[pair], j[pair])
+            towards = -dot(pair_direction, of(walked, own))
+            far = max(gap[pair], 0.0) * 0.5 + max(-dot(pair_direction, of(approach, other)), 0.0)
+            heavier = 1 - min(2 * mass[other] / (mass[own] + mass[other]), 1.0)
+            far += heavier * max(towards - far, 0.0)
+            free[side, pair] = far
+            over = 1 if towards - far > 0 else over
+            pair_direction = negate(pair_direction)
+        pairs[pair] = over
+    return bend_along(i, j, direction, walked, magic, buffers, cut, stopped, changed)

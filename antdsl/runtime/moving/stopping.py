@@ -1,0 +1,117 @@
+"""Kernels that deflect and shorten paths until no two bodies meet on them."""
+
+from __future__ import annotations
+
+from antdsl.machine_code.kernels import independent, inlined, kernel
+from antdsl.machine_code.kernels.types import BOOL, F64, I64, Array1, Array2
+from antdsl.numerics.kernel_vectors import dot, minus, of, put_vector, times
+from antdsl.numerics.sorting import compact_indices
+from antdsl.runtime.moving.cutting import CutBuffers, bend_along, negate
+from antdsl.runtime.moving.impacts import NEVER, PathArrays, PathPairs, find_impact
+
+_STOP_OVERLAP_SHARE = 2e-3  # of the radii: an overlap up to which bodies slide along each other
+_PRESSING_SHARE = 0.5  # of the radii: how far a heavy body enters a light one, which is then pushed
+
+
+@inlined
+def _heavier_share(paths: PathArrays, own: I64, other: I64) -> F64:
+    """Return by how much the first of two rows is heavier: 0 for equal masses or a lighter row, almost 1 for a very heavy
+    one."""
+    return 1 - min(2 * paths.mass[other] / (paths.mass[own] + paths.mass[other]), 1.0)
+
+
+@kernel
+def bend_paths(
+    pairs: PathPairs,
+    paths: PathArrays,
+    approach: Array2[F64],
+    magic: F64,
+    buffers: CutBuffers,
+    cut: Array2[F64],
+    stopped: Array1[I64],
+    changed: Array1[BOOL],
+) -> I64:
+    """Deflect paths at the impacts of `pairs`: a body continues from there along the other one. Return the number of stopped
+    rows.
+
+    `approach` (3, n) mm: displacements in the previous period of equal length. A body follows another one that withdraws.
+    The other arguments are as in `cutting.bend_along`."""
+    for pair in independent(0, pairs.i.size):
+        direction, over = of(pairs.direction, pair), 0
+        for side in range(2):
+            own, other = (pairs.j[pair], pairs.i[pair]) if side else (pairs.i[pair], pairs.j[pair])
+            towards, time = -dot(direction, of(paths.displacement, own)), pairs.time[pair]
+            far = max(towards, 0.0) * time + max(-dot(direction, of(approach, other)), 0.0) * (1 - time)
+            pressed = (paths.radius[own] + paths.radius[other]) * _PRESSING_SHARE
+            far += _heavier_share(paths, own, other) * min(max(towards - far, 0.0), pressed)
+            buffers.free[side, pair] = far
+            over = 1 if towards - far > 0 else over
+            direction = negate(direction)
+        buffers.pairs[pair] = over
+    return bend_along(pairs.i, pairs.j, pairs.direction, paths.displacement, magic, buffers, cut, stopped, changed)
+
+
+@kernel
+def find_next_impacts(
+    pairs: PathPairs, paths: PathArrays, touched: Array1[BOOL], latest: Array1[BOOL], first: Array1[F64]
+) -> I64:
+    """Write the impacts of the pairs with a `touched` row, and to `first` (n) the first impact of each row. Return the number
+    of impacts.
+
+    `latest` (n): rows that have changed since the last call. Only impacts of their pairs are computed again."""
+    for pair in range(pairs.i.size):
+        p, q = pairs.i[pair], pairs.j[pair]
+        if (latest[p] | latest[q]) & (touched[p] | touched[q]):
+            moves = minus(of(paths.displacement, p), of(paths.displacement, q))
+            heavier = max(_heavier_share(paths, p, q), _heavier_share(paths, q, p))
+            share = 1 - _STOP_OVERLAP_SHARE - _PRESSING_SHARE * heavier
+            pairs.time[pair], direction = find_impact(paths, p, q, moves, share)
+            put_vector(pairs.direction, pair, direction)
+    count = 0
+    first[:] = NEVER
+    for pair in range(pairs.i.size):
+        if pairs.time[pair] <= 1.0:
+            count += 1
+            for row in (pairs.i[pair], pairs.j[pair]):
+                first[row] = min(first[row], pairs.time[pair])
+    return count
+
+
+@kernel
+def shorten_paths(
+    pairs: PathPairs, paths: PathArrays, first: Array1[F64], only_first: BOOL, halts: BOOL, factor: Array1[F64],
+    touched: Array1[BOOL], latest: Array1[BOOL],
+) -> None:  # fmt: skip
+    """Shorten the displacements of the rows that move towards another one up to their impact.
+
+    The tangent plane at the impact then separates the two bodies for the whole substep, also if paths become shorter.
+    `only_first`: only impacts that are the first of both rows are used, because others may not occur after that.
+    `halts`: whether the rows do not move at all. `factor` (n): a work buffer. Sets the flags `touched` and `latest`."""
+    factor[:] = 1.0
+    for pair in range(pairs.i.size):
+        time = pairs.time[pair]
+        if time > 1.0:
+            continue
+        direction = of(pairs.direction, pair)
+        for side in range(2):
+            own, other = (pairs.j[pair], pairs.i[pair]) if side else (pairs.i[pair], pairs.j[pair])
+            is_first = (first[own] == time) & (first[other] == time)
+            if halts or ((is_first | (not only_first)) and -dot(direction, of(paths.displacement, own)) > 0):
+                factor[own] = min(factor[own], 0.0 if halts else time)
+            direction = negate(direction)
+    for k in independent(0, factor.size):
+        latest[k] = factor[k] < 1.0
+        touched[k] |= latest[k]
+        put_vector(paths.displacement, k, times(of(paths.displacement, k), factor[k]))
+
+
+@kernel
+def list_corrections(displacement: Array2[F64], walked: Array2[F64], rows: Array1[I64], corrections: Array2[F64]) -> I64:
+    """Write the rows with another end than `walked` (3, n) mm, and the displacements (mm) from there. Return their number."""
+    for k in independent(0, rows.size):
+        path, step = of(displacement, k), of(walked, k)
+        rows[k] = 1 if (path[0] != step[0]) | (path[1] != step[1]) | (path[2] != step[2]) else 0
+    count = compact_indices(rows, rows.size)
+    for n in range(count):
+        put_vector(corrections, n, minus(of(displacement, rows[n]), of(walked, rows[n])))
+    return count
