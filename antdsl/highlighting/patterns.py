@@ -10,6 +10,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 
 from antdsl.program.tables.colours import COLOUR_BY_NAME
+from antdsl.program.tables.editions import SWITCH_HELP
 from antdsl.program.tables.vocabulary import (
     BUILTIN_ATTRIBUTE_BY_NAME,
     BUILTINS_BY_NAME,
@@ -84,7 +85,11 @@ _LINE_START_WORDS = {word for words in LINE_WORDS_BY_RULE.values() for word in w
 _PLAIN_LINE_WORDS = _LINE_START_WORDS - set(DECLARING_WORDS) - set(SPEC_CLAIM_WORDS)
 _FUNCTION_WORDS = set(BUILTINS_BY_NAME) | set(REDUCER_HELP)
 _PROPERTY_WORDS = (
-    set(BUILTIN_ATTRIBUTE_BY_NAME) | set(RUN_VALUE_TYPES) | set(SENSE_TYPE_BY_NAME) | {"self", "it", "up", "state"}
+    set(BUILTIN_ATTRIBUTE_BY_NAME)
+    | set(SWITCH_HELP)
+    | set(RUN_VALUE_TYPES)
+    | set(SENSE_TYPE_BY_NAME)
+    | {"self", "it", "up", "state"}
 ) - set(INNER_WORDS)
 
 TOKEN_PATTERNS: tuple[TokenPattern, ...] = (

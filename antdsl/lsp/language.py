@@ -14,11 +14,13 @@ from antdsl.program.names.bindings import NameKey
 from antdsl.program.names.collect import BUILTIN_EVENTS
 from antdsl.program.tables import vocabulary
 from antdsl.program.tables.colours import COLOUR_BY_NAME
+from antdsl.program.tables.editions import DEFAULT_BY_SETTING, SWITCH_HELP
 from antdsl.program.tables.rows import BuiltinRow
 from antdsl.program.tables.things import KIND_BY_WORD, KindOfThing
 from antdsl.program.tables.units import default_unit, dimension_words, measure
 from antdsl.resources import library_names
 from antdsl.syntax import nodes
+from antdsl.syntax.editions import EDITIONS
 from antdsl.syntax.words import EXAMPLE_LINES
 
 HelpRule = Callable[[NameKey], str | None]
@@ -64,12 +66,24 @@ def _element(key: NameKey) -> str | None:
 
 def _describe_built_in(key: NameKey) -> str | None:
     """Return the help for an attribute that every animal has; None for another word."""
-    row = vocabulary.BUILTIN_ATTRIBUTE_BY_NAME.get(key[1])
+    name = key[1]
+    if name in SWITCH_HELP:
+        return markdown(f"{name} true", f"{SWITCH_HELP[name]}; {_describe_defaults(name)}", "setting of a species")
+    row = vocabulary.BUILTIN_ATTRIBUTE_BY_NAME.get(name)
     if row is None:
         return None
-    details = ([f"default {row.default}"] if row.default else []) + (["may be set"] if row.settable else [])
-    form = f"{key[1]} {row.default}" if row.default else f"let mine = {key[1]}"
+    default = [_describe_defaults(name)] if name in DEFAULT_BY_SETTING else [f"default {row.default}"] if row.default else []
+    details = default + (["may be set"] if row.settable else []) + ([f"from `ant {row.edition}` on"] if row.edition > 1 else [])
+    form = f"{name} {row.default}" if row.default else f"let mine = {name}"
     return markdown(f"{key[1]}: {row.type}\n{form}", "; ".join([row.help, *details]), "every animal has it")
+
+
+def _describe_defaults(name: str) -> str:
+    """The defaults of a setting: of edition 1, and of later ones where they differ."""
+    row = DEFAULT_BY_SETTING[name]
+    texts = [row.in_edition(edition) or "none" for edition in EDITIONS]
+    later = [f"in `ant {edition}`: {text}" for edition, text in zip(EDITIONS, texts, strict=True) if text != texts[0]]
+    return ", ".join([f"default {texts[0]}", *later])
 
 
 def builtin_form(name: str, row: BuiltinRow) -> str:
@@ -212,7 +226,7 @@ _WORD_MEANINGS: tuple[tuple[str, Collection[str], HelpRule], ...] = (
     ("a call", vocabulary.BUILTINS_BY_NAME, _called),
     ("of a set", vocabulary.REDUCER_HELP, _reducer),
     ("of all agents, in a spec", tables.WHOLES, _describe_form),
-    ("every animal has it", vocabulary.BUILTIN_ATTRIBUTE_BY_NAME, _describe_built_in),
+    ("every animal has it", {**vocabulary.BUILTIN_ATTRIBUTE_BY_NAME, **SWITCH_HELP}, _describe_built_in),
     ("a value", {**tables.WORDS_OF_STATES, **tables.VALUES}, _word),
     ("a unit", vocabulary.UNIT_BY_NAME, _unit),
     ("kind of thing of the world", KIND_BY_WORD, HELP_RULES["kind"]),

@@ -346,6 +346,7 @@ class SpeciesPlan:
     channels: tuple[str, ...] = ()  # channels that states set: the value `channel#NAME`, and whether one does, `.said`
     looks: tuple[str, ...] = ()  # transform groups that states turn towards a point: `look#GROUP.x`, `.y`, `.z`
     clears_body: bool = False  # whether the body, not only the feet, stays outside the ground and obstacles
+    has_whole_body: bool = False  # whether head, abdomen and load take room in contacts
     settings: frozenset[str] = frozenset()  # which of height, upright and max_slope are registers that move its agents
 
 

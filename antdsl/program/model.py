@@ -309,6 +309,7 @@ class Species:
     rest: RestingPush | None = None  # None: every state steers, or none does
     edition: int = 1  # of the file that declares it
     clears_body: bool = False  # whether the body, not only the feet, stays outside the ground and obstacles
+    has_whole_body: bool = False  # whether head, abdomen and load take room in contacts
 
     @property
     def own_types(self) -> Mapping[str, ValueType]:

@@ -26,6 +26,11 @@ class Capsule:
 
 _BODY_ROWS = json.loads(resources.body_file("bodies.json").read_text("utf-8"))
 CAPSULE_BY_BODY = {name: Capsule(**row["capsule"]) for name, row in _BODY_ROWS.items()}
+# Capsules of bodies with head and abdomen, where these are larger than the trunk that most bodies share
+WHOLE_CAPSULE_BY_BODY = {name: Capsule(**row.get("whole", row["capsule"])) for name, row in _BODY_ROWS.items()}
+LOAD_FRONT_BY_BODY: dict[str, float] = {  # body lengths from the feet to the front of a load that a body holds
+    name: row["load"] for name, row in _BODY_ROWS.items() if "load" in row
+}
 BODY_WORDS = tuple(CAPSULE_BY_BODY)  # what a scene's `body:` takes beside files
 _BODY_BY_SPECIES_WORD = [(word, name) for name, row in _BODY_ROWS.items() for word in row["species"]]
 

@@ -1,4 +1,4 @@
-"""Editions of the language. The first line of a file names the edition whose defaults the file has."""
+"""Editions of the language. The first line of a file names its edition, which sets its defaults."""
 
 from __future__ import annotations
 

@@ -33,7 +33,7 @@ def opened(
     return open_scene(folder / "scene.yaml")
 
 
-def begun(folder: Path, members: str, **options: str) -> World:
+def bound_world(folder: Path, members: str, **options: str) -> World:
     shot, report = opened(folder, members, **options)  # type: ignore[arg-type]
     assert shot is not None and not report.diagnostics, str(report)
     return bind(shot.plan, shot.setting, Options())
@@ -64,7 +64,7 @@ def test_without_an_idle_clip_the_rest_pose_counts() -> None:
 
 
 def test_a_body_is_as_tall_as_its_species_says(tmp_path: Path) -> None:
-    world = begun(tmp_path, "height normal(1.72 m, 70 mm)")
+    world = bound_world(tmp_path, "height normal(1.72 m, 70 mm)")
     now = world.populations["walker"].now
     low, high = standing_box(library_body("person"), own_layer(library_body("person")))
     assert now["size"] * (high[1] - low[1]) == pytest.approx(now["height"], rel=1e-6)
@@ -80,7 +80,7 @@ def test_a_body_from_a_file_gives_its_own_proportions(tmp_path: Path) -> None:
     source = Path(__file__).resolve().parents[2] / "examples" / "walker"
     for path in (source / "walker.json", source / "parts.glb"):
         (tmp_path / path.name).write_bytes(path.read_bytes())
-    now = begun(tmp_path, "height 1.75 m", body="walker.json").populations["walker"].now
+    now = bound_world(tmp_path, "height 1.75 m", body="walker.json").populations["walker"].now
     assert json.loads((source / "walker.json").read_text())["length"] == 1.75  # of this body, the length is the height
     assert now["size"] == pytest.approx([1750] * 40, rel=0.01)
 

@@ -139,8 +139,8 @@ def test_the_rows_are_settings_with_a_default_for_each_edition() -> None:
     assert SWITCH_HELP.keys() <= {row.setting for row in EDITION_DEFAULTS}
 
 
-def test_the_reference_has_the_table_of_editions() -> None:
-    page = (ROOT / "grammar" / "README.md").read_text(encoding="utf-8")
+def test_the_page_has_the_table_of_editions() -> None:
+    page = (ROOT / "docs" / "editions.md").read_text(encoding="utf-8")
     for row in EDITION_DEFAULTS:
         values = " | ".join(f"`{each}`" if each else "none" for each in row.defaults)
         assert f"| `{row.setting}` | {values} | {row.reason} |\n" in page
@@ -169,6 +169,7 @@ def test_the_command_lists_settings_with_their_values_and_origins(tmp_path: Path
     assert table == {
         "a.height": ["1.7 m", "line 4"],
         "a.body_clearance": ["false", "edition 2"],
+        "a.body_contacts": ["true", "edition 2"],
         "a.max_turn": ["max(90 deg * max_speed / size, 600 deg/s)", "edition 2"],
         "a.upright": ["100 %", "edition 2"],
         "a.max_slope": ["30 deg", "line 5"],

@@ -11,8 +11,9 @@ from test_contact_kernels import bodies, closest
 from test_contacts import points, positions_by_id, world
 
 from antdsl.runtime import Options, World, state_hash, step
-from antdsl.runtime.moving.capsules import capsule_of, overlap_depths
+from antdsl.runtime.moving.capsules import CapsuleCrowd, capsule_of, overlap_depths
 from antdsl.runtime.moving.impacts import NEVER, PathArrays, PathPairs
+from antdsl.runtime.moving.long_steps import StartPositions, _fill_paths, _list_pairs
 from antdsl.runtime.moving.stopping import find_next_impacts
 from antdsl.scene.setting import CrowdData, MeshData, PlaceData
 
@@ -235,3 +236,47 @@ def test_impacts_are_the_first_contacts_of_sampled_paths(seed: int) -> None:
             assert gaps.min() < 0.2
     for k in range(n):
         assert first[k] == min(pairs.time[(built.i == k) | (built.j == k)])
+
+
+def test_all_pairs_that_pass_are_listed_for_any_sizes_and_densities() -> None:
+    rng, n = np.random.default_rng(5), 160
+    angle, middle = rng.uniform(0, 7, n), rng.uniform(-400, 400, (3, n)) * [[1], [0.01], [1]]
+    ahead = np.stack([np.cos(angle), np.zeros(n), np.sin(angle)])
+    moves = rng.normal(0, 60, (3, n)) * rng.choice([0.1, 1.0, 3.0], n) * [[1], [0], [1]]
+    half, radius = rng.uniform(0, 9, n), rng.choice([2.0, 5.0, 20.0], n)
+    up = np.zeros((3, n)) + np.array([[0.0], [1], [0]])
+    paths = PathArrays(middle, moves, ahead, up, half, radius, np.zeros(n), np.ones(n))
+    active, rank = (rng.random(n) < 0.5).astype(np.int64), rng.permutation(n)
+    listed = _list_pairs(paths, rank, active, True)
+    i, j = (np.array(each) for each in zip(*combinations(range(n), 2), strict=True))
+    every = PathPairs(i, j, np.full(len(i), NEVER), np.zeros((3, len(i))))
+    find_next_impacts(every, paths, np.ones(n, np.bool_), np.ones(n, np.bool_), np.empty(n))
+    thin = PathPairs(i, j, np.full(len(i), NEVER), np.zeros((3, len(i))))
+    find_next_impacts(thin, paths._replace(radius=radius * 0.8), np.ones(n, np.bool_), np.ones(n, np.bool_), np.empty(n))
+    far, wide = np.linalg.norm(moves[:, i] - moves[:, j], axis=0), radius[i] + radius[j]
+    passes = (thin.time <= 1) & (far > wide * 2.0) & ((active[i] | active[j]) > 0)
+    found = {(min(p, q), max(p, q)) for p, q in zip(listed.i.tolist(), listed.j.tolist(), strict=True)}
+    assert {(int(p), int(q)) for p, q in zip(i[passes], j[passes], strict=True)} <= found and passes.sum() > 60
+    touching = {(int(p), int(q)) for p, q in zip(i[every.time <= 1], j[every.time <= 1], strict=True)}
+    assert len(found) == len(listed.i) and len(found - touching) <= 2  # the radii of `every` are 0.2 % less
+    assert (rank[listed.i] < rank[listed.j]).all()
+    assert (np.diff(rank[listed.i] * n + rank[listed.j]) > 0).all()
+
+
+def test_paths_run_from_the_start_to_the_end_with_the_bodies_of_the_end() -> None:
+    place = PlaceData(points=300 * np.array([[0.1, 0.9, 0.3], [-0.3, 0.8, 0.1]]))
+    text = FAST.replace("ant 1\n", "ant 1\nworld { surface hill }\n")
+    built = world(CrowdData("ant", 2, place), text=text, surfaces={"hill": MeshData(*meshes.ball(300.0, rings=40))})
+    population = built.populations["ant"]
+    began = StartPositions({"ant": population.position.copy()}, {"ant": population.normal.copy()})
+    step(built)
+    crowd = CapsuleCrowd(built)
+    paths = _fill_paths(crowd, began)
+    walked = (population.position - began.positions["ant"]).T
+    ups = np.stack([population.now[f"up.{axis}"] for axis in "xyz"]).astype(np.float64)
+    assert np.array_equal(paths.displacement, walked) and np.allclose(paths.middle, crowd.middle - walked)
+    assert np.array_equal(paths.ahead, np.stack([population.now[f"heading.{axis}"] for axis in "xyz"]))
+    mean = ups + began.normals["ant"].T
+    assert np.allclose(paths.up, mean / np.linalg.norm(mean, axis=0)) and np.array_equal(paths.mass, population.now["mass"])
+    far, bend = np.linalg.norm(walked, axis=0), np.linalg.norm(ups - began.normals["ant"].T, axis=0)
+    assert np.allclose(paths.sag, far * bend / 4) and (paths.sag > 2 * far**2 / 8 / 300 * 0.8).all()

@@ -12,7 +12,7 @@ WORLD = """ant 2
 world { surface ground }
 """
 NATIVE = Options(backend="native", threads=2, chunk=5)
-WAYS = (*OPTION_SETS, NATIVE)
+ALL_OPTIONS = (*OPTION_SETS, NATIVE)
 
 
 def person(lines: str = "", steer: str = "heading") -> str:
@@ -44,16 +44,16 @@ def tilts(world: World) -> np.ndarray:
 
 def run(text: str, ground: MeshData, steps: int = 24, count: int = 5, **options: object) -> RunHistory:
     return play(
-        text, crowd(count, radius=2000.0), steps=steps, world=WORLD, fps=24, surfaces={"ground": ground}, option_sets=WAYS,
+        text, crowd(count, radius=2000.0), steps=steps, world=WORLD, fps=24, surfaces={"ground": ground}, option_sets=ALL_OPTIONS,
         **options,  # type: ignore[arg-type]
     )  # fmt: skip
 
 
 @pytest.mark.parametrize("degrees", [5, 20, 35])
 def test_people_stand_vertically_on_a_slope(degrees: float) -> None:
-    seen: list[float] = []
-    history = run(person(), slope(degrees), each=lambda world: seen.append(float(tilts(world).max())))
-    assert len(seen) == 24 and max(seen) < 0.01
+    angles: list[float] = []
+    history = run(person(), slope(degrees), each=lambda world: angles.append(float(tilts(world).max())))
+    assert len(angles) == 24 and max(angles) < 0.01
     assert np.ptp(history.every("position.x")) > 0.7 * 1300 * np.cos(np.radians(degrees))  # they walk
 
 
@@ -72,10 +72,10 @@ def test_a_state_changes_how_bodies_stand_within_their_turn_limit() -> None:
         "state s { steer heading }",
         "state s { steer heading; when after 0.5 s -> crawl { upright = 0 % } }; state crawl { steer heading }",
     )
-    seen: list[float] = []
-    run(text, slope(20), steps=40, each=lambda world: seen.append(float(tilts(world).max())))
-    changes = np.abs(np.diff(seen))
-    assert seen[8] < 0.01 and seen[-1] == pytest.approx(20, abs=0.01)
+    angles: list[float] = []
+    run(text, slope(20), steps=40, each=lambda world: angles.append(float(tilts(world).max())))
+    changes = np.abs(np.diff(angles))
+    assert angles[8] < 0.01 and angles[-1] == pytest.approx(20, abs=0.01)
     assert changes.max() < 60 / 24 * 1.01
 
 
@@ -121,9 +121,9 @@ def stairs(high: float, count: int = 3, tread: float = 1_000.0) -> MeshData:
 
 @pytest.mark.parametrize("steer", ["heading", "vector(1, 0, 0)"])
 def test_steps_up_to_a_quarter_of_the_height_are_climbed_and_higher_ones_are_walls(steer: str) -> None:
-    seen: list[float] = []
-    history = run(person(steer=steer), stairs(400), steps=220, each=lambda world: seen.append(float(tilts(world).max())))
-    assert history.world.populations["a"].position[:, 1].min() > 1_199 and max(seen) < 0.01
+    angles: list[float] = []
+    history = run(person(steer=steer), stairs(400), steps=220, each=lambda world: angles.append(float(tilts(world).max())))
+    assert history.world.populations["a"].position[:, 1].min() > 1_199 and max(angles) < 0.01
     assert run(person(steer=steer), stairs(600), steps=150).world.populations["a"].position[:, 1].max() < 60
 
 

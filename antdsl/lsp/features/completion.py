@@ -22,9 +22,10 @@ from antdsl.lsp.words import FORM_HELP, SETTING_HELP
 from antdsl.lsp.workspace import OpenDocument, Workspace
 from antdsl.program.expectations import MOTION_MEASURES
 from antdsl.program.tables.colours import COLOUR_BY_NAME
+from antdsl.program.tables.editions import SWITCH_EDITION, SWITCH_HELP, setting_defaults
 from antdsl.program.tables.effects import EFFECT_BY_OPERATION
 from antdsl.program.tables.things import KIND_BY_WORD, WITH_FACES, replacements
-from antdsl.program.tables.vocabulary import BUILTIN_ATTRIBUTE_BY_NAME, TYPE_BY_WORD
+from antdsl.program.tables.vocabulary import TYPE_BY_WORD, builtin_attributes
 from antdsl.syntax import nodes
 from antdsl.syntax.words import EXAMPLE_LINES, FIXED_FIELD_SETTINGS, LINE_WORDS_BY_RULE, UNIT_NAMES
 
@@ -83,9 +84,13 @@ def _line_start(request: CompletionRequest, rule: str) -> Iterator[CompletionIte
         for word, setting in SETTING_HELP.items():
             yield CompletionItem(word, "property", "setting of a field", setting.help)
     elif rule == "member":
-        for word, row in BUILTIN_ATTRIBUTE_BY_NAME.items():
+        defaults = setting_defaults(request.edition, False)
+        for word, row in builtin_attributes(request.edition).items():
+            default = defaults.get(word, row.default)
             if row.settable:
-                yield CompletionItem(word, "property", row.type, row.help + (f"; default {row.default}" if row.default else ""))
+                yield CompletionItem(word, "property", row.type, row.help + (f"; default {default}" if default else ""))
+        for word, help in SWITCH_HELP.items() if request.edition >= SWITCH_EDITION else ():
+            yield CompletionItem(word, "property", "bool", f"{help}; default {defaults[word]}")
     elif rule in ("statement", "action"):
         yield from own_names(request, assignable=True)
     elif rule == "weight":

@@ -18,6 +18,7 @@ from antdsl.program.tables import vocabulary
 from antdsl.program.tables.effects import EFFECT_BY_OPERATION
 from antdsl.program.types.states import STATE_WORDS
 from antdsl.syntax import nodes
+from antdsl.syntax.editions import NEWEST_EDITION
 from antdsl.syntax.verbs import VERB_BY_WORD
 
 
@@ -52,6 +53,11 @@ class CompletionRequest:
     def species(self) -> str | None:
         """Return the name of the species around the position, or None."""
         return self.context.enclosing_name("top", "species") or self.context.enclosing_name("spec_line", "each")
+
+    @property
+    def edition(self) -> int:
+        """The edition of the language that the file has."""
+        return self.document.parsed[0].edition_number if self.document.is_program else NEWEST_EDITION
 
     @property
     def machine(self) -> str:
@@ -157,7 +163,7 @@ def members(request: CompletionRequest) -> Iterator[CompletionItem]:
             node = declaration(member)
             yield CompletionItem(own, "property", f"of {owner_name}", help_text(node))
         if owner.kind is TypeKind.AGENT:
-            for member_name, row in vocabulary.BUILTIN_ATTRIBUTE_BY_NAME.items():
+            for member_name, row in vocabulary.builtin_attributes(request.edition).items():
                 yield CompletionItem(member_name, "property", row.type, row.help)
 
 
@@ -262,7 +268,7 @@ def values(request: CompletionRequest) -> Iterator[CompletionItem]:
     yield from make_thing_rule()(request)
     yield from fields(request)
     yield from species(request)
-    for name, row in vocabulary.BUILTIN_ATTRIBUTE_BY_NAME.items():
+    for name, row in vocabulary.builtin_attributes(request.edition).items():
         yield CompletionItem(name, "variable", row.type, row.help)
     for name, type in (*vocabulary.RUN_VALUE_TYPES.items(), *vocabulary.SENSE_TYPE_BY_NAME.items()):
         yield CompletionItem(name, "variable", type, VALUES[name].help if name in VALUES else "")

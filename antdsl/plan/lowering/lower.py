@@ -119,7 +119,7 @@ def _species(w: PlanWriter, order: Sequence[str] | None) -> ir.SpeciesPlan:
         species.name, w.registers, tuple(m.plan() for m in machines), born, decide, act, blend, events, layers,
         find_shared_senses(decide, act, blend), {a.name: pair_values.rest_value(w, a) for a in species.attributes if a.each},
         clips.clips_of(species), appearance.wears_of(species), appearance.channels_of(species), appearance.looks_of(species),
-        species.clears_body, birth.newer_attributes(species),
+        species.clears_body, species.has_whole_body, birth.newer_attributes(species),
     )  # fmt: skip
 
 

@@ -139,12 +139,13 @@ def _completed(work: SpeciesDraft) -> model.Species:
     layers = cached_part(
         scope.declared, ("layers", node.name, blocks, known), lambda: _layers(scope.with_changes(no_keep=None), node)
     )
+    switched = switches(scope, node)
     return model.Species(
         names.name, node.help.text if node.help else "", tuple(attributes), tuple(work.params),
         tuple(b for b in bindings if b.role == "let"), tuple(b for b in bindings if b.role == "latch"),
         tuple(handlers), tuple(machines), layers, node.name.span,
         rest(scope.with_changes(keys=StableKeys(f"{names.name}.rest")), machines, node.name), scope.edition,
-        switches(scope, node)["body_clearance"],
+        switched["body_clearance"], switched["body_contacts"],
     )  # fmt: skip
 
 

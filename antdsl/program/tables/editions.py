@@ -10,7 +10,10 @@ from math import inf
 
 NO_LIMIT_WORD = "none"  # the value of a limit that does not apply
 # Settings of a species that are fixed for all agents, with their help. They are no attributes: nothing reads or assigns them.
-SWITCH_HELP = {"body_clearance": "whether trunk, head and abdomen stay outside every surface, obstacle and solid"}
+SWITCH_HELP = {
+    "body_clearance": "whether trunk, head and abdomen stay outside every surface, obstacle and solid",
+    "body_contacts": "whether head, abdomen and a carried load take room in contacts, not only a trunk that all bodies share",
+}
 SWITCH_EDITION = 2  # the first edition that has them
 
 
@@ -40,6 +43,7 @@ OPTIONAL_ATTRIBUTES = {"min_speed": 0.0, "upright": 0.0, "max_slope": inf}
 
 EDITION_DEFAULTS = (
     EditionDefault("body_clearance", ("false", "true"), "bodies were drawn inside the ground and walls"),
+    EditionDefault("body_contacts", ("false", "true"), "heads, wide abdomens and loads were drawn inside other bodies"),
     EditionDefault("size", ("4 mm", ""), "a species says how large it is: by `size`, or by `height` if its body stands"),
     EditionDefault(
         "max_turn", ("none", "max(90 deg * max_speed / size, 600 deg/s)"), "kinematic agents turned round in one frame"

@@ -29,9 +29,10 @@ from antdsl.runtime.moving.capsule_distances import (
     measure_changed,
     place_trunks,
 )
+from antdsl.runtime.moving.loads import LOAD_REGISTER, extend_trunks
 from antdsl.runtime.world import AXES, Population, World
 from antdsl.scene.body_choice import species_of_key
-from antdsl.scene.library_bodies import CAPSULE_BY_BODY, Capsule, body_for_species
+from antdsl.scene.library_bodies import CAPSULE_BY_BODY, LOAD_FRONT_BY_BODY, WHOLE_CAPSULE_BY_BODY, Capsule, body_for_species
 from antdsl.senses.touching import Bounds, find_touching
 
 Floats = NDArray[np.float64]
@@ -48,10 +49,22 @@ def capsule_of(world: World, key: str) -> Capsule:
     own, species = world.setting.rooms.get(key), species_of_key(key)
     if own is not None:
         return Capsule(own.length, own.width, own.height, own.ahead)
-    for crowd in world.setting.crowds:
-        if crowd.species == species and crowd.body:
-            return CAPSULE_BY_BODY[crowd.body]
-    return CAPSULE_BY_BODY[body_for_species(species)]
+    capsules = WHOLE_CAPSULE_BY_BODY if world.plan.species[species].has_whole_body else CAPSULE_BY_BODY
+    return capsules[_library_body(world, species)]
+
+
+def _library_body(world: World, species: str) -> str:
+    """Return the name of the library body of a species."""
+    bodies = (crowd.body for crowd in world.setting.crowds if crowd.species == species and crowd.body)
+    return next(bodies, None) or body_for_species(species)
+
+
+def _load_front(world: World, species: str) -> float | None:
+    """Return how far (body lengths) the front of a load is ahead of the feet. None if agents of a species hold no loads that
+    take room."""
+    if world.setting.rooms.get(species) is not None or not world.plan.species[species].has_whole_body:
+        return None
+    return LOAD_FRONT_BY_BODY.get(_library_body(world, species))
 
 
 class CapsuleCrowd:
@@ -67,10 +80,11 @@ class CapsuleCrowd:
         self.key = self.of(lambda p: p.ids + k * _SPECIES_KEY_STEP if (k := self.species.index(p)) else p.ids)
         self.bounds = self._measure()  # of x, y and z of middles and of reaches
 
-    def _measure(self) -> Bounds:
-        """Compute the capsules of each species; return the bounds of all capsules."""
+    def _measure(self) -> Bounds | None:
+        """Compute the capsules of each species; return the bounds of all capsules, None if they are not known."""
         self.half, self.radius, self.ahead, self.reach = np.empty((4, len(self)))
         self.middle = np.empty((3, len(self)))
+        has_loads = False
         capsules, extremes = TrunkCapsules(self.half, self.radius, self.ahead, self.reach, self.middle), empty_extremes()
         bounds: Any = ()
         for population, first in zip(self.species, self.first.tolist(), strict=False):
@@ -84,7 +98,10 @@ class CapsuleCrowd:
                     bounds = place_trunks(*stands, shape, first, capsules, extremes)
                 else:
                     bounds = _place_some_trunks(stands, rows, shape, first, capsules, extremes)
-        return list(zip(bounds[:4], bounds[4:], strict=True))
+            front = _load_front(self.world, population.name)
+            if front is not None and LOAD_REGISTER in own:
+                has_loads |= extend_trunks(own[LOAD_REGISTER], stands[1], own["size"], front, first, capsules)
+        return None if has_loads else list(zip(bounds[:4], bounds[4:], strict=True))
 
     def __len__(self) -> int:
         return int(self.first[-1])

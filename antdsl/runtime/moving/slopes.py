@@ -47,19 +47,26 @@ class SlopeStart:
         up, limit = np.asarray(world.up, np.float64), steepest_cosines(population, rows)
         position, smooth = pose
         displacement = position - self.position[rows]
-        distance = np.sqrt((displacement * displacement).sum(axis=1))
-        which = np.flatnonzero((face_normals(world, footing, smooth) @ up < limit) & (distance > 0))
-        rises = (displacement @ up)[which] > _MIN_RISE_SHARE * distance[which]
-        before = self.footing.take(rows[which])
-        was_steep = face_normals(world, before, self.normal[rows[which]].astype(np.float64)) @ up < limit[which]
-        steep: Rows = which[rises | ~was_steep]
+        distance = np.sqrt(_dot(displacement, displacement))
+        which = np.flatnonzero((_dot(face_normals(world, footing, smooth), up) < limit) & (distance > 0))
+        is_rising = _dot(displacement, up)[which] > _MIN_RISE_SHARE * distance[which]
+        start = self.footing.take(rows[which])
+        normal = face_normals(world, start, self.normal[rows[which]].astype(np.float64))
+        was_steep = _dot(normal, up) < limit[which]
+        steep: Rows = which[is_rising | ~was_steep]
         return steep
+
+
+def _dot(a: Floats, b: Floats) -> Floats:
+    """Return the scalar products of vectors (k, 3) with vectors (k, 3) or one vector (3), summed in one order."""
+    product: Floats = (a[..., 0] * b[..., 0] + a[..., 1] * b[..., 1]) + a[..., 2] * b[..., 2]
+    return product
 
 
 def face_normals(world: World, footing: Footing, smooth: Floats) -> Floats:
     """Return the unit normals (k, 3) of the faces below agents, on the side of the smooth normals; these without a footing."""
     normal = world.ground.normal(footing)
-    side = (normal * smooth).sum(axis=1)[:, None]
+    side = _dot(normal, smooth)[:, None]
     facing: Floats = np.where(side != 0, normal * np.sign(side), smooth)
     return facing
 
@@ -82,20 +89,20 @@ def lay_pushes(world: World, population: Population) -> None:
     What a push has across the ground turns into a push up or down along it."""
     up, every = np.asarray(world.up, np.float64), np.arange(len(population))
     normal = face_normals(world, population.footing, population.normal.astype(np.float64))
-    rows = np.flatnonzero(normal @ up < steepest_cosines(population, every))
+    rows = np.flatnonzero(_dot(normal, up) < steepest_cosines(population, every))
     if not len(rows):
         return
     normal, push = normal[rows], population.vector("push")[rows].astype(np.float64)
-    across = (push * normal).sum(axis=1)[:, None]
-    uphill = up - normal * (normal @ up)[:, None]
-    uphill = uphill / np.maximum(np.sqrt((uphill * uphill).sum(axis=1))[:, None], 1e-12)
+    across = _dot(push, normal)[:, None]
+    uphill = up - normal * _dot(normal, up)[:, None]
+    uphill = uphill / np.maximum(np.sqrt(_dot(uphill, uphill))[:, None], 1e-12)
     laid = push - normal * across - uphill * across
     for k, axis in enumerate(AXES):
         population.now[f"push.{axis}"][rows] = laid[:, k]
 
 
 def find_walls_of_slope(world: World, population: Population, start: SlopeStart) -> Rows:
-    """Return the agents whose last step was too steep, and that cannot cross the steep part as a step of stairs."""
+    """Return the agents that made a step that is too steep and cannot cross the steep part as a step of stairs."""
     every, pose = np.arange(len(population)), (population.position, population.normal.astype(np.float64))
     rows = start.find_steep(world, population, every, population.footing, pose)
     if not len(rows):
@@ -113,10 +120,10 @@ def _can_cross(world: World, population: Population, start: SlopeStart, rows: Ro
     high = (now["height"] if "height" in population.plan.settings else now["size"])[rows].astype(np.float64)
     tread = (_STEP_PER_HEIGHT * np.where(np.isfinite(high) & (high > 0), high, 0.0))[:, None]
     heading = start.heading[rows].astype(np.float64)
-    ahead = heading - (heading @ up)[:, None] * up
+    ahead = heading - _dot(heading, up)[:, None] * up
     step = population.position[rows] - start.position[rows]
-    lead = np.sqrt((step * step).sum(axis=1))[:, None] + _LEAD_PER_HEIGHT / _STEP_PER_HEIGHT * tread
-    ahead = ahead / np.maximum(np.sqrt((ahead * ahead).sum(axis=1))[:, None], 1e-12) * lead
+    lead = np.sqrt(_dot(step, step))[:, None] + _LEAD_PER_HEIGHT / _STEP_PER_HEIGHT * tread
+    ahead = ahead / np.maximum(np.sqrt(_dot(ahead, ahead))[:, None], 1e-12) * lead
     origin = start.position[rows] + up * tread * (1 + _CLEARANCE_PER_STEP)
     hit, _, _ = meshes.trace_normals(origin, ahead, threads)
     is_free = np.ones(len(rows), np.bool_)
@@ -124,7 +131,7 @@ def _can_cross(world: World, population: Population, start: SlopeStart, rows: Ro
     down = -up * tread * (2 + 2 * _CLEARANCE_PER_STEP)
     hit, _, normal = meshes.trace_normals(origin + ahead, down, threads)
     limit = steepest_cosines(population, rows)
-    crosses[hit] = np.abs(up @ normal) >= limit[hit]
+    crosses[hit] = np.abs(_dot(normal.T, up)) >= limit[hit]
     return crosses & is_free
 
 
@@ -135,11 +142,11 @@ def deflect_steps(world: World, population: Population, start: SlopeStart, rows:
     `step` (k, 3) mm: the steps that were too steep."""
     up = np.asarray(world.up, np.float64)
     wall = face_normals(world, population.footing.take(rows), population.normal[rows].astype(np.float64))
-    wall = wall - (wall @ up)[:, None] * up
-    wall = wall / np.maximum(np.sqrt((wall * wall).sum(axis=1))[:, None], 1e-12)
-    into = (step * wall).sum(axis=1)[:, None]
+    wall = wall - _dot(wall, up)[:, None] * up
+    wall = wall / np.maximum(np.sqrt(_dot(wall, wall))[:, None], 1e-12)
+    into = _dot(step, wall)[:, None]
     along = step - wall * into
-    away = along - wall * (np.sign(into) * _NUDGE * np.sqrt((step * step).sum(axis=1))[:, None])
+    away = along - wall * (np.sign(into) * _NUDGE * np.sqrt(_dot(step, step))[:, None])
     result, moved = along.copy(), _move(world, population, start, rows, along)
     for other in (away, np.zeros_like(step)):
         again = start.find_steep(world, population, rows, moved.footing, (moved.position, moved.up))
