@@ -64,6 +64,7 @@ MAX_SPECIES_BODIES: Final = 64  # of one species, in one line of a scene's crowd
 MIN_BODY_WEIGHT: Final = 1e-6  # of one of several bodies
 MAX_BODY_WEIGHT: Final = 1e6
 MAX_WORN_LAYERS: Final = 64  # layers that agents of one species may show beside their own: bits of a mask
+MAX_TEXTURE_PIXELS: Final = 32 * 1024 * 1024  # of all textures of one body
 MAX_BODY_LEGS: Final = 64  # of one body
 MAX_BODY_GAITS: Final = 32  # of one body
 MIN_STRIDE: Final = 1e-6  # units of length of a definition

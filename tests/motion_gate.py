@@ -1,10 +1,10 @@
 """The motion gate: measures the motion in examples and on torture shapes, and compares it with `tests/motion_bounds.txt`.
 
 `python tests/motion_gate.py` runs all rows of the table. `python tests/motion_gate.py battle torture/cube` runs the rows with
-names that begin so. It prints the measures of each row, and exits with 1 if one is above its bound. A name may also be the path
-of a scene, which has no bounds. `--record` writes the bounds that have become lower; a bound is raised only by hand, with a
-reason. `--cache DIR` measures a cache of the scene of a row instead. `--save DIR` leaves the caches in a folder. The measures
-are described in `tests/motion_track.py`."""
+names that begin so. It prints the measures of each row, and exits with 1 if one is above its bound by more than chance
+explains. A name may also be the path of a scene, which has no bounds. `--record` writes the bounds that have become lower; a
+bound is raised only by hand, with a reason. `--cache DIR` measures a cache of the scene of a row instead. `--save DIR` leaves
+the caches in a folder. The measures are described in `tests/motion_track.py`."""
 
 from __future__ import annotations
 
@@ -32,6 +32,12 @@ TORTURE = "torture/"
 SHAPES = shapes().SHAPES
 SHAPE_AGENTS = 100
 MAX_SCENE_FRAMES = 240  # of a scene that is not in the table
+# Crowds are chaotic: any other bit gives other paths of the same kind. Measures of such runs differ by up to so much.
+CHANCE_SHARE = 0.1
+CHANCE = MotionRow(
+    overlap=2.0, inside=0.5, inside_frames=24, lag=0.5, turn=0.5, turn_max=0.3, step=4.0, zigzag=4.0, zigzags=0.04, spin=2.5,
+    stops=3.0, standing=1.5, backward=1.0, slide=0.1,
+)  # fmt: skip
 NO_BOUNDS = MotionRow(*[math.inf] * len(MEASURES))
 CRAWLER = """ant 1
 use steering
@@ -141,9 +147,10 @@ def measure_row(row: Bound, cache: Path | None = None, saved: Path | None = None
 
 
 def broken_bounds(row: Bound, measured: MotionRow) -> Iterator[str]:
-    """Yield a message for each measure of a row above its bound."""
-    for name, value, bound in zip(MEASURES, astuple(measured), astuple(row.bounds), strict=True):
-        if value > bound:
+    """Yield a message for each measure of a row above its bound, by more than chance explains."""
+    columns = zip(MEASURES, astuple(measured), astuple(row.bounds), astuple(CHANCE), strict=True)
+    for name, value, bound, chance in columns:
+        if value > bound * (1 + CHANCE_SHARE) + chance:
             yield f"{row.name}: {name} is {value:.4g}, above its bound of {bound:.4g}"
 
 

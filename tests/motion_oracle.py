@@ -129,7 +129,9 @@ class Agent(SimpleNamespace):
         if not angle_between(ahead, direction) > most:
             return v
         side = unit(flat(direction, ahead), np.cross(self.normal, ahead))
-        return (ahead * math.cos(most) + side * math.sin(most)) * length(v)
+        turned = ahead * math.cos(most) + side * math.sin(most)
+        creep = length(v) if self.at_once else 0.1 * self.max_speed
+        return turned * at_least(v @ turned, float(np.minimum(length(v), creep)))
 
     def looks(self) -> list[np.ndarray]:
         """The directions in which it looks for walls."""

@@ -236,8 +236,8 @@ def named_bodies(scene: Scene, species: Iterable[str] = ()) -> list[NamedBody]:
             lines[line.species] = number
             span = scene.span("crowd", number, "species")
             bodies.append(NamedBody(line.species, line.species, body_for_species(line.species), span))
-    whole = scene.span("antdsl", key=True)
-    return bodies + [NamedBody(name, name, body_for_species(name), whole) for name in species if name not in lines]
+    scene_start = scene.span("antdsl", key=True)
+    return bodies + [NamedBody(name, name, body_for_species(name), scene_start) for name in species if name not in lines]
 
 
 def _check_body(species: Species, body: Definition, text: str, place: Span, report: Report, by_name: bool = False) -> None:

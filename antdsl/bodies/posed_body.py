@@ -44,7 +44,7 @@ class PosedBody:
     if it exists, else the first layer not called `collision`.
 
     `faces`: int32[m, 3].
-    `own`: float32[v, 3], linear colours of materials.
+    `own`: float32[v, 3], linear colours of materials, times those of points (`Cd`), which textures become.
     `tint`: float32[v]. 1 takes the agent's colour, 0 that of the material. Vertices without a material, or with one named
         `state`, have 1.
     `material`: [v], names.
@@ -266,6 +266,11 @@ def _split_by_material(
     known = [None if name == STATE_MATERIAL else colours.get(name) for name in names]
     own = np.array([(0.0, 0.0, 0.0) if each is None else each for each in known], np.float32)[of]
     tint = np.array([each is None for each in known], np.float32)[of]
+    colour = shape.attributes.get("Cd")
+    if colour is not None and colour.shape == (len(shape.points), 3):  # a texture or vertex colours
+        bare = np.array([name == "" for name in names])[of]
+        own = np.where(bare[:, None], np.float32(1), own) * np.asarray(colour[point], np.float32)
+        tint = np.where(bare, np.float32(0), tint)
     return point, faces.reshape(-1, 3).astype(np.int32), own, tint, np.array(names)[of]
 
 

@@ -247,16 +247,16 @@ class Gallery:
         for which, key in enumerate(keys):
             body = self.body(number, 0, which)
             own = np.arange(count) if len(keys) == 1 else np.flatnonzero(numbers == which)
-            some = rows[own]
+            subset = rows[own]
             crowds.append(
                 Crowd(
                     species=species.name,
-                    position=np.asarray(arrays["P"], np.float64)[some],
-                    orient=np.asarray(arrays["orient"], np.float64)[some],
-                    scale=np.asarray(arrays["pscale"], np.float64)[some],
-                    colour=np.asarray(arrays["Cd"], np.float64)[some] if "Cd" in arrays else np.full((len(some), 3), 0.35),
+                    position=np.asarray(arrays["P"], np.float64)[subset],
+                    orient=np.asarray(arrays["orient"], np.float64)[subset],
+                    scale=np.asarray(arrays["pscale"], np.float64)[subset],
+                    colour=np.asarray(arrays["Cd"], np.float64)[subset] if "Cd" in arrays else np.full((len(subset), 3), 0.35),
                     ids=ids[own],
-                    velocity=np.asarray(arrays["v"], np.float64)[some] if "v" in arrays else None,
+                    velocity=np.asarray(arrays["v"], np.float64)[subset] if "v" in arrays else None,
                     worn=body,
                     plays=(*body.idle_clips(ids[own], frame * self.dt), *(take_rows(plays, own) if len(keys) > 1 else plays)),
                     feet=feet_of(key, arrays, len(own), 0 if body.legs is None else body.legs.count),

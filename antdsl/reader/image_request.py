@@ -48,13 +48,16 @@ class ImageFile:
     samples: NDArray[Any] | None
 
 
-def read_image_file(data: bytes, format: str, modes: Collection[str], pixels: int) -> ImageFile:
+def read_image_file(data: bytes, format: str, modes: Collection[str], pixels: int, convert: str = "") -> ImageFile:
     """Return the image in a file's bytes. Raises ImageError with the reason if there is none.
 
     - `format`: Pillow's name of the file format, such as `PNG`
     - `modes`: the accepted modes, keys of MODES
-    - `pixels`: the maximum number of pixels"""
-    said = {"format": format, "modes": [mode for mode in modes if mode in SAMPLE_TYPE_BY_MODE], "pixels": pixels}
+    - `pixels`: the maximum number of pixels
+    - `convert`: a key of MODES to which an image of any mode is converted; it is one of `modes`"""
+    said: dict[str, Any] = {"format": format, "modes": [mode for mode in modes if mode in SAMPLE_TYPE_BY_MODE], "pixels": pixels}
+    if convert:
+        said["convert"] = convert
     digest = blake2b(repr(sorted(said.items())).encode() + data, digest_size=16).hexdigest()
     try:
         answer = client.ask("image", said, {"data": np.frombuffer(data, np.uint8)}, size=len(data), digest=digest, files=digest)

@@ -23,7 +23,7 @@ def read_image(request: ReaderMessage) -> tuple[dict[str, Any], Mapping[str, NDA
 
     The result has its `mode`, `columns`, `rows`, number of `pages` and `texts`, and the array `samples` (rows, columns) or (rows,
     columns, channels). There are no samples if the image has several pages, more than `pixels` pixels, or a mode that is not one
-    of `modes`. `format` is Pillow's name of the format."""
+    of `modes`. `format` is Pillow's name of the format. `convert`: the mode that an image of any mode is converted to."""
     from PIL import Image
 
     said = request.document
@@ -33,10 +33,12 @@ def read_image(request: ReaderMessage) -> tuple[dict[str, Any], Mapping[str, NDA
         with Image.open(data, formats=(said["format"],)) as image:
             columns, rows = image.size
             pages = getattr(image, "n_frames", 1)
-            if pages == 1 and columns * rows <= int(said["pixels"]) and image.mode in said["modes"]:
+            mode, target = image.mode, str(said.get("convert", ""))
+            if pages == 1 and columns * rows <= int(said["pixels"]) and (target or mode in said["modes"]):
                 _require_all_parts(image)
-                arrays["samples"] = np.asarray(image)
-            document = {"mode": image.mode, "columns": columns, "rows": rows, "pages": pages}
+                arrays["samples"] = np.asarray(image.convert(target) if target else image)
+                mode = target or mode
+            document = {"mode": mode, "columns": columns, "rows": rows, "pages": pages}
             return document | {"texts": _texts(image.info)}, arrays  # texts may come after the samples
     except (MemoryError, ReadRefusal):
         raise

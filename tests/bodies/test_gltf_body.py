@@ -3,21 +3,26 @@
 from __future__ import annotations
 
 import copy
+import io
 import json
 import random
 import struct
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import gltf_bodies
 import numpy as np
 import pytest
+from PIL import Image
 
 from antdsl import limits
 from antdsl.bodies.agents.boxes import rest_box
 from antdsl.bodies.agents.definition import Binding, BodyError, Definition
 from antdsl.bodies.files.gltf_body import read_gltf
 from antdsl.bodies.files.reading import read_definition
+from antdsl.bodies.files.writing import write_gltf
+from antdsl.bodies.posed_body import PosedBody
 from antdsl.scene.paths import PathRefused
 
 
@@ -79,11 +84,52 @@ def test_values_may_lie_between_others_and_stand_for_shares() -> None:
     assert shape.capture.weights == pytest.approx(np.array([[1, 0], [1, 0], [0.2, 0.8]]))
 
 
-def test_a_texture_is_reported_as_left_out() -> None:
-    tree, data = gltf_bodies.arm()
+def textured(tree: dict[str, Any], data: bytes, image: bytes) -> bytes:
+    """The file with an image as the base colour texture of its first material."""
+    start = len(data) + -len(data) % 4
+    tree["bufferViews"].append({"buffer": 0, "byteOffset": start, "byteLength": len(image)})
+    tree["images"] = [{"bufferView": len(tree["bufferViews"]) - 1, "mimeType": "image/png"}]
+    tree["textures"] = [{"source": 0}]
     tree["materials"][0]["pbrMetallicRoughness"]["baseColorTexture"] = {"index": 0}
-    _, notes = read_gltf(gltf_bodies.binary(tree, data), "arm", nothing_beside, 20.0)
-    assert notes == ["the texture of `shell` is not read, its base colour is"]
+    data = data.ljust(start, b"\0") + image
+    tree["buffers"] = [{"byteLength": len(data)}]
+    return gltf_bodies.binary(tree, data)
+
+
+def png(colours: list[list[tuple[int, int, int]]]) -> bytes:
+    file = io.BytesIO()
+    Image.fromarray(np.array(colours, np.uint8)).save(file, "PNG")
+    return file.getvalue()
+
+
+def test_a_texture_becomes_the_colours_of_points() -> None:
+    tree, data = gltf_bodies.arm()
+    plain, _ = read_gltf(gltf_bodies.binary(*gltf_bodies.arm()), "arm", nothing_beside, 20.0)
+    body, notes = read_gltf(textured(tree, data, png([[(255, 0, 0)] * 4] * 4)), "arm", nothing_beside, 20.0)
+    assert not notes and "Cd" not in plain.shapes["arm"].attributes
+    assert body.shapes["arm"].attributes["Cd"] == pytest.approx(np.tile([1.0, 0.0, 0.0], (len(body.shapes["arm"].points), 1)))
+    body = replace(body, length=1.0)
+    worn = PosedBody(body, ())
+    red = worn.own[worn.material == "shell"]
+    assert len(red) and red == pytest.approx(np.tile([body.materials["shell"][0], 0.0, 0.0], (len(red), 1)), abs=1e-6)
+    again, _ = read_gltf(write_gltf(body, body.layers["body"], text=False)[0], "arm", nothing_beside, 20.0)
+    assert again.shapes["arm"].attributes["Cd"] == pytest.approx(body.shapes["arm"].attributes["Cd"])
+
+
+@pytest.mark.parametrize(
+    ("image", "says"), [(b"GIF89a", "neither PNG nor JPEG"), (b"\x89PNG\r\n\x1a\n damaged", "cannot be read as PNG")]
+)
+def test_a_texture_that_cannot_be_read_is_reported(image: bytes, says: str) -> None:
+    body, notes = read_gltf(textured(*gltf_bodies.arm(), image), "arm", nothing_beside, 20.0)
+    assert len(notes) == 1 and notes[0].startswith("the texture of `shell` is not read") and says in notes[0]
+    assert "Cd" not in body.shapes["arm"].attributes
+
+
+def test_a_texture_with_too_many_pixels_is_reported(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("antdsl.limits.MAX_TEXTURE_PIXELS", 10)
+    tree, data = gltf_bodies.arm()
+    notes = read_gltf(textured(tree, data, png([[(255, 0, 0)] * 4] * 4)), "arm", nothing_beside, 20.0)[1]
+    assert len(notes) == 1 and "16 pixels, more than are read" in notes[0]
 
 
 def test_a_morph_target_is_a_shape_to_blend_with(arm: Definition) -> None:

@@ -259,6 +259,61 @@ def test_align_makes_them_go_the_same_way() -> None:
     assert order[0] < 0.95 and order[-1] > 0.99
 
 
+def test_steady_faces_the_aim_of_an_animal_that_is_pushed_aside_slowly() -> None:
+    def facing(speed: float, face: str) -> np.ndarray:
+        world = scene(f"match(vector(0 mm/s, 0 mm/s, {speed} mm/s))\n    {face}", crowd("ant", (0, 0)))
+        run(world, 36)
+        return np.array([float(world.populations["ant"].now[f"heading.{a}"][0]) for a in "xz"])
+
+    assert facing(2.0, "")[1] > 0.99  # where it goes
+    assert facing(2.0, "face steady(direction(food))")[0] > 0.95  # almost to the food along x
+    assert facing(28.0, "face steady(direction(food))")[1] > 0.9
+
+
+def test_amble_gives_each_its_own_pace_that_drifts() -> None:
+    points = [(float(x), float(z)) for x in range(-100, -50, 8) for z in range(-60, 70, 16)]
+    _, velocity = run(scene("amble(vector(1, 0, 0), pace: 0.6, spread: 0.2)", crowd("ant", *points)), 96)
+    speed = np.linalg.norm(velocity[24:], axis=2) / 30.0
+    assert abs(speed.mean() - 0.6) < 0.04 and 0.06 < speed.std(axis=1).mean() < 0.16
+    assert np.abs(np.diff(speed, axis=0)).max() < 0.08 and speed.std(axis=0).mean() > 0.04
+
+
+def test_hesitate_stands_still_now_and_then_and_each_at_other_times() -> None:
+    points = [(float(x), float(z)) for x in range(-150, -100, 8) for z in range(-60, 70, 16)]
+    for fps in (24, 96):
+        world = scene("hesitate(toward(vector(1, 0, 0)), every: 1.5 s, lasting: 0.5 s)", crowd("ant", *points), fps=fps)
+        _, velocity = run(world, 4 * fps)
+        stands = np.linalg.norm(velocity[fps:], axis=2) < 3.0
+        assert 0.08 < stands.mean() < 0.25  # a quarter of the time, less 0.35 s of each stop in which it brakes
+        assert stands.mean(axis=1).max() < 0.4 and stands.any(axis=0).mean() > 0.5  # never all at once
+
+
+def test_set_off_starts_a_crowd_one_by_one() -> None:
+    points = [(float(x), float(z)) for x in range(-150, -100, 8) for z in range(-60, 70, 16)]
+    _, velocity = run(scene("set_off(toward(vector(1, 0, 0)), within: 2 s)", crowd("ant", *points)), 72)
+    speed = np.linalg.norm(velocity, axis=2)
+    begins = np.array([(each > 20.0)[12:].argmax() + 12 for each in speed.T])
+    assert speed[-1].min() > 29 and begins.std() > 8 and begins.max() > 40 and np.median(begins) < 40
+
+
+def test_yield_keeps_its_distance_from_an_animal_that_has_arrived() -> None:
+    def least(steer: str) -> float:
+        positions, _ = run(scene(steer, crowd("ant", (30, 0), (0, 0)), food=(60, 60)), 120)
+        return float(np.linalg.norm(positions[:, 0] - positions[:, 1], axis=1).min())
+
+    assert least("arrive(food)") < 2.0
+    assert least("yield(arrive(food), radius: 24 mm)") > 7.0
+
+
+def test_tolerate_leaves_what_exceeds_a_push() -> None:
+    def spread(gap: float) -> float:
+        positions, _ = run(scene("tolerate(separate(20 mm), least: 0.3) + halt()", crowd("ant", (0, 0), (0, gap))), 48)
+        return float(np.linalg.norm(positions[-1, 0] - positions[-1, 1]))
+
+    assert spread(16.0) == pytest.approx(16.0, abs=1e-3)
+    assert 13.0 < spread(6.0) < 14.5
+
+
 def test_halt_stands_still() -> None:
     _, speeds = run(scene("halt()", crowd("ant", (0, 0))), 30)
     assert np.linalg.norm(speeds[-1]) < 0.2

@@ -80,6 +80,7 @@ def test_bounds_are_rounded_up_and_only_fall(tmp_path: Path) -> None:
     row = Bound("some/scene", 24, MotionRow(*[2.0] * len(MEASURES)))
     measured = replace(row.bounds, turn=3.0, spin=1.0)
     assert [*broken_bounds(row, measured)] == ["some/scene: turn is 3, above its bound of 2"]
+    assert [*broken_bounds(row, replace(measured, turn=2.6))] == []  # other paths of the same kind
     lower = lower_bounds(row, measured)
     assert (lower.bounds.turn, lower.bounds.spin) == (2.0, 1.0)
     path = tmp_path / "bounds.txt"

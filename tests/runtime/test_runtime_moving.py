@@ -144,6 +144,21 @@ def test_hills_neither_slow_nor_turn_an_agent_that_coasts_at_any_rate():
     assert np.linalg.norm(ends[0] - ends[1], axis=1).max() < 0.05  # of 40 mm
 
 
+@pytest.mark.parametrize("fps", [24, 96])
+@pytest.mark.parametrize("speed", [0.5, 3.0, 12.0])
+def test_a_push_against_the_motion_brakes_until_the_agent_has_turned(fps, speed):
+    plan = store_plan((-1.0, 0.0, 0.0), max_turn=5.0, **{**STILL, "velocity.x": speed})
+    world, against = world_of(plan, fps=Fraction(fps)), 0
+    for _ in range(2 * fps):
+        step(world)
+        velocity = read(world, "velocity")[0]
+        if velocity[0] > 1e-3:
+            against += 1
+            assert np.linalg.norm(velocity) <= max(speed, 3.0) + 1e-4  # a tenth of max_speed while it turns round
+    assert 0.2 * fps < against < 0.8 * fps  # half of a half turn takes 0.31 s, and 0.6 s where braking interrupts it
+    assert velocity == pytest.approx([-30, 0, 0], abs=0.3)
+
+
 def test_no_speed_limit_means_none_and_bad_mass_means_none_moves():
     fast = world_of(store_plan((1.0, 0.0, 0.0), max_speed=float("inf"), **STILL))
     light = world_of(store_plan((1.0, 0.0, 0.0), mass=0.0, **STILL))

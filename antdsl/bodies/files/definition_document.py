@@ -46,7 +46,7 @@ def read_document(root: Node, files: BodyFiles, name: str) -> Parts | None:
     shapes, materials = dict(base.shapes), {**base.materials, **form.materials}
     read_includes(form, root, files, shapes, materials)
     read_shapes(form, root, files, base.unit, shapes, materials)
-    parts = Parts(base, root.mark, measured=form.length is None)
+    parts = Parts(base, root.mark, measured=not (form.length or (form.base is not None and base.length)))
     layers = {each.name: build_layer(each) for each in form.layers}
     groups = {each.name: build_group(each) for each in form.groups}
     for key, named in (("layers", form.layers), ("groups", form.groups), ("legs", form.legs), ("gaits", form.gaits)):
@@ -70,8 +70,8 @@ def read_document(root: Node, files: BodyFiles, name: str) -> Parts | None:
         gaits = sorted((Gait(**dict(gait)) for gait in form.gaits), key=lambda gait: gait.speed)
         definition = replace(definition, gaits=tuple(gaits))
     if form.capsule is not None:
-        room = form.capsule
-        definition = replace(definition, capsule=(room.length, room.width, room.height, room.ahead))
+        sizes = form.capsule
+        definition = replace(definition, capsule=(sizes.length, sizes.width, sizes.height, sizes.ahead))
     parts.definition = replace(definition, idle=form.idle or definition.idle)
     return parts
 

@@ -226,6 +226,17 @@ class CapsuleForm(Form):
     ahead: Number = 0.0
 
 
+class BodySettings(Form):
+    """Settings of a body that glTF cannot express, stored in the extras of the file, in metres. Unknown keys are ignored."""
+
+    model_config = ConfigDict(extra="ignore")
+    length: Length | None = None
+    legs: Annotated[tuple[LegForm, ...], Unique, Entries, at_most("MAX_BODY_LEGS", "legs")] = ()
+    gaits: Annotated[tuple[GaitForm, ...], Unique, Entries, at_most("MAX_BODY_GAITS", "gaits")] = ()
+    idle: Text | None = None
+    capsule: CapsuleForm | None = None
+
+
 class VariationForm(Form):
     noun = "variation"
     scale: dict[str, tuple[Scale, Scale]] = Field(default={}, examples=['{"head": [0.9, 1.2]}'])

@@ -17,6 +17,7 @@ from antdsl import limits
 from antdsl.bodies.agents.definition import Binding, BodyError, Definition, Layer, Rig
 from antdsl.bodies.agents.transforms import matrix_of, unit_quaternion
 from antdsl.bodies.files.gltf_clips import read_clips
+from antdsl.bodies.files.gltf_settings import with_extras
 from antdsl.bodies.files.gltf_shapes import GltfBody, read_shape, rigid_capture, unused_name
 from antdsl.scene.geometry.gltf_file import GltfDocument, GltfError, node_parents, nodes_below, scene_roots
 
@@ -56,7 +57,7 @@ def _read_definition(
         name, rig, body.shapes, {LAYER: layer} if body.shapes else {}, {clip.name: clip for clip in clips},
         materials=body.materials, front=(0.0, 0.0, 1.0), up=(0.0, 1.0, 0.0), unit=1000.0,
     )  # fmt: skip
-    return definition, list(body.left_out)
+    return with_extras(definition, body.file.tree.get("extras")), list(body.left_out)
 
 
 # ---- rig

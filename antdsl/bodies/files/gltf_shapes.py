@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 from antdsl import limits
 from antdsl.bodies.agents.definition import STATE_MATERIAL, BlendTargets, BodyError, Capture, Channel, Shape
 from antdsl.bodies.body import unit_normals
-from antdsl.scene.geometry.gltf_file import FAN_MODE, STRIP_MODE, TRIANGLES_MODE, GltfDocument, primitive_triangles
+from antdsl.bodies.files.gltf_textures import COLOUR, TextureError, Textures
+from antdsl.scene.geometry.gltf_file import FAN_MODE, STRIP_MODE, TRIANGLES_MODE, GltfDocument, GltfError, primitive_triangles
 
 Floats = NDArray[np.float64]
 _TOLERANCE = 1e-6  # tolerance of the length 1 of normals; normals stored as integers are slightly longer or shorter
@@ -33,6 +34,10 @@ class GltfBody:
     materials: dict[str, tuple[float, float, float]] = field(default_factory=dict)
     left_out: dict[str, None] = field(default_factory=dict)
     points: int = 0
+    textures: Textures = field(init=False)
+
+    def __post_init__(self) -> None:
+        self.textures = Textures(self.file)
 
 
 def unused_name(name: str, taken: Iterable[str]) -> str:
@@ -55,6 +60,7 @@ class _MeshPieces:
     faces: list[NDArray[np.int64]] = field(default_factory=list)
     normals: list[Floats | None] = field(default_factory=list)
     uvs: list[Floats | None] = field(default_factory=list)
+    colours: list[Floats | None] = field(default_factory=list)
     material: list[int | None] = field(default_factory=list)
     joints: list[NDArray[np.int64]] = field(default_factory=list)
     weights: list[Floats] = field(default_factory=list)
@@ -85,6 +91,9 @@ def read_shape(body: GltfBody, name: str, mesh: dict[str, Any], skin: dict[str, 
     materials, material = _read_materials(body, pieces)
     common = set.intersection(*(set(each) for each in pieces.further))
     further = {key: np.concatenate([each[key] for each in pieces.further]) for key in sorted(common)}
+    colours = _point_colours(body, pieces, counts)
+    if colours is not None:
+        further[COLOUR] = colours
     shape = Shape(name, points, faces, normals, uvs, materials, material, further)
     if skin is not None:
         shape = replace(shape, capture=_read_capture(body, pieces, skin, name))
@@ -137,6 +146,7 @@ def _read_piece(body: GltfBody, pieces: _MeshPieces, primitive: dict[str, Any], 
     pieces.points.append(points)
     pieces.normals.append(of_points("NORMAL", 3))
     pieces.uvs.append(of_points("TEXCOORD_0", 2))
+    pieces.colours.append(_vertex_colours(file, attributes, len(points)))
     pieces.targets.append([])
     for target in file.get_objects(primitive, "targets"):
         moved = [_read_target(file, target, key, len(points)) for key in ("POSITION", "NORMAL")]
@@ -150,6 +160,40 @@ def _read_piece(body: GltfBody, pieces: _MeshPieces, primitive: dict[str, Any], 
                 pieces.further[-1][key.strip("_").lower()] = values[:, 0].astype(np.int64 if is_integer else np.float32)
     if skinned:
         _read_joint_weights(pieces, of_points, len(points))
+
+
+def _vertex_colours(file: GltfDocument, attributes: dict[str, Any], count: int) -> Floats | None:
+    """Return the linear colours [count, 3] of points, or None. Values that are not usable are ignored."""
+    if "COLOR_0" not in attributes:
+        return None
+    values = file.read_accessor(attributes["COLOR_0"]).astype(np.float64)
+    if values.shape[0] != count or values.shape[1] not in (3, 4) or not np.isfinite(values).all():
+        raise BodyError("has vertex colours that do not match its points", _EXPORT)
+    return np.clip(values[:, :3], 0.0, 1.0)
+
+
+def _point_colours(body: GltfBody, pieces: _MeshPieces, counts: list[int]) -> NDArray[np.float32] | None:
+    """Return the linear colours of all points, float32[P, 3], without the base colours of materials. Return None if no piece has
+    vertex colours or a texture. Points that several materials share have the texture of the first."""
+    file, known, is_coloured = body.file, body.file.top("materials"), False
+    colours = []
+    for number, count in enumerate(counts):
+        vertex_colours, uvs = pieces.colours[number], pieces.uvs[number]
+        own = np.ones((count, 3)) if vertex_colours is None else vertex_colours
+        is_coloured = is_coloured or vertex_colours is not None
+        material = next((m for m, of in zip(pieces.material, pieces.of, strict=True) if of == number), None)
+        pbr = {} if material is None else file.get_object(known[material], "pbrMetallicRoughness")
+        if material is not None and "baseColorTexture" in pbr:
+            name = file.name(known[material], f"material{material}")
+            try:
+                if uvs is None:
+                    raise TextureError("its mesh has no texture coordinates")
+                own = own * body.textures.colours(file.get_object(pbr, "baseColorTexture"), uvs)
+                is_coloured = True
+            except (TextureError, GltfError) as why:
+                body.left_out[f"the texture of `{name}` is not read, its base colour is: {why}"] = None
+        colours.append(own)
+    return np.concatenate(colours).astype(np.float32) if is_coloured else None
 
 
 def _read_faces(body: GltfBody, pieces: _MeshPieces, primitive: dict[str, Any], faces: NDArray[np.int64], of: int) -> bool:
@@ -272,8 +316,6 @@ def _read_materials(body: GltfBody, pieces: _MeshPieces) -> tuple[tuple[str, ...
         colour = (1.0, 1.0, 1.0)
         if material is not None:
             pbr = file.get_object(known[material], "pbrMetallicRoughness")
-            if "baseColorTexture" in pbr:
-                body.left_out[f"the texture of `{name}` is not read, its base colour is"] = None
             red, green, blue, _ = np.clip(file.get_floats(pbr, "baseColorFactor", (1.0, 1.0, 1.0, 1.0)), 0.0, 1.0)
             colour = (float(red), float(green), float(blue))
         if name != STATE_MATERIAL:

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from antdsl.bodies.agents.blend_shapes import attribute_difference, knots_of, match_points, shares_of, values_of
 from antdsl.bodies.agents.definition import Definition, Shape
 from antdsl.bodies.body import unit_normals
+from antdsl.bodies.files.gltf_textures import COLOUR
 
 VERTICES, INDICES = 34962, 34963  # `target` of a buffer view
 _COMPONENTS = {"f4": 5126, "u2": 5123, "u4": 5125}
@@ -85,6 +86,9 @@ class ShapeParts:
             self.attributes["NORMAL"] = writer.accessor(unit_normals(normals), "f4", VERTICES)
         if shape.uvs is not None:
             self.attributes["TEXCOORD_0"] = writer.accessor(shape.uvs, "f4", VERTICES)
+        colours = shape.attributes.get(COLOUR)
+        if colours is not None and colours.shape == (len(shape.points), 3):
+            self.attributes["COLOR_0"] = writer.accessor(np.asarray(colours, np.float32), "f4", VERTICES)
         for name, values in shape.attributes.items():
             if values.ndim == 1:
                 is_integer = values.dtype.kind == "i" and len(values) and values.min() >= 0 and values.max() < 2**32

@@ -7,7 +7,7 @@ import os
 import posixpath
 import re
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from antdsl import limits
@@ -125,6 +125,7 @@ class BodyFiles:
         try:
             if kind in USD:
                 definition, left_out = self._read_usd(full, prim or "/", name, rate)
+                definition = replace(definition, length=0.0)  # to be measured
             else:
                 data = self.bytes_of(full, limits.MAX_BODY_FILE_BYTES)
                 definition, left_out = read_gltf(data, name, self._sibling_reader(full), rate or RATE, pose)

@@ -48,7 +48,9 @@ def read_definition(
     name = text.rpartition(".")[0] or "body"
     if kind in GLTF or kind in USD:
         definition = files.body(text, place, prim, rate)
-        return (check_definition(Parts(definition, span=place), report) if definition is not None else None), report
+        if definition is None:
+            return None, report
+        return check_definition(Parts(definition, span=place, measured=not definition.length), report), report
     if kind != "json":
         kinds = ", ".join(f".{each}" for each in ("json", *GLTF, *USD))
         report.error("wrong-kind", f"`{display_path[-80:]}` is no file of a body", place, f"one of {kinds} is read")

@@ -22,6 +22,8 @@ from antdsl.bodies.files.clip_document import write_clip
 from antdsl.bodies.files.document_values import axis_word, unit_mm
 from antdsl.bodies.files.documents import json_text, write_group, write_layer, write_metadata, write_rig
 from antdsl.bodies.files.gltf_clips import write_settings
+from antdsl.bodies.files.gltf_settings import CAPSULE_KEYS, body_extras
+from antdsl.bodies.files.gltf_textures import COLOUR
 from antdsl.bodies.files.gltf_writer import Entry, GltfWriter, ShapeParts
 from antdsl.scene.model import UNIT_MM
 
@@ -70,7 +72,7 @@ def definition_files(body: Definition, name: str) -> dict[str, bytes]:
     if body.gaits:
         document["gaits"] = [asdict(gait) for gait in body.gaits]
     if body.capsule is not None:
-        document["capsule"] = dict(zip(("length", "width", "height", "ahead"), body.capsule, strict=True))
+        document["capsule"] = dict(zip(CAPSULE_KEYS, body.capsule, strict=True))
     if body.idle:
         document["idle"] = body.idle
     if body.variation:
@@ -99,7 +101,7 @@ def _shapes_gltf(body: Definition) -> bytes:
     for shape in body.shapes.values():
         plain = Shape(
             shape.name, shape.points, shape.faces, shape.normals, shape.uvs, shape.materials, shape.material,
-            {key: values for key, values in shape.attributes.items() if np.ndim(values) == 1}, shape.capture,
+            {key: values for key, values in shape.attributes.items() if np.ndim(values) == 1 or key == COLOUR}, shape.capture,
         )  # fmt: skip
         parts = ShapeParts(writer, body, plain, shape.normals)
         entry: dict[str, Any] = {"name": shape.name, "mesh": parts.mesh(shape.name, materials)}
@@ -155,8 +157,9 @@ def _file_name(name: str) -> str:
 def write_gltf(body: Definition, layer: Layer, *, text: bool) -> tuple[bytes, list[str]]:
     """Return the bytes of a .gltf (`text`) or .glb file of a definition, with the shapes of one layer. Also return sentences
     about parts that glTF cannot store."""
-    document = _GltfParts(convert_axes(body, FRONT, UP, METRE), layer)
-    data = document.writer.bytes(text, scene=0, scenes=[{"nodes": document.roots}])
+    placed = convert_axes(body, FRONT, UP, METRE)
+    document = _GltfParts(placed, layer)
+    data = document.writer.bytes(text, scene=0, scenes=[{"nodes": document.roots}], extras=body_extras(placed))
     return data, [*document.notes, *_list_omissions(body, layer)]
 
 
@@ -171,8 +174,6 @@ def _list_omissions(body: Definition, layer: Layer) -> list[str]:
         notes.append("transform groups are left out: glTF has none")
     if body.metadata:
         notes.append("metadata is left out")
-    if body.legs or body.gaits:
-        notes.append("legs and gaits are left out: glTF has none")
     if any("dualquat" in binding.deformer for binding in layer.deforming):
         notes.append("dual quaternion skinning is linear there: glTF has no other")
     if any(shape.between for shape in body.shapes.values()):

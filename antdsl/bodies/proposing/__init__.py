@@ -5,4 +5,5 @@ Input: a definition as read from glTF or USD. Output: a definition file to corre
 1. `joint_motion`: joints and points in the standing pose, and joints over the samples of clips.
 2. `leg_search`: chains of joints from the trunk to the ground. Clips are judged by the feet, so legs come first.
 3. `clip_gaits`: clips in which feet move backward on the ground; they tell speed, stride, phases and the front.
-4. `proposal`: everything else follows from these, and the text of the file."""
+4. `study`: all of these for one body.
+5. `proposal`: everything else follows from these, and the text of the file."""

@@ -87,18 +87,18 @@ def planted_share(motion: ClipMotion, legs: Sequence[FoundLeg], up: Floats, leng
 
 def find_gait(motion: ClipMotion, legs: Sequence[FoundLeg], up: Floats, length: float) -> ClipGait | None:
     """Return how a clip walks; None if it does not. `length`: of a leg."""
-    if len(motion.worlds) < 4 or not legs or motion.step <= 0:
+    if len(motion.worlds) < 4 or not legs or motion.step <= 0 or not motion.is_cyclic:
         return None
     paths = foot_paths(motion, legs, up)
     low = paths.height < _LOW_SHARE * paths.lift
-    ways = paths.velocity[low]
-    if not len(ways) or np.median(paths.lift) < _MIN_LIFT * length:
+    directions = paths.velocity[low]
+    if not len(directions) or np.median(paths.lift) < _MIN_LIFT * length:
         return None
-    way = np.median(ways, axis=0)
-    speed = float(np.linalg.norm(way))
+    direction = np.median(directions, axis=0)
+    speed = float(np.linalg.norm(direction))
     if speed < _MIN_SPEED * length:
         return None
-    back = way / speed
+    back = direction / speed
     along = paths.velocity @ back
     if float((along[low] > _STANCE_SHARE * speed).mean()) < _MIN_AGREEMENT:
         return None

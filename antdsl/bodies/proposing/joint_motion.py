@@ -14,6 +14,7 @@ from antdsl.bodies.posed_body import own_layer
 
 Floats = NDArray[np.float64]
 _MAX_SAMPLES = 1200  # samples of a clip that are examined
+_CYCLE_STEPS = 3  # of the longest step: a longer one from the last pose to the first is a leap
 _CLOSED_SHARE = 1e-3  # of the body's extent: a last pose nearer to the first than this repeats it
 
 
@@ -32,12 +33,14 @@ class ClipMotion:
     """Joints over one cycle of a clip.
 
     `worlds` float32[F, J, 3, 4]: their world matrices. `step`: seconds between samples.
-    `closes`: the last pose of the clip repeats the first; it is left out here."""
+    `closes`: the last pose of the clip repeats the first; it is left out here.
+    `is_cyclic`: the last pose leads to the first, in a step about as long as the others."""
 
     name: str
     worlds: NDArray[np.float32]
     step: float
     closes: bool
+    is_cyclic: bool
 
     @property
     def seconds(self) -> float:
@@ -52,9 +55,11 @@ def clip_motion(body: Definition, name: str, extent: float) -> ClipMotion:
     times = np.linspace(0.0, clip.duration, count)
     worlds = sample_worlds(body, name, np.minimum(times, clip.duration * (1 - 1e-6)))
     step = clip.duration / max(count - 1, 1)
-    places = worlds[:, :, :, 3].astype(np.float64)
-    closes = count > 2 and bool(np.abs(places[-1] - places[0]).max() < max(_CLOSED_SHARE * extent, 1e-9))
-    return ClipMotion(name, worlds[:-1] if closes else worlds, step, closes)
+    positions = worlds[:, :, :, 3].astype(np.float64)
+    closes = count > 2 and bool(np.abs(positions[-1] - positions[0]).max() < max(_CLOSED_SHARE * extent, 1e-9))
+    gap = float(np.abs(positions[-1] - positions[0]).max())
+    longest = float(np.abs(np.diff(positions, axis=0)).max(initial=0.0))
+    return ClipMotion(name, worlds[:-1] if closes else worlds, step, closes, closes or gap <= _CYCLE_STEPS * longest)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -70,7 +75,7 @@ class BodyPoints:
 def posed_points(body: Definition, worlds: NDArray[np.float32]) -> BodyPoints:
     """Return the points of a body. `worlds`: the matrices of its joints in one pose, [J, 3, 4]."""
     poses = Poses(worlds[None], None, np.asarray(body.rig.defaults, np.float32)[None])
-    places, joints = [np.zeros((0, 3))], [np.zeros(0, np.intp)]
+    positions, joints = [np.zeros((0, 3))], [np.zeros(0, np.intp)]
     layer = own_layer(body)
     for binding in (*layer.static, *layer.deforming):
         shape = body.shapes[binding.shape]
@@ -81,6 +86,6 @@ def posed_points(body: Definition, worlds: NDArray[np.float32]) -> BodyPoints:
             joint = numbers[np.take_along_axis(shape.capture.joints, strongest[:, None], axis=1)[:, 0]]
         else:
             joint = np.full(len(points), body.rig.joint(binding.transform) if binding.transform else -1, np.intp)
-        places.append(points)
+        positions.append(points)
         joints.append(joint)
-    return BodyPoints(np.concatenate(places), np.concatenate(joints))
+    return BodyPoints(np.concatenate(positions), np.concatenate(joints))

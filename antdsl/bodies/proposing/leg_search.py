@@ -57,24 +57,24 @@ def find_legs(rig: Rig, points: BodyPoints, worlds: NDArray[np.float32], up: Flo
     counts = np.bincount(points.joint[low & (points.joint >= 0)], minlength=len(rig.names))
     touching = [joint for joint in range(len(rig.names)) if counts[joint] >= _MIN_CONTACT_POINTS]
     groups = _group_by_branch(rig, touching)
-    places = worlds[:, :, 3].astype(np.float64)
+    positions = worlds[:, :, 3].astype(np.float64)
     legs: list[FoundLeg] = []
     feet: list[FoundLeg] = []
     reasons: list[str] = []
     for chain_start, every in groups.items():
-        contacts = [each for each in every if places[each] @ up < ground + _ANKLE_HEIGHT * height] or every[-1:]
+        contacts = [each for each in every if positions[each] @ up < ground + _ANKLE_HEIGHT * height] or every[-1:]
         soles = tuple(_sole(joint, points, low, worlds) for joint in contacts)
         path = _path(rig, chain_start, contacts[0])
         name = rig.names[contacts[0]]
         feet.append(FoundLeg(path[0], path[0], contacts[0], tuple(path), soles))
-        rise = float((places[chain_start] - places[contacts[0]]) @ up)
+        rise = float((positions[chain_start] - positions[contacts[0]]) @ up)
         if len(path) < 3:
             reasons.append(f"`{name}` touches the ground, but has no hip and knee above it, so it is no leg")
             continue
         if rise < _MIN_LEG_HEIGHT * height:
             reasons.append(f"`{name}` touches the ground, but its chain lies on it, so it is no leg")
             continue
-        upper, lower = _hip_and_knee(path, places)
+        upper, lower = _hip_and_knee(path, positions)
         legs.append(FoundLeg(upper, lower, contacts[0], tuple(path), soles))
         feet[-1] = legs[-1]
     if not groups:
@@ -123,23 +123,23 @@ def _path(rig: Rig, start: int, end: int) -> list[int]:
     return path[: path.index(start) + 1][::-1]
 
 
-def _hip_and_knee(path: list[int], places: Floats) -> tuple[int, int]:
+def _hip_and_knee(path: list[int], positions: Floats) -> tuple[int, int]:
     """Return the joints of hip and knee of a chain with three joints or more.
 
     The knee is the joint that is farthest from the line from hip to foot, measured against the shorter of both bones, so that it
     divides the leg into two bones of use."""
-    bones = [float(np.linalg.norm(places[b] - places[a])) for a, b in pairwise(path)]
+    bones = [float(np.linalg.norm(positions[b] - positions[a])) for a, b in pairwise(path)]
     first, total = 0, max(sum(bones), 1e-12)
     while len(path) - first > 3 and bones[first] < _SHORT_BONE * total:
         first += 1
-    hip, foot = places[path[first]], places[path[-1]]
+    hip, foot = positions[path[first]], positions[path[-1]]
     line = foot - hip
     line /= max(float(np.linalg.norm(line)), 1e-12)
 
     def usefulness(joint: int) -> float:
-        away = places[joint] - hip
+        away = positions[joint] - hip
         off = float(np.linalg.norm(away - line * (away @ line)))
-        shorter = min(float(np.linalg.norm(away)), float(np.linalg.norm(foot - places[joint])))
+        shorter = min(float(np.linalg.norm(away)), float(np.linalg.norm(foot - positions[joint])))
         return shorter + off
 
     return path[first], max(path[first + 1 : -1], key=usefulness)

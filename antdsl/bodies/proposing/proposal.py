@@ -4,26 +4,25 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl.bodies.agents.definition import Definition, Rig, language_name
+from antdsl.bodies.agents.definition import Definition, language_name
 from antdsl.bodies.files.document_values import axis_word
-from antdsl.bodies.proposing.clip_gaits import ClipGait, find_gait, planted_share
-from antdsl.bodies.proposing.joint_motion import BodyPoints, ClipMotion, clip_motion, posed_points, sample_worlds
-from antdsl.bodies.proposing.leg_search import FoundLeg, LegSearch, find_legs
+from antdsl.bodies.proposing.joint_motion import posed_points
+from antdsl.bodies.proposing.leg_search import FoundLeg
+from antdsl.bodies.proposing.study import IDLE_WORDS, STILL_SHARE, BodyStudy, is_below, study_body
 from antdsl.scene.model import UNIT_MM
 
 Floats = NDArray[np.float64]
 _PLAUSIBLE_HEIGHT_MM = (2.0, 4000.0)  # of an animal or a person
 _UNIT_WORDS = ("m", "cm", "mm")
-_IDLE_WORDS = ("idle", "stand", "breath", "survey", "rest", "wait")
 _GAIT_WORDS = ("walk", "run", "trot", "gallop", "jog", "sprint", "hop", "crawl", "march")
-_STILL_SHARE = 0.9  # of a clip in which feet stand: with less, the clip moves them
+_NO_NAME = re.compile(r"(?:clip|anim|animation|action|take|armature|mixamo\.com|[\W_\d])*", re.IGNORECASE)  # says nothing
 _UPRIGHT = 1.5  # how much higher than long a body stands upright
 _TRUNK_SHARE = 0.96  # of the trunk's points, which its capsule holds along each axis
 _GRAVITY_MM = 9810.0
@@ -59,25 +58,9 @@ def _value_text(value: Any) -> str:
     return json.dumps(value, ensure_ascii=False)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Study:
-    """What was measured of a body. `idle`: the clip of the standing pose, or "". `length`: of a leg."""
-
-    body: Definition
-    up: Floats
-    idle: str
-    worlds: NDArray[np.float32]
-    points: BodyPoints
-    search: LegSearch
-    motions: Mapping[str, ClipMotion]
-    gaits: Mapping[str, ClipGait]
-    planted: Mapping[str, float]
-    length: float
-
-
 def propose(body: Definition, file: str) -> Proposal:
     """Return a proposal for a body that was read from `file`, a path relative to the definition file."""
-    study = _study(body)
+    study = study_body(body)
     proposal = Proposal()
     proposal.reasons[""] = ["Proposed by `antdsl body --propose`. Correct what is wrong, then delete the comments."]
     proposal.add("antdsl_body", 1)
@@ -98,69 +81,9 @@ def propose(body: Definition, file: str) -> Proposal:
     return proposal
 
 
-# ---- measuring
-
-
-def _study(body: Definition) -> _Study:
-    """Measure a body: its standing pose, legs, and the gaits of its clips."""
-    idle = _named_idle(body)
-    up, worlds, points, search = _stand(body, idle, np.array(body.up, np.float64))
-    length = _leg_length(search, worlds)
-    motions = {name: clip_motion(body, name, search.height) for name in body.clips}
-    feet = search.feet
-    gaits = {n: gait for n, each in motions.items() if (gait := find_gait(each, feet, up, length)) is not None}
-    planted = {n: planted_share(each, feet, up, length) if feet else 0.0 for n, each in motions.items()}
-    if not idle and feet:
-        calm = [name for name, share in planted.items() if share > _STILL_SHARE and motions[name].seconds > 0.2]
-        if calm:
-            idle = min(calm, key=lambda name: _restlessness(motions[name]))
-            up, worlds, points, search = _stand(body, idle, up)
-            length = _leg_length(search, worlds)
-    return _Study(body, up, idle, worlds, points, search, motions, gaits, planted, length)
-
-
-def _stand(body: Definition, idle: str, up: Floats) -> tuple[Floats, NDArray[np.float32], BodyPoints, LegSearch]:
-    """Return the up axis, joints, points and legs in the standing pose. Another axis counts if only it has legs."""
-    worlds = sample_worlds(body, idle, np.zeros(1))[0]
-    points = posed_points(body, worlds)
-    others = [sign * axis for axis in np.eye(3)[[1, 2, 0]] for sign in (1.0, -1.0)]
-    best = find_legs(body.rig, points, worlds, up)
-    for other in others if len(best.legs) < 2 else ():
-        search = find_legs(body.rig, points, worlds, other)
-        if len(search.legs) >= 2 and len(search.legs) > len(best.legs):
-            up, best = other, search
-    return up, worlds, points, best
-
-
-def _named_idle(body: Definition) -> str:
-    """Return the first clip with a name that says that it stands, or ""."""
-    for word in _IDLE_WORDS:
-        for name, clip in body.clips.items():
-            if word in name.lower() and clip.duration > 0:
-                return name
-    return ""
-
-
-def _restlessness(motion: ClipMotion) -> float:
-    """Return how much joints move in a clip, in units of length per second."""
-    place = motion.worlds[:, :, :, 3].astype(np.float64)
-    return float(np.linalg.norm(np.diff(place, axis=0), axis=2).mean()) / max(motion.step, 1e-9) if len(place) > 1 else 0.0
-
-
-def _leg_length(search: LegSearch, worlds: NDArray[np.float32]) -> float:
-    """Return the mean length of legs; half of the height without legs."""
-    place = worlds[:, :, 3].astype(np.float64)
-    lengths = [_distance(place, leg.upper, leg.lower) + _distance(place, leg.lower, leg.foot) for leg in search.legs]
-    return float(np.mean(lengths)) if lengths else max(0.5 * search.height, 1e-9)
-
-
-def _distance(place: Floats, a: int, b: int) -> float:
-    return float(np.linalg.norm(place[b] - place[a]))
-
-
-def _idle_reason(study: _Study) -> str:
+def _idle_reason(study: BodyStudy) -> str:
     """Return why a clip is the one of agents that stand."""
-    if any(word in study.idle.lower() for word in _IDLE_WORDS):
+    if any(word in study.idle.lower() for word in IDLE_WORDS):
         return "says so by its name"
     return f"has feet on the ground for {study.planted.get(study.idle, 0.0):.0%} of its time and moves least"
 
@@ -168,7 +91,7 @@ def _idle_reason(study: _Study) -> str:
 # ---- axes, units and length
 
 
-def _add_axes(proposal: Proposal, study: _Study) -> Floats:
+def _add_axes(proposal: Proposal, study: BodyStudy) -> Floats:
     """Add `front` and `up`, and return the front."""
     body, up = study.body, study.up
     word = axis_word(_triple(up))
@@ -184,7 +107,7 @@ def _add_axes(proposal: Proposal, study: _Study) -> Floats:
     return front
 
 
-def _front(study: _Study) -> tuple[Floats, str]:
+def _front(study: BodyStudy) -> tuple[Floats, str]:
     """Return the front axis and the reason for it."""
     if study.gaits:
         gait = max(study.gaits.values(), key=lambda each: each.speed)
@@ -200,24 +123,17 @@ def _front(study: _Study) -> tuple[Floats, str]:
     return default, "that of the file; no clip walks"
 
 
-def _toe_direction(study: _Study) -> Floats | None:
+def _toe_direction(study: BodyStudy) -> Floats | None:
     """Return the mean direction from foot joints to the points of their soles; None if feet point nowhere."""
     total = np.zeros(3)
     for leg in study.search.legs:
-        below = [k for k in range(len(study.body.rig.names)) if _is_below(study.body.rig, k, leg.foot)]
+        below = [k for k in range(len(study.body.rig.names)) if is_below(study.body.rig, k, leg.foot)]
         points = study.points.place[np.isin(study.points.joint, below)]
         if len(points):
             total += points.mean(axis=0) - study.worlds[leg.foot, :, 3].astype(np.float64)
     total -= study.up * (total @ study.up)
     size = float(np.linalg.norm(total))
     return total / size if size > 0.02 * study.length * max(len(study.search.legs), 1) else None
-
-
-def _is_below(rig: Rig, joint: int, top: int) -> bool:
-    """Return whether a joint is `top` or below it."""
-    while joint >= 0 and joint != top:
-        joint = int(rig.parents[joint])
-    return joint == top
 
 
 def _nearest_axis(direction: Floats, up: Floats) -> Floats:
@@ -231,7 +147,7 @@ def _triple(axis: Floats) -> tuple[float, float, float]:
     return x + 0.0, y + 0.0, z + 0.0
 
 
-def _add_unit(proposal: Proposal, study: _Study) -> float:
+def _add_unit(proposal: Proposal, study: BodyStudy) -> float:
     """Add `units`, and return them in millimetres."""
     body, low, high = study.body, *_PLAUSIBLE_HEIGHT_MM
     own = next((word for word, mm in UNIT_MM.items() if mm == body.unit), f"{body.unit:.15g} mm")
@@ -241,9 +157,11 @@ def _add_unit(proposal: Proposal, study: _Study) -> float:
         return body.unit
     fitting = [word for word in _UNIT_WORDS if low <= height * UNIT_MM[word] <= high]
     word = fitting[0] if fitting else own
-    reason = f"units: in the file's {own} the body would be {_metres(height * body.unit)} high; so it is {_metres(height * UNIT_MM.get(word, body.unit))}"
+    unit = UNIT_MM.get(word, body.unit)
+    high_words, fitting_words = _metres(height * body.unit), _metres(height * unit)
+    reason = f"units: in the file's {own} the body would be {high_words} high; so it is {fitting_words}"
     proposal.add("units", word, reason)
-    return UNIT_MM.get(word, body.unit)
+    return unit
 
 
 def _metres(millimetres: float) -> str:
@@ -251,7 +169,7 @@ def _metres(millimetres: float) -> str:
     return f"{millimetres / 1000:.3g} m" if millimetres >= 100 else f"{millimetres:.3g} mm"
 
 
-def _add_length(proposal: Proposal, study: _Study, front: Floats) -> None:
+def _add_length(proposal: Proposal, study: BodyStudy, front: Floats) -> None:
     """Add `length`: along the front, or the height of an upright body."""
     if not len(study.points.place):
         return
@@ -262,27 +180,26 @@ def _add_length(proposal: Proposal, study: _Study, front: Floats) -> None:
         proposal.add("length", _rounded(along), "length: along its front in the standing pose; `size` of an agent is this length")
     if abs(study.search.ground) > 0.05 * height:
         proposal.reasons["length"].append(
-            f"the lowest point is at {_rounded(study.search.ground):g}, not at 0: move the model onto its ground, or it will hover or sink"
+            f"the lowest point is at {_rounded(study.search.ground):g}, not at 0: move the model onto its ground, or it hovers"
         )
 
 
 # ---- clips
 
 
-def _clip_names(study: _Study) -> dict[str, str]:
-    """Return a short name for each clip: a usual word in its name, else by what it does, else its name in the language's letters."""
+def _clip_names(study: BodyStudy) -> dict[str, str]:
+    """Return a short name for each clip: a usual word in its name, else what it does, else its name in the language's letters."""
     names: dict[str, str] = {}
     taken: set[str] = set()
     by_speed = sorted(study.gaits, key=lambda name: study.gaits[name].speed)
-    for name in [*by_speed, *(each for each in study.body.clips if each not in study.gaits)]:
-        word = next((word for word in _GAIT_WORDS if word in name.lower()), "")
-        if name in study.gaits:
-            word = word or ("walk" if name == by_speed[0] else "run")
-        elif name == study.idle:
-            word = "idle"
-        else:
-            word = language_name(re.split(r"[|/]", name)[-1] or name)
-        unique, count = word, 2
+    nameless = [name for name in by_speed if _NO_NAME.fullmatch(name)]
+    words = {name: word for name in by_speed if (word := _gait_word(name))}
+    words |= {name: "walk" if k == 0 else "run" for k, name in enumerate(nameless)}
+    words |= {study.idle: "idle"} if study.idle else {}
+    order = dict.fromkeys([*words, *study.body.clips])
+    for name in order:
+        word, count = words.get(name) or language_name(re.split(r"[|/]", name)[-1] or name), 2
+        unique = word
         while unique in taken:
             unique, count = f"{word}_{count}", count + 1
         taken.add(unique)
@@ -290,7 +207,12 @@ def _clip_names(study: _Study) -> dict[str, str]:
     return names
 
 
-def _add_clips(proposal: Proposal, study: _Study) -> None:
+def _gait_word(name: str) -> str:
+    """Return the usual word for a way of walking in the name of a clip, or ""."""
+    return next((word for word in _GAIT_WORDS if word in name.lower()), "")
+
+
+def _add_clips(proposal: Proposal, study: BodyStudy) -> None:
     """Add `clips`: names, strides, and whether feet are placed on the ground while they play."""
     names, entries, reasons = _clip_names(study), [], []
     for name in study.body.clips:
@@ -301,12 +223,12 @@ def _add_clips(proposal: Proposal, study: _Study) -> None:
             reasons.append(
                 f"`{names[name]}`: feet on the ground move {gait.speed:.3g} units a second, for {gait.seconds:.3g} s a cycle"
             )
-        elif study.search.feet and study.planted[name] < _STILL_SHARE:
+        elif study.search.feet and study.planted[name] < STILL_SHARE:
             entry["feet"] = False
             reasons.append(f"`{names[name]}`: feet leave the ground ({study.planted[name]:.0%} stand), so it moves legs itself")
-        if gait is None and name != study.idle and not study.motions[name].closes:
+        if gait is None and name != study.idle and not study.motions[name].is_cyclic:
             entry["loop"] = False
-            reasons.append(f"`{names[name]}`: its last pose is not its first, so it plays once")
+            reasons.append(f"`{names[name]}`: its last pose does not lead to its first, so it plays once")
         entries.append(entry)
     if entries:
         proposal.add("clips", entries, *reasons)
@@ -318,7 +240,7 @@ def _add_clips(proposal: Proposal, study: _Study) -> None:
 # ---- legs and gaits
 
 
-def _add_legs(proposal: Proposal, study: _Study, front: Floats, unit: float) -> None:
+def _add_legs(proposal: Proposal, study: BodyStudy, front: Floats, unit: float) -> None:
     """Add `legs` and `gaits`."""
     search = study.search
     if not search.legs:
@@ -352,7 +274,7 @@ def _add_legs(proposal: Proposal, study: _Study, front: Floats, unit: float) -> 
     proposal.add("gaits", gaits, *gait_reasons)
 
 
-def _ordered(legs: Sequence[FoundLeg], study: _Study, front: Floats, side: Floats) -> tuple[list[int], list[str]]:
+def _ordered(legs: Sequence[FoundLeg], study: BodyStudy, front: Floats, side: Floats) -> tuple[list[int], list[str]]:
     """Return the order of legs, pairs from front to back and left before right, and their names."""
     feet = np.array([study.worlds[leg.upper, :, 3].astype(np.float64) for leg in legs])
     ahead, right = feet @ front, feet @ side
@@ -393,10 +315,10 @@ def _gait(name: str, speed: float, stride: float, duty: float, lift: float, phas
 # ---- the capsule
 
 
-def _add_capsule(proposal: Proposal, study: _Study, front: Floats) -> None:
+def _add_capsule(proposal: Proposal, study: BodyStudy, front: Floats) -> None:
     """Add `capsule`: the trunk, without legs and outstretched arms, in the standing pose."""
     rig, search = study.body.rig, study.search
-    limbs = {k for leg in search.legs for k in range(len(rig.names)) if _is_below(rig, k, leg.chain[0])}
+    limbs = {k for leg in search.legs for k in range(len(rig.names)) if is_below(rig, k, leg.chain[0])}
     own = ~np.isin(study.points.joint, sorted(limbs))
     trunk = study.points.place[own] if own.sum() > 8 else study.points.place
     if not len(trunk):
@@ -415,14 +337,15 @@ def _add_capsule(proposal: Proposal, study: _Study, front: Floats) -> None:
     proposal.add(
         "capsule",
         {
-            "length": _rounded(max(size[0], size[2])), "width": _rounded(size[2]), "height": _rounded(max(middle[1] - search.ground, 0.0)),
+            "length": _rounded(max(size[0], size[2])), "width": _rounded(size[2]),
+            "height": _rounded(max(middle[1], 0.0)),
             "ahead": _rounded(middle[0]),
         },
         f"capsule: the trunk without legs, in the first pose {pose}",
     )  # fmt: skip
 
 
-def _rest_words(study: _Study) -> str:
+def _rest_words(study: BodyStudy) -> str:
     return "of the file: no clip stands or walks, so check the width if arms are spread"
 
 

@@ -15,6 +15,9 @@ if TYPE_CHECKING:
     from antdsl.bodies.agents.definition import Definition
 
 
+_PROPOSAL_RATE = 120.0  # samples per second for the speeds of feet that stand for a few frames
+
+
 def body(
     file: Path = typer.Argument(
         ..., help="A definition file (.json), a glTF file (.glb, .gltf), a USD file, or a word of the library: ant."
@@ -59,7 +62,7 @@ def body(
     if str(file) in BODY_WORDS and not file.is_file():
         definition = library_body(str(file))
     else:
-        definition, report = read_definition(file, roots, prim=prim, rate=rate)
+        definition, report = read_definition(file, roots, prim=prim, rate=rate or (_PROPOSAL_RATE if propose else 0.0))
     if propose:
         show(report)
         if definition is not None and report.ok:

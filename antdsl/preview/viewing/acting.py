@@ -85,8 +85,8 @@ def action_arrays(world: World, shot: Shot, population: Population, light: Array
             arrays |= _body_arrays(world, population, key, worn, (stored, light))
         else:
             rows = np.flatnonzero(numbers == number)
-            some = [{name: array[rows] for name, array in each.items()} for each in (stored, light)]
-            arrays |= _body_arrays(world, population, key, worn, (some[0], some[1]))
+            parts = [{name: array[rows] for name, array in each.items()} for each in (stored, light)]
+            arrays |= _body_arrays(world, population, key, worn, (parts[0], parts[1]))
             arrays[f"{population.name}/body"] = numbers
     return arrays
 

@@ -146,8 +146,8 @@ def _place_some_trunks(
     subset = TrunkCapsules(half, radius, ahead, reach, np.empty((3, len(rows))))
     own = np.ascontiguousarray(place.take(rows, axis=1)), vec.take(heading, rows), vec.take(up, rows), size.take(rows)
     bounds = place_trunks(*own, shape, 0, subset, extremes)
-    for whole, part in zip(capsules, subset, strict=True):
-        whole[..., first + rows] = part
+    for column, part in zip(capsules, subset, strict=True):
+        column[..., first + rows] = part
     return bounds
 
 

@@ -178,7 +178,9 @@ def apply_push(
         turn = min(most, _FLOAT32_PI)
         both = length(v) * length(previous_velocity)
         if not (dot(v, previous_velocity) > (cos_sin(turn)[0] + _SAFE_COSINE_MARGIN) * both and both > _MIN_VECTOR_LENGTH):
-            v = _limit_turn(v, previous_velocity, up, most)
+            v = _limit_turn(
+                v, previous_velocity, up, most, length(v) if response[i] <= at_once else SLOW_SPEED_SHARE * max_speed[i]
+            )
     return v
 
 
@@ -202,10 +204,11 @@ def _raise_speed(velocity: Vec3F32, previous_velocity: Vec3F32, heading: Vec3F32
 
 
 @called
-def _limit_turn(velocity: Vec3F32, previous_velocity: Vec3F32, up: Vec3F32, most: F32) -> Vec3F32:
-    """Return the velocity turned by at most `most` (radians) from the previous one, with unchanged speed.
+def _limit_turn(velocity: Vec3F32, previous_velocity: Vec3F32, up: Vec3F32, most: F32, creep: F32) -> Vec3F32:
+    """Return the velocity turned by at most `most` (radians) from the previous one. From rest it may have any direction.
 
-    From rest it may have any direction."""
+    It has its component in that direction. So a push against the motion first brakes: it does not speed up what it cannot turn.
+    Below the speed `creep` (mm/s) it keeps its length, and the agent turns round almost on the spot."""
     if not length(previous_velocity) > 0:
         most = _F(4.0)
     ahead, good = _normalise(previous_velocity)
@@ -224,7 +227,8 @@ def _limit_turn(velocity: Vec3F32, previous_velocity: Vec3F32, up: Vec3F32, most
     if not (np.isfinite(sine) and np.isfinite(cosine)) or not atan2(sine, cosine) > most:
         return velocity
     c, s = cos_sin(most)
-    return times(plus(times(ahead, c), times(side, s)), length(velocity))
+    turned = plus(times(ahead, c), times(side, s))
+    return times(turned, maximum(dot(velocity, turned), _minimum(length(velocity), creep)))
 
 
 @inlined

@@ -206,6 +206,17 @@ class GltfDocument:
         raw = np.ndarray((count, width), kind, data, offset + start, (stride, np.dtype(kind).itemsize))
         return np.ascontiguousarray(raw)
 
+    def read_image_bytes(self, number: int) -> bytes:
+        """Return the bytes of an image's file, from a buffer or from a file beside this one."""
+        image = self.top("images")[number]
+        if "bufferView" not in image:
+            return self._fetch_buffer(image, number)
+        views = self.top("bufferViews")
+        length = views[self.check_index(image["bufferView"], "bufferView", len(views))].get("byteLength")
+        if isinstance(length, bool) or not isinstance(length, int) or length < 0:
+            raise GltfError("has a buffer view that is invalid", _EXPORT_AGAIN_HELP)
+        return self._read_rows(image["bufferView"], 0, length, "u1", 1).tobytes()
+
     def _read_buffer(self, number: Any) -> bytes:
         buffers = self.top("buffers")
         number = self.check_index(number, "buffer", len(buffers))

@@ -1,0 +1,110 @@
+"""Colours of points from a glTF file: its vertex colours, times its base colour textures at the points. Khronos Group, glTF 2.0
+Specification, 2021, sections 3.7.2 and 3.8.
+
+Images are decoded by the confined reader. Their sizes are compared with a limit before they are decoded."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from antdsl import limits
+from antdsl.reader.image_request import ImageError, read_image_file
+from antdsl.scene.geometry.gltf_file import GltfDocument, GltfError
+
+Floats = NDArray[np.float64]
+COLOUR = "Cd"  # the attribute of points with linear colours
+_FORMATS = ((b"\x89PNG", "PNG"), (b"\xff\xd8\xff", "JPEG"))
+_CLAMP, _MIRROR = 33071, 33648
+
+
+class TextureError(Exception):
+    """Error for a texture that is not read. The message says why."""
+
+
+@dataclass(slots=True)
+class Textures:
+    """The decoded images of a file, uint8[rows, columns, 3], by their numbers."""
+
+    file: GltfDocument
+    _images: dict[int, NDArray[np.uint8]] = field(default_factory=dict)
+    _left: int = field(default_factory=lambda: limits.MAX_TEXTURE_PIXELS)
+
+    def colours(self, info: dict[str, Any], uvs: Floats) -> Floats:
+        """Return linear colours [P, 3] of a base colour texture at texture coordinates [P, 2], interpolated between texels.
+
+        `info`: the reference to the texture in a material. Raises TextureError if the texture cannot be read."""
+        file = self.file
+        if info.get("texCoord", 0) != 0:
+            raise TextureError("it uses other texture coordinates than the first")
+        textures = file.top("textures")
+        texture = textures[file.check_index(info.get("index"), "texture", len(textures))]
+        image = self._image(file.get_index(texture, "source", len(file.top("images"))))
+        sampler = file.get_index(texture, "sampler", len(file.top("samplers")))
+        wrap = {} if sampler is None else file.top("samplers")[sampler]
+        uv = _transform(file, info, uvs)
+        size = np.array([image.shape[1], image.shape[0]])
+        at = np.stack([_wrap(uv[:, k], wrap.get(name, 0)) for k, name in enumerate(("wrapS", "wrapT"))], axis=1) * size - 0.5
+        first = np.floor(at)
+        share = at - first
+        low, high = (np.clip(first + step, 0, size - 1).astype(np.intp) for step in (0, 1))
+        linear = _LINEAR[image]
+        above = linear[low[:, 1], low[:, 0]] * (1 - share[:, :1]) + linear[low[:, 1], high[:, 0]] * share[:, :1]
+        below = linear[high[:, 1], low[:, 0]] * (1 - share[:, :1]) + linear[high[:, 1], high[:, 0]] * share[:, :1]
+        return np.asarray(above * (1 - share[:, 1:]) + below * share[:, 1:])
+
+    def _image(self, number: int | None) -> NDArray[np.uint8]:
+        """Return a decoded image."""
+        if number is None:
+            raise TextureError("it has no PNG or JPEG image")
+        if number not in self._images:
+            try:
+                data = self.file.read_image_bytes(number)
+            except GltfError as why:
+                raise TextureError(f"the file {why}") from None
+            format = next((name for magic, name in _FORMATS if data.startswith(magic)), "")
+            if not format:
+                raise TextureError("its image is neither PNG nor JPEG")
+            try:
+                image = read_image_file(data, format, ("RGB",), self._left, convert="RGB")
+            except ImageError as why:
+                raise TextureError(f"its image {why}") from None
+            if image.samples is None:
+                raise TextureError(f"its image has {image.rows * image.columns:,} pixels, more than are read")
+            self._left -= image.rows * image.columns
+            self._images[number] = image.samples
+        return self._images[number]
+
+
+def _transform(file: GltfDocument, info: dict[str, Any], uvs: Floats) -> Floats:
+    """Return texture coordinates moved by the extension KHR_texture_transform, if the reference has it."""
+    change = file.get_object(file.get_object(info, "extensions"), "KHR_texture_transform")
+    if not change:
+        return uvs
+    offset, scale = file.get_floats(change, "offset", (0.0, 0.0)), file.get_floats(change, "scale", (1.0, 1.0))
+    angle = change.get("rotation", 0.0)
+    angle = float(angle) if isinstance(angle, int | float) and np.isfinite(angle) else 0.0
+    sine, cosine = np.sin(angle), np.cos(angle)
+    moved = uvs * scale
+    return np.stack([cosine * moved[:, 0] + sine * moved[:, 1], cosine * moved[:, 1] - sine * moved[:, 0]], axis=1) + offset
+
+
+def _wrap(values: Floats, mode: Any) -> Floats:
+    """Return texture coordinates from 0 to 1 by a sampler's mode; the default repeats the texture."""
+    if mode == _CLAMP:
+        return np.clip(values, 0.0, 1.0)
+    if mode == _MIRROR:
+        return np.asarray(1.0 - np.abs(values % 2.0 - 1.0))
+    return np.asarray(values - np.floor(values))
+
+
+def _linear_table() -> NDArray[np.float32]:
+    """Return the linear value of each sRGB byte, float32[256]."""
+    value = np.arange(256) / 255.0
+    return np.where(value <= 0.04045, value / 12.92, ((value + 0.055) / 1.055) ** 2.4).astype(np.float32)
+
+
+_LINEAR = _linear_table()

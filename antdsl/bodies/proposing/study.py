@@ -1,0 +1,98 @@
+"""Measures a body for a proposal: its standing pose, its legs, and how its clips walk."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from antdsl.bodies.agents.definition import Definition, Rig
+from antdsl.bodies.proposing.clip_gaits import ClipGait, find_gait, planted_share
+from antdsl.bodies.proposing.joint_motion import BodyPoints, ClipMotion, clip_motion, posed_points, sample_worlds
+from antdsl.bodies.proposing.leg_search import LegSearch, find_legs
+
+Floats = NDArray[np.float64]
+IDLE_WORDS = ("idle", "stand", "breath", "survey", "rest", "wait")
+STILL_SHARE = 0.9  # of a clip in which feet stand: with less, the clip moves them
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class BodyStudy:
+    """What was measured of a body. `idle`: the clip of the standing pose, or "". `length`: of a leg."""
+
+    body: Definition
+    up: Floats
+    idle: str
+    worlds: NDArray[np.float32]
+    points: BodyPoints
+    search: LegSearch
+    motions: Mapping[str, ClipMotion]
+    gaits: Mapping[str, ClipGait]
+    planted: Mapping[str, float]
+    length: float
+
+
+def study_body(body: Definition) -> BodyStudy:
+    """Measure a body: its standing pose, legs, and the gaits of its clips."""
+    idle = _named_idle(body)
+    up, worlds, points, search = _stand(body, idle, np.array(body.up, np.float64))
+    length = _leg_length(search, worlds)
+    motions = {name: clip_motion(body, name, search.height) for name in body.clips}
+    feet = search.feet
+    gaits = {n: gait for n, each in motions.items() if (gait := find_gait(each, feet, up, length)) is not None}
+    planted = {n: planted_share(each, feet, up, length) if feet else 0.0 for n, each in motions.items()}
+    if not idle and feet:
+        calm = [name for name, share in planted.items() if share > STILL_SHARE and motions[name].seconds > 0.2]
+        if calm:
+            idle = min(calm, key=lambda name: _restlessness(motions[name]))
+            up, worlds, points, search = _stand(body, idle, up)
+            length = _leg_length(search, worlds)
+    return BodyStudy(body, up, idle, worlds, points, search, motions, gaits, planted, length)
+
+
+def _stand(body: Definition, idle: str, up: Floats) -> tuple[Floats, NDArray[np.float32], BodyPoints, LegSearch]:
+    """Return the up axis, joints, points and legs in the standing pose. Another axis counts if only it has legs."""
+    worlds = sample_worlds(body, idle, np.zeros(1))[0]
+    points = posed_points(body, worlds)
+    others = [sign * axis for axis in np.eye(3)[[1, 2, 0]] for sign in (1.0, -1.0)]
+    best = find_legs(body.rig, points, worlds, up)
+    for other in others if len(best.legs) < 2 else ():
+        search = find_legs(body.rig, points, worlds, other)
+        if len(search.legs) >= 2 and len(search.legs) > len(best.legs):
+            up, best = other, search
+    return up, worlds, points, best
+
+
+def _named_idle(body: Definition) -> str:
+    """Return the first clip with a name that says that it stands, or ""."""
+    for word in IDLE_WORDS:
+        for name, clip in body.clips.items():
+            if word in name.lower() and clip.duration > 0:
+                return name
+    return ""
+
+
+def _restlessness(motion: ClipMotion) -> float:
+    """Return how much joints move in a clip, in units of length per second."""
+    place = motion.worlds[:, :, :, 3].astype(np.float64)
+    return float(np.linalg.norm(np.diff(place, axis=0), axis=2).mean()) / max(motion.step, 1e-9) if len(place) > 1 else 0.0
+
+
+def _leg_length(search: LegSearch, worlds: NDArray[np.float32]) -> float:
+    """Return the mean length of legs; half of the height without legs."""
+    place = worlds[:, :, 3].astype(np.float64)
+    lengths = [_distance(place, leg.upper, leg.lower) + _distance(place, leg.lower, leg.foot) for leg in search.legs]
+    return float(np.mean(lengths)) if lengths else max(0.5 * search.height, 1e-9)
+
+
+def _distance(place: Floats, a: int, b: int) -> float:
+    return float(np.linalg.norm(place[b] - place[a]))
+
+
+def is_below(rig: Rig, joint: int, top: int) -> bool:
+    """Return whether a joint is `top` or below it."""
+    while joint >= 0 and joint != top:
+        joint = int(rig.parents[joint])
+    return joint == top
