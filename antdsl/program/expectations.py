@@ -133,6 +133,7 @@ MOTION_MEASURES = {
     "circling": "number",
     "standing": "number",
     "heads_inside": "number",
+    "body_inside": "number",
     "overlap_start": "number",
     "overlap_p99": "number",
     "deep_max": "number",

@@ -19,6 +19,7 @@ from antdsl.numerics import vectors as vec
 from antdsl.numerics.kernel_vectors import VectorColumns
 from antdsl.numerics.parallel import buffer_index
 from antdsl.runtime.binding.spacing import has_extent
+from antdsl.runtime.moving.bodies_inside import find_sampled_bodies_inside
 from antdsl.runtime.moving.capsules import overlap_depths
 from antdsl.runtime.moving.heads import find_heads_inside
 from antdsl.runtime.world import AXES
@@ -78,6 +79,8 @@ class MotionMeasures:
     step_max: float = 0.0
     heads: int = 0
     heads_inside: int = 0
+    bodies: int = 0
+    bodies_inside: int = 0
     placed: int = 0
     overlapping: int = 0
     deep_max: float = 0.0
@@ -87,8 +90,7 @@ class MotionMeasures:
 
     def reset(self) -> None:
         """Restart the measures, for example after a preroll. The counts of `begin`, overlaps at the start, are retained."""
-        fresh = MotionMeasures(placed=self.placed, overlapping=self.overlapping)
-        for each in fields(self):
+        for each in fields(fresh := MotionMeasures(placed=self.placed, overlapping=self.overlapping)):
             setattr(self, each.name, getattr(fresh, each.name))
 
     def begin(self, world: World) -> None:
@@ -175,9 +177,7 @@ class MotionMeasures:
     def _window(self, population: Population) -> PathWindow:
         """Return the window of a species, with its rows reordered to those of the agents."""
         known, ids = self.windows.get(population.name), population.ids
-        if known is not None and known.ids is ids:
-            return known
-        if known is not None and len(known.ids) == len(ids) and np.array_equal(known.ids, ids):
+        if known is not None and (known.ids is ids or np.array_equal(known.ids, ids)):
             known.ids = ids  # not compared again
             return known
         n = len(ids)
@@ -199,13 +199,13 @@ class MotionMeasures:
         return fresh
 
     def _measure_bodies(self, world: World, with_depths: bool, crowds: list[Population]) -> None:
-        """Measure penetration depths of trunks (if `with_depths`), and overlaps and heads of `crowds`, in parallel.
-        An overlap is that with the worst neighbour: 0 without, 1 at one position. A head counts if it is inside the ground."""
+        """Measure penetration depths of trunks (if `with_depths`), and overlaps, heads and bodies of `crowds`, in parallel.
+        An overlap is that with the worst neighbour: 0 without, 1 at one position. Heads and bodies inside the ground count."""
         looks: list[Callable[[], NDArray[Any]]] = [partial(overlap_depths, world)] if with_depths else []
         for population in crowds:
-            now = population.now
-            looks.append(partial(worst_overlaps, *vec.vector_registers(now, "position"), now["radius"]))
-            looks.append(partial(find_heads_inside, world, population))
+            places = *vec.vector_registers(population.now, "position"), population.now["radius"]
+            looks.append(partial(worst_overlaps, *places))
+            looks += [partial(find, world, population) for find in (find_heads_inside, find_sampled_bodies_inside)]
 
         def run_looks(begin: int, end: int) -> list[NDArray[Any]]:
             with np.errstate(all="ignore"):  # the error state is per thread
@@ -214,14 +214,15 @@ class MotionMeasures:
         results = chain.from_iterable(parallel.in_parts(run_looks, len(looks), world.options.threads, 1))
         if with_depths:
             self.deep_max = max(self.deep_max, float((next(results) > _VISIBLE_OVERLAP_SHARE).mean()))
-        for population in crowds:
+        for _ in crowds:
             self.overlaps += np.bincount((next(results) * _HISTOGRAM_BINS).astype(np.int64), minlength=_HISTOGRAM_BINS + 1)
-            self.heads += len(population)
-            self.heads_inside += int(np.count_nonzero(next(results)))
+            heads, bodies = next(results), next(results)
+            self.heads, self.bodies = self.heads + len(heads), self.bodies + len(bodies)
+            self.heads_inside, self.bodies_inside = self.heads_inside + int(heads.sum()), self.bodies_inside + int(bodies.sum())
 
     def summary(self) -> dict[str, float]:
         """Return turn_p99, tilt_p99, tilt_max (degrees per step), step_max (share of the longest allowed step), straightness,
-        circling, standing, heads_inside, overlap_start, deep_max (shares), overlap_p99 (0: none, 1: at one position)."""
+        circling, standing, heads_inside, body_inside, overlap_start, deep_max (shares), overlap_p99 (0 to 1)."""
         self._sum_parts()
         return {
             "turn_p99": _percentile(self.turns) * 180.0,
@@ -231,6 +232,7 @@ class MotionMeasures:
             "circling": self.circling / max(1, self.ways),
             "standing": self.standing / max(1, self.wishing),
             "heads_inside": self.heads_inside / max(1, self.heads),
+            "body_inside": self.bodies_inside / max(1, self.bodies),
             "overlap_start": self.overlapping / max(1, self.placed),
             "overlap_p99": _percentile(self.overlaps),
             "deep_max": self.deep_max,

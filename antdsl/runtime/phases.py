@@ -114,10 +114,14 @@ def move(world: World) -> None:
                 population.now[PUSHED_REGISTER].fill(0)
         for substep in range(world.setting.substeps):
             stances = contacts.record_stances(world)
-            for population in world.populations.values():
-                advance.move_agents(world, population, substep)
+            steps = [advance.move_agents(world, population, substep) for population in world.populations.values()]
             if stances is not None:
+                clear_steps = [step for step in steps if step is not None]
+                for step in clear_steps:
+                    step.record()
                 contacts.resolve_contacts(world, stances, world.dt / world.setting.substeps)
+                for step in clear_steps:
+                    step.correct()
 
 
 def measure(world: World) -> None:

@@ -34,7 +34,7 @@ def field_of_stones(count: int, offset: float = 0.0) -> tuple[Floats, MeshTopolo
 @pytest.mark.parametrize("offset", [0.0, 50_000.0])
 def test_no_other_piece_is_nearer(offset: float) -> None:
     corners, table = field_of_stones(12, offset)
-    clear = rise_clearance(corners, table)
+    clear = rise_clearance(corners, table, inner_creases(table, corners))
     assert table.pieces == 14 and (clear > 0).any()
     for face in np.random.default_rng(4).choice(len(corners), 60, replace=False):
         others = corners[table.piece != table.piece[face]]
@@ -66,7 +66,7 @@ def test_many_pieces_need_no_more_lookups_than_few(monkeypatch: pytest.MonkeyPat
     for count in (6, 60):
         corners, table = field_of_stones(count)
         point_count = built = 0
-        rise_clearance(corners, table)
+        rise_clearance(corners, table, inner_creases(table, corners))
         assert built == len(corners)
         assert len(corners) / 2 < point_count < 4 * len(corners), (count, point_count)
 
@@ -81,13 +81,16 @@ def test_every_point_with_a_rise_is_named_with_few_others() -> None:
     reach = rng.choice([0.5, 3.0, 7.3, 20.0, 100.0, 2e3], 300)
     local, where, reach[:4] = (face - first[mesh]).astype(np.int32), mesh.copy(), [0.0, -1.0, np.nan, 5.0]
     where[3:5], local[5], where[6] = -1, -1, 2
-    map_, width = SlopeMap(corners, table, []), max(np.ptp(corners, axis=(0, 1))) / 192
+    map_, width = SlopeMap(corners, table, [], inner_creases(table, corners)), max(np.ptp(corners, axis=(0, 1))) / 192
     rows = map_.rows_near_rises(where, local, first, place, reach, [], 2)
     assert (np.diff(rows) > 0).all() and not np.isin(range(7), rows).any()
     half = inner_creases(table, corners)
     one, two = (corners[half // 3, (half % 3 + k) % 3] for k in (1, 2))
     sharp = np.stack([one, two, two], axis=1)
-    clear, size = rise_clearance(corners, table), np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max(axis=1)
+    clear, size = (
+        rise_clearance(corners, table, inner_creases(table, corners)),
+        np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max(axis=1),
+    )
     for k in range(7, 300):
         others = np.concatenate([sharp, corners[(table.piece != table.piece[face[k]]) | table.cuts.cut]])
         at = np.broadcast_to(place[k], (len(others), 3))
@@ -102,7 +105,7 @@ def test_every_point_with_a_rise_is_named_with_few_others() -> None:
         alone = map_.rows_near_rises(where[k : k + 1], local[k : k + 1], first, place[k : k + 1], reach[k : k + 1], [])
         assert len(alone) == (k in rows)
     assert 50 < len(rows) < 250
-    moving = SlopeMap(corners, table, [np.arange(len(corners)) < 400])
+    moving = SlopeMap(corners, table, [np.arange(len(corners)) < 400], inner_creases(table, corners))
     box = (np.array([-50.0, -50, -9]), np.array([50.0, 50, 40]))
     inside = ((place >= box[0] - reach[:, None]) & (place <= box[1] + reach[:, None])).all(axis=1) & (np.arange(300) >= 7)
     rows = moving.rows_near_rises(where, local, first, place, reach, [box])

@@ -15,7 +15,7 @@ from antdsl.casting.faces import Faces
 from antdsl.casting.rays import RayScene
 from antdsl.casting.triangle_grid import TriangleGrid
 from antdsl.fields.cells import SurfaceCells
-from antdsl.ground.mesh.creases import SlopeMap
+from antdsl.ground.mesh.creases import SlopeMap, inner_creases
 from antdsl.ground.mesh.surface_clearance import PieceClearances
 from antdsl.ground.mesh.topology import MeshTopology, build_topology
 from antdsl.ground.moving import MovingGround
@@ -62,7 +62,7 @@ def arrays(mesh: Mesh) -> list[NDArray[np.generic]]:
     cells = SurfaceCells([mesh], 3.0)
     plain = [getattr(table, each.name) for each in fields(table) if each.name != "cuts"]
     rise_map, parts = (
-        SlopeMap(corners, table, []),
+        SlopeMap(corners, table, [], inner_creases(table, corners)),
         PieceClearances(corners, table.piece, table.cuts.cut, mesh[0].min(axis=0), 0.0).parts_within(9.0),
     )
     other = [table.cuts.first, table.cuts.other, rise_map._clear, rise_map._creases._within(4), DistanceGrid(corners)._least]

@@ -15,7 +15,8 @@ from antdsl.casting.rasterise import triangle_cells
 from antdsl.casting.rays import RayScene
 from antdsl.ground.mesh.topology import NO_LINK, MeshTopology
 from antdsl.machine_code.kernels import BOOL, F64, I32, I64, Array1, Array3, Strided2, as_bits, inlined, kernel
-from antdsl.numerics import parallel, stored_tables
+from antdsl.numerics import elementary, parallel, stored_tables
+from antdsl.numerics.vectors import dot
 
 Floats = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -27,6 +28,8 @@ _MAX_RELATIVE_DISTANCE = 0.1  # relative to the size of the other pieces
 _DISTANCE_NOISE = 1e-4  # relative to the ground's extent; more than the error of float32 distances
 _MAX_CELLS_PER_AXIS = 192  # cells along the longest side of a ground
 _SMOOTH_EDGE_COSINE = 0.7071067811865476  # cosine of the largest angle between faces at a smooth edge
+_MIN_BEND = np.radians(14.0)  # radians: a rise of less is clear of a body that stands on the smoothed ground
+_WIDE_PER_BODY = 0.6  # of a body: faces of this height have at most one edge below either half of a body
 _NO_CELL = np.iinfo(np.int32).max
 _PLACES_PER_THREAD = 512  # number of positions from which another thread is worthwhile
 _EXPONENT_BIAS = 1022  # offset from the exponent bits of a float64 to the exponent of np.frexp
@@ -49,12 +52,50 @@ def inner_creases(table: MeshTopology, corners: Floats) -> Index:
     return np.flatnonzero(is_crease)
 
 
+def sharp_edges(table: MeshTopology, corners: Floats) -> Index:
+    """Return the half-edges at which the ground turns by more than a smooth edge, up or down."""
+    half, cosine, _ = _edge_turns(table)
+    return half[cosine < _SMOOTH_EDGE_COSINE]
+
+
+def bend_edges(table: MeshTopology, corners: Floats, size: float) -> tuple[Index, NDArray[np.bool_]]:
+    """Return where the ground rises so much that a body of `size` mm may meet it.
+
+    The half-edges beside narrow faces, of which a body crosses several at once, so that each counts from a smaller turn on. And
+    bool[m], whether a wide face has such an edge."""
+    half, cosine, face = _edge_turns(table)
+    length = np.sqrt(((corners[face, (half % 3 + 2) % 3] - corners[face, (half % 3 + 1) % 3]) ** 2).sum(axis=1))
+    area = np.sqrt((np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]) ** 2).sum(axis=1))
+    height = np.full(len(corners), np.inf)
+    np.minimum.at(height, face, area[face] / np.maximum(length, 1e-300))
+    height = np.minimum(height[face], height[table.link[0, half] >> 3])
+    reach = _WIDE_PER_BODY * size
+    turn = _MIN_BEND * np.minimum(height / reach, 1.0)
+    far = corners[table.link[0, half] >> 3, (table.link[0, half] >> 1) & 3].T - corners[face, (half % 3 + 1) % 3].T
+    climbs = dot(table.normal.take(face, axis=1), far) > 0
+    # Agents may stand on either side of a sheet, so what falls from one side rises from the other.
+    climbs |= bool((table.link[0].reshape(-1, 3)[table.live] == NO_LINK).any())
+    bends, wide = (cosine < elementary.cos(turn.astype(np.float32))) & climbs, height >= reach
+    has_bend = np.zeros(len(corners), np.bool_)
+    has_bend[face[bends & wide]] = True
+    return half[bends & ~wide], has_bend
+
+
+def _edge_turns(table: MeshTopology) -> tuple[Index, Floats, Index]:
+    """Return the half-edges with a link, the cosine of the ground's turn at each, and their faces."""
+    half = np.flatnonzero(table.link[0] != NO_LINK)
+    face, link = half // 3, table.link[0, half]
+    beyond = table.normal.take(link >> 3, axis=1) * np.where(link & 1, -1.0, 1.0)
+    return half, dot(table.normal.take(face, axis=1), beyond), face
+
+
 class CreaseMap:
     """A grid of the positions that have an inner crease, another piece or a face that cuts its own piece within reach.
 
-    Input: `corners` float64[m,3,3] of the faces, the `table` of their topology, and which faces to consider."""
+    Input: `corners` float64[m,3,3] of the faces, the `table` of their topology, which faces to consider, and the half-edges that
+    count as creases."""
 
-    def __init__(self, corners: Floats, table: MeshTopology, minded: NDArray[np.bool_]) -> None:
+    def __init__(self, corners: Floats, table: MeshTopology, minded: NDArray[np.bool_], half: Index) -> None:
         live = np.flatnonzero(table.live & minded)
         self._around: dict[int, NDArray[np.bool_]] = {}
         self._low = corners[live].min(axis=(0, 1)) if live.size else np.zeros(3)
@@ -64,15 +105,14 @@ class CreaseMap:
         self._first = int(np.frexp(self._width)[1])
         # least and greatest distance (mm) that is distinguished
         self.reaches = (self._width, float(self._shape.max()) * self._width)
-        self._of = (corners, table, minded)
+        self._of = (corners, table, minded, half)
 
     @cached_property
     def _grids(self) -> tuple[NDArray[np.bool_], Ints, Ints] | tuple[NDArray[np.bool_]]:
         """Return the cells that contain a crease. If there are several pieces, return also the least and the greatest piece in
         each cell."""
-        corners, table, minded = self._of
+        corners, table, minded, half = self._of
         live = np.flatnonzero(table.live & minded)
-        half = inner_creases(table, corners)
         half = half[minded[half // 3]]
         one, two = (corners[half // 3, (half % 3 + k) % 3] for k in (1, 2))
         sharp = self._mark_cells(np.stack([one, two, two], axis=1))
@@ -111,8 +151,8 @@ class CreaseMap:
         """Return the cells within 2**rung mm of a crease, another piece or a cut."""
         if rung not in self._around:
             rings = int(min(np.ceil(np.ldexp(1.0, rung) / self._width) + 1, self._shape.max()))
-            corners, table, minded = self._of
-            inputs = (corners, table.live, table.link, table.piece, table.cuts.cut, minded, float(rings))
+            corners, table, minded, half = self._of
+            inputs = (corners, table.live, table.link, table.piece, table.cuts.cut, minded, half, float(rings))
             tables = stored_tables.get_or_compute("cells near creases", len(corners), inputs, partial(self._spread_cells, rings))
             self._around[rung] = tables["near"]
         return self._around[rung]
@@ -127,18 +167,20 @@ class CreaseMap:
         return {"near": is_near}
 
 
-def _stored_clearance(corners: Floats, table: MeshTopology) -> Floats:
+def _stored_clearance(corners: Floats, table: MeshTopology, half: Index) -> Floats:
     """Return the result of `rise_clearance`, stored for other runs."""
-    inputs = (corners, table.live, table.link, table.piece, table.cuts.cut)
+    inputs = (corners, table.live, table.link, table.piece, table.cuts.cut, half)
     tables = stored_tables.get_or_compute(
-        "clear of rises", len(corners), inputs, lambda: {"clear": rise_clearance(corners, table)}
+        "clear of rises", len(corners), inputs, lambda: {"clear": rise_clearance(corners, table, half)}
     )
     clear: Floats = tables["clear"]
     return clear
 
 
-def rise_clearance(corners: Floats, table: MeshTopology) -> Floats:
-    """Return, for each face, float64[m], a distance (mm) within which there is no inner crease and no other piece.
+def rise_clearance(corners: Floats, table: MeshTopology, half: Index) -> Floats:
+    """Return, for each face, float64[m], a distance (mm) within which there is no crease and no other piece.
+
+    `half`: the half-edges that are creases.
 
     It is 0 for faces that cut their own piece, and infinite if the ground has no creases, other pieces or cuts."""
     from scipy.spatial import cKDTree
@@ -146,7 +188,6 @@ def rise_clearance(corners: Floats, table: MeshTopology) -> Floats:
     middle = corners.mean(axis=1)
     radius = np.sqrt(((corners - middle[:, None]) ** 2).sum(axis=2).max(axis=1))
     distances = np.full(len(corners), np.inf)
-    half = inner_creases(table, corners)
     if half.size:
         one, two = (corners[half // 3, (half % 3 + k) % 3] for k in (1, 2))
         part = np.linspace(0.0, 1.0, _SAMPLES_PER_CREASE)[:, None, None]
@@ -209,17 +250,17 @@ def _distance_from_box(positions: Floats, low: Floats, high: Floats) -> Floats:
 class SlopeMap:
     """Where a surface may rise ahead of agents on a ground.
 
-    Input: `corners` float64[m,3,3] of its faces, the `table` of their topology, and for each moving mesh a mask bool[m] of its
-    faces."""
+    Input: `corners` float64[m,3,3] of its faces, the `table` of their topology, for each moving mesh a mask bool[m] of its faces,
+    and the half-edges that count as creases."""
 
-    def __init__(self, corners: Floats, table: MeshTopology, moving: Sequence[NDArray[np.bool_]]) -> None:
+    def __init__(self, corners: Floats, table: MeshTopology, moving: Sequence[NDArray[np.bool_]], half: Index) -> None:
         still = np.ones(len(corners), np.bool_)
         for own in moving:
             still &= ~own
-        self._clear = _stored_clearance(corners, table) if not moving else np.zeros(len(corners))
+        self._clear = _stored_clearance(corners, table, half) if not moving else np.zeros(len(corners))
         self._least = float(self._clear.min(initial=np.inf))
         self._size: Floats = np.sqrt(((corners - np.roll(corners, 1, axis=1)) ** 2).sum(axis=2).max(axis=1))
-        self._creases = CreaseMap(corners, table, still)
+        self._creases = CreaseMap(corners, table, still, half)
 
     def rows_near_rises(
         self,

@@ -123,7 +123,7 @@ def walk_stretches(
             if hops >= MAX_SURFACE_HOPS:
                 left = 0.0
         else:
-            f, (b1, b2), side, (c, s), (heading_c, heading_s) = _cross_edge(
+            f, (b1, b2), side, (c, s), (heading_c, heading_s) = cross_edge(
                 table, beyond, edge, (cosine, sine), (b1, b2), side, (c, s), (heading_c, heading_s)
             )
             for line in (0, 24, 32):  # cache lines that the final pose reads; the walk reads the others at once
@@ -143,7 +143,7 @@ def along_border(edge: FaceDirection, direction: FaceDirection, left: F64) -> tu
 
 
 @inlined
-def _cross_edge(
+def cross_edge(
     table: Array1[F64],
     beyond: I64,
     edge: I64,

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from antdsl.casting.rays import MeshArrays, RayScene
 from antdsl.ground.mesh import footings
 from antdsl.ground.mesh.boxes import FaceBoxes
-from antdsl.ground.mesh.creases import SlopeMap
+from antdsl.ground.mesh.creases import SlopeMap, bend_edges, inner_creases, sharp_edges
 from antdsl.ground.mesh.surface_clearance import PieceClearances
 from antdsl.ground.mesh.surroundings import EYE_HEIGHT_PER_BODY, GroundScale
 from antdsl.ground.mesh.topology import MeshTopology, build_topology, facing_sides
@@ -21,6 +21,8 @@ from antdsl.ground.protocol import Floats, Footing, GroundMove, Index
 from antdsl.ground.sticking import move_by_rays
 from antdsl.numerics import parallel
 from antdsl.numerics.vectors import dot
+
+SHARP_REACH, BEND_REACH = 1.6, 0.9  # bodies around an agent in which its ground must be level, see `mark_bends`
 
 
 class MeshGround:
@@ -55,6 +57,9 @@ class MeshGround:
         self._boxes = FaceBoxes.of(self._vertices, self._faces, np.flatnonzero(self._table.live), self._surface_groups())
         self._clearances = PieceClearances(corners, self._table.piece, self._table.cuts.cut, self.low, self._scale.noise)
         self._fast: WalkTables | None = None
+        # Where bodies must turn ahead of their feet, and faces that they must rise over, by size; computed on first use.
+        self._bends: dict[float, tuple[SlopeMap | None, NDArray[np.bool_]]] = {}
+        self._sharp: SlopeMap | None = None
         self._rises: SlopeMap | None = None  # where bodies may meet walls, computed on first use
 
     def _surface_groups(self) -> NDArray[np.int32]:
@@ -171,9 +176,35 @@ class MeshGround:
         A surface rises at an inner crease, at another piece, or at a moving mesh. Agents with a `reach` of 0 or less are left
         out. No other agent near a rise is missing. The result for an agent does not depend on the others."""
         if self._rises is None:
-            self._rises = SlopeMap(self._vertices[self._faces], self._table, [own for own, _, _ in self.boxes()])
+            corners = self._vertices[self._faces]
+            self._rises = SlopeMap(corners, self._table, [own for own, _, _ in self.boxes()], inner_creases(self._table, corners))
         moving = [(low, high) for _, low, high in self.boxes()]
         return self._rises.rows_near_rises(footing.mesh, footing.face, self._first, place, reach, moving, threads)
+
+    def mark_bends(
+        self, footing: Footing, place: Floats, size: Floats, levels: NDArray[np.uint8], threads: int = 1
+    ) -> NDArray[np.bool_]:
+        """Write how the ground bends around agents of `size` [n] mm at positions [n,3] into `levels`.
+
+        Agents within 1.6 bodies of a sharp edge, another piece, a cut or a moving mesh get 2. Others within 0.9 bodies of narrow
+        faces that rise get 1, and all others 0. Return which faces have an edge at which the ground rises, but not sharply."""
+        part, power = np.frexp(max(float(np.fmax.reduce(size, initial=0.0)), 1e-6))
+        rung = float(np.ldexp(np.ceil(part * 8) / 8, power))  # tables for a few sizes only
+        own = [mask for mask, _, _ in self.boxes()]
+        if rung not in self._bends:
+            corners = self._vertices[self._faces]
+            if self._sharp is None:
+                self._sharp = SlopeMap(corners, self._table, own, sharp_edges(self._table, corners))
+            half, has_bend = bend_edges(self._table, corners, rung)
+            self._bends[rung] = SlopeMap(corners, self._table, own, half) if half.size else None, has_bend
+        moving = [(low, high) for _, low, high in self.boxes()]
+        narrow, has_bend = self._bends[rung]
+        levels.fill(0)
+        for slopes, reach, level in ((narrow, BEND_REACH, 1), (self._sharp, SHARP_REACH, 2)):
+            if slopes is not None:
+                at = (footing.mesh, footing.face, self._first, place, reach * size, moving, threads)
+                levels[slopes.rows_near_rises(*at)] = level
+        return has_bend
 
     def boxes(self) -> list[tuple[NDArray[np.bool_], Floats, Floats]]:
         """Return the moving meshes at their current position: mask of their faces, lowest and highest corner."""

@@ -26,6 +26,9 @@ from antdsl.program.tables.vocabulary import builtin_attributes, is_limit
 from antdsl.program.traverse import inside
 
 VECTOR_ATTRIBUTES = tuple(name for name, column in REGISTERS.items() if column.shape)
+# Of bodies that stay outside their ground: the shift of the body, how much its feet wait for it, how deep it is inside a surface,
+# and the direction out of what it has met. The runtime sets them.
+CLEARANCE_REGISTERS = ("~lift.x", "~lift.y", "~lift.z", "~wait", "~depth", "~out.x", "~out.y", "~out.z")
 # Built-in attributes, each after those that its default reads. The runtime sets `group`, the line of the scene's `crowd`.
 BIRTH_ATTRIBUTES = (
     "height", "size", "mass", "radius", "clearance", "max_speed", "min_speed", "upright", "max_slope", "response", "max_turn",
@@ -42,6 +45,9 @@ def declare(w: PlanWriter) -> None:
         w.declare(name, ValueKind.F32, "attribute")
     if w.measures_pushes:
         w.declare("moved", ValueKind.F32, "attribute")
+    if w.species.clears_body:
+        for name in CLEARANCE_REGISTERS:
+            w.declare(name, ValueKind.F32, "attribute")
     for attribute in w.species.attributes:
         if attribute.each:
             pair_values.declare(w, attribute)

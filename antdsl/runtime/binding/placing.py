@@ -21,6 +21,7 @@ from antdsl.runtime.binding.start_places import FULL_TURN, MAX_RANDOM_COVER, PLA
 from antdsl.runtime.faults import FaultLog
 from antdsl.runtime.lifecycle import apply_deaths_and_births, initialise_newborn, settle_newborn
 from antdsl.runtime.moving import walks
+from antdsl.runtime.moving.clear_steps import settle_clear
 from antdsl.runtime.moving.tilting import settle_bodies
 from antdsl.runtime.world import AXES, OvercrowdedLine, Population, World, add_rows, empty_population, select_rows
 from antdsl.scene.setting import CrowdData, PlaceData
@@ -168,7 +169,8 @@ def begin_agents(world: World, joined: Mapping[str, NDArray[np.intp]]) -> None:
     for name, rows in joined.items():
         _start_moving(world, world.populations[name], rows)
         walks.start_walks(world, world.populations[name], rows)
-        settle_bodies(world, world.populations[name], rows)
+        if not settle_clear(world, world.populations[name], rows):
+            settle_bodies(world, world.populations[name], rows)
     settle_newborn(world)  # before deaths: requests of an agent that dies at birth count
     births = set(effects_of_phase("births"))
     if any(births & p.effects.requests.keys() for p in world.populations.values()):

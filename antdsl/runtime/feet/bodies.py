@@ -1,7 +1,8 @@
 """Positions and axes of bodies as one table, and the conversion of points between bodies and the world.
 
-A table is float64[13, n]. Its rows are position (mm), then the unit vectors ahead, up and aside, three rows each. The last row
-is the size (mm). Points of a body are in body lengths: ahead, above, aside."""
+A table is float64[14, n]. Its rows are position (mm), then the unit vectors ahead, up and aside, three rows each. Then come the
+size (mm), and the play of the trunk: 1 if it lies over its feet, 0 if the body has shifted out of the ground and stays there.
+Points of a body are in body lengths: ahead, above, aside."""
 
 from __future__ import annotations
 
@@ -15,10 +16,13 @@ from antdsl.machine_code.kernels import F32, F64, I64, Array1, Array2, fetch_ahe
 from antdsl.numerics import parallel
 from antdsl.numerics import vectors as vec
 from antdsl.numerics.kernel_vectors import Vec3, Vec3F32, VectorColumns, cross, dot, flat, minus, unit_or_perpendicular
+from antdsl.runtime.body_positions import LIFT_REGISTERS, body_positions
 from antdsl.runtime.feet.wearers import Wearers
 
 PLACE = 0  # first of the three rows of the position
-_ROWS = 13
+SIZE, PLAY = 12, 13
+_ROWS = 14
+_SHIFT_WITHOUT_PLAY = 0.05  # of a body: the shift from which on a trunk does not follow the feet
 _LEAST = 1e-12
 _F = np.float32
 
@@ -30,8 +34,13 @@ def place_bodies(population: Wearers, buffer_name: str, threads: int) -> NDArray
     (bodies,) = population.get_buffers(buffer_name, 1, (_ROWS, n), np.float64)
     if n:
         columns = vec.vector_registers(now, "heading"), vec.vector_registers(now, "up"), now["size"]
-        work = partial(_place_bodies, np.ascontiguousarray(population.position.T), *columns, bodies)
+        work = partial(_place_bodies, np.ascontiguousarray(body_positions(population).T), *columns, bodies)
         parallel.in_parts(work, n, threads, parallel.MIN_LIGHT_ITEMS_PER_THREAD)
+        bodies[PLAY] = 1.0
+        if LIFT_REGISTERS[0] in now:
+            x, y, z = (now[name].astype(np.float64) for name in LIFT_REGISTERS)
+            free = _SHIFT_WITHOUT_PLAY * np.maximum(bodies[SIZE], _LEAST)
+            bodies[PLAY] -= np.minimum(np.sqrt(x * x + y * y + z * z) / free, 1.0)
     return bodies
 
 

@@ -33,7 +33,7 @@ from antdsl.machine_code.kernels import (
 )
 from antdsl.numerics.kernel_vectors import dot, minus
 from antdsl.runtime.feet import trunk
-from antdsl.runtime.feet.bodies import body_at, fetch_columns, orthonormal_axes, to_body, to_world
+from antdsl.runtime.feet.bodies import PLAY, body_at, fetch_columns, orthonormal_axes, to_body, to_world
 from antdsl.runtime.feet.gaits import FOOT_Y, HIP, LENGTH, MOST_CYCLES, OFF, REACH, REACHED, REST_X, REST_Z, SINK, gait_at
 from antdsl.runtime.feet.state import NOTHING, STANDS
 
@@ -289,10 +289,11 @@ def take_steps(
                 elif lands:
                     rest_offset[leg, i] = _rest_distance(legs, leg, local_foot, _hip(legs, leg, lean, raised))
             height, ahead, aside = trunk.fit_plane(at, on, count, i)
-            height = min(max(height, -highest), highest)
+            play = _F(bodies[PLAY, i])
+            height, ahead, aside = min(max(height, -highest * play), highest), ahead * play, aside * play
             tilt = lean[0] + (ahead - lean[0]) * slower, lean[1] + (aside - lean[1]) * slower
             raised = raised + (height - raised) * (faster if height > raised else slower)
-            high = trunk.lower_trunk(at, swing, legs, raised, tilt, -highest, i) * size
+            high = trunk.lower_trunk(at, swing, legs, raised, tilt, -highest * play, i) * size
             torn = False
             for leg in range(count):
                 local_foot = at[0, leg, i], at[1, leg, i], at[2, leg, i]

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from antdsl.numerics import parallel
 from antdsl.runtime.feet import stepping, trunk
-from antdsl.runtime.feet.bodies import PLACE, place_bodies
+from antdsl.runtime.feet.bodies import PLACE, SIZE, place_bodies
 from antdsl.runtime.feet.gaits import REST_X, REST_Z, Gaits
 from antdsl.runtime.feet.seeking import FootGround, FootholdRequests, seek
 from antdsl.runtime.feet.state import NOTHING, STANDS, Feet, by_leg
@@ -144,7 +144,7 @@ class _Step:
             volume = self.world.solids.get(name)
             rows = feet.on == k if volume is not None and volume.removed > 0 else None
             if volume is not None and rows is not None and rows.any():
-                length = self.walkers.legs.length.astype(np.float32) * self.bodies[-1][:, None]
+                length = self.walkers.legs.length.astype(np.float32) * self.bodies[SIZE][:, None]
                 gap = np.maximum(_DUG_SHARE * length[rows], 0.02 * volume.voxel)
                 _transpose_legs(self.undermined)[rows] = volume.sample(feet.place[:, rows].T) > gap
 

@@ -29,12 +29,14 @@ from antdsl.ground.protocol import Footing, Ground, GroundMove
 from antdsl.numerics import parallel
 from antdsl.numerics import vectors as vec
 from antdsl.numerics.vectors import VectorArrays, VectorComponents
+from antdsl.runtime.moving.body_records import BodyPoses
+from antdsl.runtime.moving.clear_steps import ClearStep, has_clearance
 from antdsl.runtime.moving.falling import limit_fall
 from antdsl.runtime.moving.heads import MIN_BODY_HEIGHT_SHARE
 from antdsl.runtime.moving.obstacles import slide, slow_velocities
 from antdsl.runtime.moving.orienting import orient_bodies
-from antdsl.runtime.moving.postures import posture_of
-from antdsl.runtime.moving.rises import find_walls
+from antdsl.runtime.moving.postures import Posture, posture_of
+from antdsl.runtime.moving.rises import NO_WALLS, WallsAhead, find_walls
 from antdsl.runtime.moving.slopes import SlopeStart, deflect_steps, find_walls_of_slope, has_slope_limit, lay_pushes
 from antdsl.runtime.moving.strides import IntendedMotion, WaitingWalks, prepare_steps, walk_plane, walk_triangles
 from antdsl.runtime.moving.tilting import BodyPosture, TurnLimits, follow_ground, limit_pace
@@ -64,11 +66,16 @@ _FACE_COLUMNS = itemgetter("mesh", "face", "b1", "b2", "over")  # columns of foo
 _ARRIVALS_PER_THREAD = 64  # agents with separate arrival from which a thread pays off
 
 
-def move_agents(world: World, population: Population, substep: int) -> None:
-    """Move all agents of a species by one substep. This changes position, velocity, heading, up and footing."""
+def move_agents(world: World, population: Population, substep: int) -> ClearStep | None:
+    """Move all agents of a species by one substep. This changes position, velocity, heading, up and footing.
+
+    Returns the step of their bodies if these stay outside their ground: contacts must correct it."""
     if not len(population):
-        return
+        return None
     dt = _F(world.dt / world.setting.substeps)
+    clear = _move_clear(world, population, dt, substep) if has_clearance(world, population) else None
+    if clear is not None:
+        return clear
     posture = posture_of(world, population)
     others = world.setting.orient != "normal"
     crowd = _CrowdStep.of(world, population, dt, others or posture.is_set or has_slope_limit(population))
@@ -78,10 +85,12 @@ def move_agents(world: World, population: Population, substep: int) -> None:
         lay_pushes(world, population)
     crowd.prepare_steps(substep)
     crowd.bend_at_obstacles()
-    _, _, heading, up = crowd.registers
-    *walls, half = find_walls(world, population, crowd.looking, crowd.step, crowd.reach, crowd.state)
+    up = crowd.registers[3]
+    walls = find_walls(world, population, crowd.looking, crowd.step, crowd.reach, crowd.state)
     n, threads = len(population), crowd.threads
-    work = partial(limit_pace, crowd.state, crowd.step, crowd.velocity, up, population.normal, crowd.most, tuple(walls), posture)
+    work = partial(
+        limit_pace, crowd.state, crowd.step, crowd.velocity, up, population.normal, crowd.most, tuple(walls[:-1]), posture
+    )
     parallel.in_parts(work, n, threads)
     came_from = population.position
     arrival = crowd.walk(world.ground)
@@ -89,25 +98,27 @@ def move_agents(world: World, population: Population, substep: int) -> None:
         crowd.stop_at_slopes(slopes, arrival)
     if previous_pose is not None:
         orient_bodies(world, population, *previous_pose)
-    previous, limits = (
-        BodyPosture(*crowd.previous_axes, came_from),
-        TurnLimits(crowd.most, population.now["max_turn"], dt, posture),
-    )
-    (rows,) = population.get_buffers("following", 1, (n,), np.int64)
-    work = partial(
-        follow_ground,
-        crowd.state,
-        previous,
-        population.position,
-        limits,
-        tuple(walls),
-        half,
-        MIN_BODY_HEIGHT_SHARE,
-        up,
-        heading,
-        rows,
-    )
-    parallel.in_parts(work, n, threads)
+    crowd.follow_feet(came_from, walls, posture)
+    return None
+
+
+def _move_clear(world: World, population: Population, dt: np.float32, substep: int) -> ClearStep | None:
+    """Move agents whose bodies stay outside their ground. Return None if the ground does not consist of triangles."""
+    crowd = _CrowdStep.of(world, population, dt, False)
+    crowd.prepare_steps(substep)
+    crowd.bend_at_obstacles()
+    assert isinstance(world.ground, MeshGround)
+    walk = world.ground.crowd_walk(crowd.longest, crowd.widest)
+    if walk is None:
+        return None
+    limits = crowd.most, population.now["max_turn"], dt
+    clear = ClearStep.of(world, population, walk, (crowd.state, crowd.looking), limits)
+    clear.limit(crowd.step, crowd.velocity)
+    outset = population.footing, population.position, population.normal
+    crowd.walk(world.ground)
+    clear.follow(BodyPoses(*crowd.previous_axes), outset)
+    crowd.follow_feet(outset[1], NO_WALLS, posture_of(world, population))
+    return clear
 
 
 @dataclass(slots=True)
@@ -187,6 +198,15 @@ class _CrowdStep:
             parallel.in_parts(work, len(p), self.threads, parallel.MIN_LIGHT_ITEMS_PER_THREAD)
             self.step = step
 
+    def follow_feet(self, came_from: NDArray[np.float64], walls: WallsAhead, posture: Posture) -> None:
+        """Turn the bodies that do not stand as their feet do after them. `came_from` (n, 3): positions before the walk (mm)."""
+        p, n = self.population, len(self.population)
+        previous, limits = BodyPosture(*self.previous_axes, came_from), TurnLimits(self.most, p.now["max_turn"], self.dt, posture)
+        (rows,) = p.get_buffers("following", 1, (n,), np.int64)
+        ahead, (_, _, heading, up) = (previous, p.position, limits, tuple(walls[:-1]), walls.half), self.registers
+        work = partial(follow_ground, self.state, *ahead, MIN_BODY_HEIGHT_SHARE, up, heading, rows)
+        parallel.in_parts(work, n, self.threads)
+
     def walk(self, ground: Ground) -> ArrivalArrays:
         """Walk all agents over a ground to their new positions, and update their registers. Return what it read and wrote."""
         now = self.population.now
@@ -233,7 +253,7 @@ class _CrowdStep:
         p.footing, p.position, p.normal = Footing.on_plane(place), place, arrival.normals
 
     def _walk_meshes(self, ground: MeshGround, arrival: ArrivalArrays) -> bool:
-        """Walk all agents over the triangles of the ground. Return False if the ground does not consist of triangles."""
+        """Walk all agents over the triangles of the ground. Return None if the ground does not consist of triangles."""
         p, n = self.population, len(self.population)
         walk = ground.crowd_walk(self.longest, self.widest)
         if walk is None:

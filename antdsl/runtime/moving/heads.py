@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl.numerics import vectors as vec
+from antdsl.runtime.body_positions import LIFT_REGISTERS
 from antdsl.runtime.world import AXES, Population, World
 
 MIN_BODY_HEIGHT_SHARE = 0.1  # of a body: how high its middle is over the feet, unless its clearance is more
@@ -26,6 +27,8 @@ def find_heads_inside(world: World, population: Population) -> NDArray[np.bool_]
         upright = now[f"up.{axis}"].astype(np.float64) + population.normal[:, k]
         middle[k] = population.position[:, k] + upright * (high / 2)
         ahead[k] = now[f"heading.{axis}"] * (size / 2)
+        if LIFT_REGISTERS[0] in now:
+            middle[k] += now[LIFT_REGISTERS[k]]
     is_inside = np.zeros(len(population), np.bool_)
     meshes = world.ground.meshes
     if meshes is not None:

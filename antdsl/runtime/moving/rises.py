@@ -46,7 +46,7 @@ class WallsAhead(NamedTuple):
     half: Floats
 
 
-_NO_WALLS = WallsAhead(*np.empty((2, 3, 0)), *np.empty((4, 0)))
+NO_WALLS = WallsAhead(*np.empty((2, 3, 0)), *np.empty((4, 0)))
 
 
 def find_walls(
@@ -60,10 +60,10 @@ def find_walls(
     `looking`: initially contains the headings along the ground of leaning agents; set for all agents that search for walls."""
     meshes = world.ground.meshes
     if meshes is None:
-        return _NO_WALLS
+        return NO_WALLS
     rows = meshes.rows_near_rises(population.footing, population.position, reach, world.options.threads)
     if not len(rows):
-        return _NO_WALLS
+        return NO_WALLS
     now, most = (
         population.now,
         max(_MIN_BUFFER_AGENTS, 1 << len(rows).bit_length()),
@@ -77,7 +77,7 @@ def find_walls(
     count = fill_looks(rows, now["size"], population.position, population.normal, directions, looks, origin, ray)
     hit, part, wall = meshes.trace_normals(origin[:, :count].T, ray[:, :count].T, world.options.threads)
     if not len(hit):
-        return _NO_WALLS
+        return NO_WALLS
     lengths, wall_normals, along = np.empty((4, len(hit))), *np.empty((2, 3, len(hit)))
     count = fill_walls(len(rows), looks, hit, part, wall, wall_normals, along, *lengths, state)
     return WallsAhead(wall_normals[:, :count], along[:, :count], *lengths[:, :count])

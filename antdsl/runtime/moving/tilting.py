@@ -86,13 +86,13 @@ def _pose_registers(values: dict[str, NDArray[Any]]) -> tuple[VectorArrays, Vect
 
 
 @inlined
-def _read_vector(vectors: VectorColumns, i: I64) -> Vec3:
+def read_vector(vectors: VectorColumns, i: I64) -> Vec3:
     """Return vector i of vectors (3, n), in float64."""
     return np.float64(vectors[0][i]), np.float64(vectors[1][i]), np.float64(vectors[2][i])
 
 
 @inlined
-def _perpendicular(v: Vec3, up: Vec3) -> Vec3:
+def perpendicular(v: Vec3, up: Vec3) -> Vec3:
     """Return the unit vector perpendicular to `up` that is nearest to v; an arbitrary one if v has no direction."""
     flat = minus(v, times(up, dot(v, up)))
     size = np.sqrt(dot(flat, flat))
@@ -110,7 +110,7 @@ def _is_leaning(up: VectorColumns, normal: Array2[F32], i: I64) -> BOOL:
 
 
 @called
-def _turn_axis(one: Vec3, other: Vec3, ahead: Vec3) -> tuple[Vec3, F64, F64]:
+def turn_axis(one: Vec3, other: Vec3, ahead: Vec3) -> tuple[Vec3, F64, F64]:
     """Return the axis of the least rotation from one unit vector to another, and the cosine and sine of its angle.
 
     Near half a turn, where the axis is undefined, the rotation passes through `ahead`."""
@@ -122,10 +122,10 @@ def _turn_axis(one: Vec3, other: Vec3, ahead: Vec3) -> tuple[Vec3, F64, F64]:
 
 
 @called
-def _turn_heading(heading: Vec3, one: Vec3, other: Vec3) -> Vec3:
+def turn_heading(heading: Vec3, one: Vec3, other: Vec3) -> Vec3:
     """Return a heading after the rotation that turns the normal `one` into the normal `other`, perpendicular to the latter."""
-    axis, cosine, sine = _turn_axis(one, other, heading)
-    return _perpendicular(rotate_about_axis(heading, axis, cosine, sine), other)
+    axis, cosine, sine = turn_axis(one, other, heading)
+    return perpendicular(rotate_about_axis(heading, axis, cosine, sine), other)
 
 
 @inlined
@@ -180,7 +180,7 @@ def begin_stance(
     state[i] = STANDING_STATE
     if _is_leaning(up, normal, i):
         state[i] = LEANING_STATE
-        level_heading = _turn_heading(_read_vector(heading, i), _read_vector(up, i), row64(normal, i))
+        level_heading = turn_heading(read_vector(heading, i), read_vector(up, i), row64(normal, i))
         looking[0][i], looking[1][i], looking[2][i] = _F(level_heading[0]), _F(level_heading[1]), _F(level_heading[2])
 
 
@@ -195,13 +195,13 @@ def settle_rows(
         j = state[i]
         if j >= 0 or posture.is_set:
             ground = row64(normal, i)
-            heading, up = _read_vector(now_heading, i), ground
+            heading, up = read_vector(now_heading, i), ground
             if j >= 0:
-                heading = _read_vector(looking, i)
+                heading = read_vector(looking, i)
                 up = _tilt_up(ground, column64(wall, j), column64(ahead, j), angle[j], far[j], over[j], (0.0, 0.0, 0.0))
             if posture.is_set:
                 up = stand_up(up, posture, i)
-            facing = _turn_heading(heading, ground, up)
+            facing = turn_heading(heading, ground, up)
             for k in range(3):
                 start_up[k][i] = _F(up[k])
                 now_up[k][i] = _F(up[k])
@@ -231,7 +231,7 @@ def _lay_rows(
     for i in range(begin, end):
         if not _is_leaning(now_up, normal, i):
             continue
-        level_heading = _turn_heading(_read_vector(start_heading, i), _read_vector(start_up, i), row64(normal, i))
+        level_heading = turn_heading(read_vector(start_heading, i), read_vector(start_up, i), row64(normal, i))
         rows[count] = i
         for k in range(3):
             up[k, count], heading[k, count], along[k, count] = start_up[k][i], start_heading[k][i], _F(level_heading[k])
@@ -288,7 +288,7 @@ def limit_pace(
         j = state[i]
         if j == STANDING_STATE:
             continue
-        own_step, stands = _read_vector(step, i), _read_vector(up, i)
+        own_step, stands = read_vector(step, i), read_vector(up, i)
         size = np.sqrt(dot(own_step, own_step))
         target_up = row64(normal, i)
         limit = np.inf
@@ -359,16 +359,16 @@ def follow_ground(
     for k in independent(begin, count):
         i = rows[k]
         j = state[i]
-        stands = _read_vector(before_up, i)
-        look = _perpendicular(_read_vector(before_heading, i), stands)
-        normal, looking = _read_vector(now_up, i), _read_vector(now_heading, i)
+        stands = read_vector(before_up, i)
+        look = perpendicular(read_vector(before_heading, i), stands)
+        normal, looking = read_vector(now_up, i), read_vector(now_heading, i)
         displacement = (place[i, 0] - before[i, 0], place[i, 1] - before[i, 1], place[i, 2] - before[i, 2])
         target_up = normal
         if j >= 0:
             target_up = _tilt_up(normal, column64(wall, j), column64(ahead, j), angle[j], far[j], over[j], displacement)
         if posture.is_set:
             target_up = stand_up(target_up, posture, i)
-        axis, cosine, sine = _turn_axis(stands, target_up, look)
+        axis, cosine, sine = turn_axis(stands, target_up, look)
         full_tilt = atan2(_F(sine), _F(cosine))
         if full_tilt <= most[i]:
             tilt, c, s, up = full_tilt, cosine, sine, target_up
@@ -376,8 +376,8 @@ def follow_ground(
             part = cos_sin(most[i])
             tilt, c, s = most[i], np.float64(part[0]), np.float64(part[1])
             up = unit(rotate_about_axis(stands, axis, c, s))
-        one = _perpendicular(rotate_about_axis(look, axis, c, s), up)
-        other = _turn_heading(_turn_heading(looking, normal, target_up), target_up, up)
+        one = perpendicular(rotate_about_axis(look, axis, c, s), up)
+        other = turn_heading(turn_heading(looking, normal, target_up), target_up, up)
         yaw_limit = 4.0
         if np.isfinite(max_turn[i]):
             turn = np.float64(max(max_turn[i], _F(0)) * dt)

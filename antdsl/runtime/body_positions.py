@@ -1,0 +1,21 @@
+"""Positions at which bodies are drawn."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from antdsl.runtime.feet.wearers import Wearers
+
+LIFT_REGISTERS = ("~lift.x", "~lift.y", "~lift.z")  # mm, of species with bodies that stay outside their ground
+
+
+def body_positions(population: Wearers) -> NDArray[np.float64]:
+    """Return the positions (n, 3) at which bodies are drawn (mm): those of the feet, plus the shift of a body that stays outside
+    its ground. Each component is contiguous."""
+    if LIFT_REGISTERS[0] not in population.now:
+        return population.position
+    shifted = np.empty((3, len(population)))
+    for component, feet, name in zip(shifted, population.position.T, LIFT_REGISTERS, strict=True):
+        np.add(feet, population.now[name], out=component)
+    return shifted.T

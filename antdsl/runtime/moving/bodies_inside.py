@@ -1,0 +1,69 @@
+"""Finds bodies that are inside the ground: behind a surface that agents walk on or nearer to it than they are wide, or in a
+solid."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from antdsl.ground.mesh.surface import MeshGround
+from antdsl.numerics import vectors as vec
+from antdsl.runtime.body_positions import LIFT_REGISTERS
+from antdsl.runtime.moving.body_records import BodyLimits, BodyPoses, BodyStances
+from antdsl.runtime.moving.clear_steps import body_shape, face_search
+from antdsl.runtime.moving.clearance import shift_bodies
+from antdsl.runtime.world import Population, World
+
+_F = np.float32
+_MAX_BODIES_MEASURED_AT_ONCE = 250  # of k times as many agents of a species, every k-th is measured
+_VISIBLE_DEPTH = _F(0.01)  # of a body: one that is no deeper inside but touches
+
+
+def find_sampled_bodies_inside(world: World, population: Population) -> NDArray[np.bool_]:
+    """Return which bodies are inside the ground or a solid, bool[k], of up to about 250 agents: those with ids that are multiples
+    of a number."""
+    rows = np.flatnonzero(population.ids % (1 + len(population) // _MAX_BODIES_MEASURED_AT_ONCE) == 0)
+    return find_bodies_inside(world, population, rows)
+
+
+def find_bodies_inside(world: World, population: Population, rows: NDArray[np.int64]) -> NDArray[np.bool_]:
+    """Return which bodies of `rows` are inside the ground or a solid in the current state, bool[k].
+
+    A body is the capsule of its trunk, with head and abdomen. It is inside a mesh if a face crosses its axis, or comes nearer to
+    it than its radius, less a hundredth of a body. It is inside a solid if that is so near to its ends or its middle."""
+    now, count = population.now, len(rows)
+    size, shape = now["size"].take(rows).astype(np.float64), body_shape(world, population, 0.0)
+    depths, outs = np.zeros(count, np.float32), np.zeros((3, count), np.float32)
+    poses = BodyPoses(vec.vector_registers(now, "up"), vec.vector_registers(now, "heading"))
+    zero = np.zeros(len(population), np.float32)
+    lift = vec.vector_registers(now, "~lift") if LIFT_REGISTERS[0] in now else (zero, zero.copy(), zero.copy())
+    lift = (lift[0].copy(), lift[1].copy(), lift[2].copy())
+    meshes = world.ground.meshes
+    walk = None if not isinstance(meshes, MeshGround) else meshes.crowd_walk(0.0, float(np.fmax.reduce(size, initial=0.0)))
+    if walk is not None and count:
+        limits = BodyLimits(zero, zero, _F(1), now["size"], shape, np.inf, np.inf)
+        search, old = face_search(walk, count, 1), vec.take(lift, rows)
+        table = walk.tables()[0].table
+        shift_bodies(
+            table,
+            search,
+            rows,
+            BodyStances(population.position, population.normal, poses),
+            limits,
+            lift,
+            old,
+            depths,
+            outs,
+            0,
+            0,
+            count,
+        )
+    is_inside: NDArray[np.bool_] = depths > _VISIBLE_DEPTH
+    place = population.position[rows].T + np.stack(vec.take(lift, rows))
+    up, heading = (np.stack(vec.take(each, rows)).astype(np.float64) for each in poses)
+    for volume in world.solids.values():
+        clear = (shape.radius - _VISIBLE_DEPTH) * size - volume.voxel / 2
+        for end in (-shape.half, 0.0, shape.half):
+            point = place + up * (shape.height * size) + heading * ((shape.ahead + end) * size)
+            is_inside |= volume.sample(point.T) < clear
+    return is_inside

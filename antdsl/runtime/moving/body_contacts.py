@@ -1,0 +1,109 @@
+"""Contacts of bodies with the triangles around them: how far a body must shift to be outside, and how deep it remains inside."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from antdsl.ground.mesh.boxes import BoxTree, FaceList, first_hit, gather_faces
+from antdsl.ground.mesh.face_table import CORNER_OFFSET, EDGE1_OFFSET, EDGE2_OFFSET, NORMAL_OFFSET, ROW_FLOATS
+from antdsl.machine_code.kernels import F64, I32, I64, Array1, called
+from antdsl.numerics.kernel_vectors import Vec3, at, dot, minus, nearest_weights, plus, times
+from antdsl.runtime.moving.body_paths import BodyShape
+
+SHIFT_TURNS = 4  # times that a body is shifted out of what it touches, before its depth is measured
+_ANCHOR_HEIGHT_PER_BODY = 0.02  # of a body: the height above the feet from which the middle must be visible
+_AXIS_POINTS = 9  # of the axis of a capsule, from which the nearest face is searched
+_SLACK_PER_BODY = 0.004  # of a body: a depth that needs no shift
+_MARGIN_PER_BODY = 0.3  # of a body: how far around a body faces are searched
+
+
+class BodyStance(NamedTuple):
+    """A body of `size` mm that stands at `place` on ground with a `normal`."""
+
+    place: Vec3
+    normal: Vec3
+    up: Vec3
+    heading: Vec3
+    size: F64
+
+
+class BodyShift(NamedTuple):
+    """The shift of a body (mm) from its stance, how deep it is inside a surface after it (mm), and the direction out."""
+
+    shift: Vec3
+    depth: F64
+    out: Vec3
+
+
+@called
+def shift_outside(
+    table: Array1[F64],
+    pieces: Array1[I32],
+    boxes: BoxTree,
+    faces: FaceList,
+    shape: BodyShape,
+    stance: BodyStance,
+    shift: Vec3,
+    most: F64,
+    turns: I64,
+) -> BodyShift:
+    """Return the shift that brings a capsule outside all faces around it, starting from `shift`, and its remaining depth.
+
+    In each of `turns`, the body leaves what its axis crosses, then what is nearer to its axis than its radius. With 0 turns, only
+    the depth is measured. The shift is at most `most` mm."""
+    place, normal, up, heading, size = stance
+    rest = plus(place, plus(times(up, shape.height), times(heading, shape.ahead)))
+    tip = times(heading, shape.half + shape.radius)
+    anchor = plus(place, times(normal, _ANCHOR_HEIGHT_PER_BODY * size))
+    middle = plus(rest, shift)
+    away = minus(anchor, middle)
+    wide = max(shape.radius + _MARGIN_PER_BODY * size, np.sqrt(dot(away, away)))
+    n = gather_faces(pieces, boxes, minus(middle, tip), plus(middle, tip), wide, -1, -1, faces)
+    depth, out = 0.0, (0.0, 0.0, 0.0)
+    for turn in range(turns + 1):
+        depth = 0.0
+        for part in range(3):
+            middle = plus(rest, shift)
+            start, step, extra = middle, tip, 0.0
+            if part == 0:
+                start, step, extra = anchor, minus(middle, anchor), shape.radius
+            if part == 2:
+                step = times(tip, -1.0)
+            hit = first_hit(table, boxes, faces, n, start, step, 0.0)
+            if hit.face >= 0:
+                m = at(table, ROW_FLOATS * hit.face + NORMAL_OFFSET)
+                along = dot(m, step)
+                if along > 0:
+                    m, along = times(m, -1.0), -along
+                over = (1.0 - min(hit.part, 1.0)) * -along + extra
+                if over > depth:
+                    depth, out = over, m
+                if turn < turns:
+                    shift = plus(shift, times(m, over))
+        for point in range(_AXIS_POINTS):
+            center = plus(plus(rest, shift), times(heading, shape.half * (2.0 * np.float64(point) / (_AXIS_POINTS - 1) - 1.0)))
+            best, away = shape.radius, (0.0, 0.0, 0.0)
+            for k in range(n):
+                row = ROW_FLOATS * boxes.order[faces.numbers[faces.begin + k]]
+                v = minus(center, at(table, row + CORNER_OFFSET))
+                # If the plane of a face is farther away, so are all its points.
+                if abs(dot(v, at(table, row + NORMAL_OFFSET))) >= best:
+                    continue
+                edge1, edge2 = at(table, row + EDGE1_OFFSET), at(table, row + EDGE2_OFFSET)
+                b1, b2, distance = nearest_weights(edge1, edge2, v)
+                if distance < best:
+                    best, away = distance, minus(minus(v, times(edge1, b1)), times(edge2, b2))
+            if best < shape.radius:
+                over = shape.radius - best
+                if over > depth and best > 1e-9:
+                    depth, out = over, times(away, 1.0 / best)
+                if turn < turns and best > 1e-9:
+                    shift = plus(shift, times(away, over / best))
+        if depth <= _SLACK_PER_BODY * size:
+            break
+        long = np.sqrt(dot(shift, shift))
+        if long > most:
+            shift = times(shift, most / long)
+    return BodyShift(shift, depth, out)

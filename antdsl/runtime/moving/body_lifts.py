@@ -1,0 +1,140 @@
+"""Which bodies need more than their feet, and how far those on wide faces rise over the faces beyond the edges of their own."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from antdsl.ground.mesh.face_table import (  # fmt: skip
+    CORNER_OFFSET,
+    EDGE1_OFFSET,
+    EDGE2_OFFSET,
+    NORMAL_OFFSET,
+    RATE1_OFFSET,
+    ROW_FLOATS,
+)
+from antdsl.ground.mesh.surroundings import position_on_face
+from antdsl.ground.mesh.walkers import FootingArrays, SurfaceTables
+from antdsl.machine_code.kernels import called, kernel, load_consecutive
+from antdsl.machine_code.kernels.types import BOOL, F64, I32, I64, U8, Array1, Array2
+from antdsl.numerics.kernel_vectors import TriangleWeights, Vec3, VectorColumns, at, dot, minus, plus, times
+from antdsl.runtime.moving.body_paths import BodyShape
+from antdsl.runtime.moving.body_records import MAX_LIFT_PER_BODY, SHARP, BodyLimits, BodyPoses, BodyRegisters, scale_shape
+from antdsl.runtime.moving.tilting import read_vector
+from antdsl.runtime.moving.velocities import HURRYING_STATE, STANDING_STATE
+
+_F = np.float32
+
+
+@kernel
+def select_rows(
+    levels: Array1[U8],
+    heading: VectorColumns,
+    state: Array1[I32],
+    looking: VectorColumns,
+    retained: BodyRegisters,
+    rows: Array1[I64],
+    row_levels: Array1[U8],
+    begin: I64,
+    end: I64,
+) -> tuple[I64, I64]:
+    """List the agents from `begin` to before `end` with steps that may have to be shortened; return `begin` and their number.
+
+    All agents on ground with a level get a `state` in which bodies are aligned after the walk, and their heading in `looking`.
+    `row_levels`: receives the `levels` of the listed agents."""
+    count = begin
+    for i in range(begin, end):
+        if levels[i] > 0 and state[i] == STANDING_STATE:
+            state[i] = HURRYING_STATE
+            for k in range(3):
+                looking[k][i] = heading[k][i]
+        waits = retained.wait[i] != 0 or retained.out[0][i] != 0 or retained.out[1][i] != 0 or retained.out[2][i] != 0
+        if levels[i] == SHARP or waits:
+            rows[count], row_levels[count] = i, levels[i]
+            count += 1
+    return begin, count - begin
+
+
+@kernel
+def lift_bodies(
+    surface: SurfaceTables,
+    feet: FootingArrays,
+    has_bend: Array1[BOOL],
+    state: Array1[I32],
+    levels: Array1[U8],
+    pose: BodyPoses,
+    limits: BodyLimits,
+    retained: BodyRegisters,
+    rows: Array1[I64],
+    row_levels: Array1[U8],
+    begin: I64,
+    end: I64,
+) -> tuple[I64, I64]:
+    """Lift bodies on wide faces off the faces around their own, from `begin` to before `end`.
+
+    Lists bodies on ground with a level, and those that are shifted, wait or are deep inside; returns `begin` and their number.
+    Their `state` becomes that of a body that stands as its feet do. `row_levels`: receives their `levels`."""
+    table, link, first = surface.table, surface.link, surface.first
+    count = begin
+    for i in range(begin, end):
+        climbs = feet.mesh[i] >= 0 and feet.face[i] >= 0 and has_bend[first[max(feet.mesh[i], 0)] + max(feet.face[i], 0)]
+        x, y, z = retained.lift[0][i], retained.lift[1][i], retained.lift[2][i]
+        shifted = x != 0 or y != 0 or z != 0 or retained.depth[i] != 0 or retained.wait[i] != 0
+        if levels[i] > 0 or (shifted and state[i] != STANDING_STATE):
+            rows[count], row_levels[count] = i, levels[i]
+            count += 1
+            state[i] = STANDING_STATE
+        elif climbs or shifted:
+            lift, up = 0.0, read_vector(pose.up, i)
+            if climbs:
+                f = first[feet.mesh[i]] + feet.face[i]
+                size = np.float64(limits.size[i])
+                lift = _face_lift(
+                    table, link, f, (feet.b1[i], feet.b2[i]), scale_shape(limits.shape, size), up, read_vector(pose.heading, i)
+                )
+                lift = min(lift, MAX_LIFT_PER_BODY * size)
+            retained.depth[i], retained.wait[i] = _F(0), _F(0)
+            for k in range(3):
+                retained.lift[k][i] = _F(lift * up[k])
+    return begin, count - begin
+
+
+@called
+def _face_lift(
+    table: Array1[F64], link: Array2[I32], f: I64, weights: TriangleWeights, shape: BodyShape, up: Vec3, heading: Vec3
+) -> F64:
+    """Return how far (mm) both ends of a body must rise along its up to clear its face and those that rise beyond its edges."""
+    row, lift = ROW_FLOATS * f, 0.0
+    own = at(table, row + NORMAL_OFFSET)
+    side = -1.0 if dot(own, up) < 0 else 1.0
+    own, place = times(own, side), position_on_face(table, row, weights, side)
+    middle = plus(times(up, shape.height), times(heading, shape.ahead))
+    _, along, slant, shear = load_consecutive(table, row + RATE1_OFFSET - 1, 4)
+    for edge in range(4):
+        normal, corner = own, place
+        if edge < 3:
+            # The distance from an edge is the weight of the corner opposite it, by how fast that weight changes.
+            weight, x, y = 1.0 - weights[0] - weights[1], -along, shear - slant
+            if edge == 1:
+                weight, x, y = weights[0], along, -shear
+            if edge == 2:
+                weight, x, y = weights[1], 0.0, slant
+            reach = shape.half + shape.radius + abs(shape.ahead)
+            if weight * weight > (x * x + y * y) * reach * reach:
+                continue
+            beyond = np.int64(link[1 if side < 0 else 0, 3 * f + edge])
+            if beyond < 0:
+                continue
+            other = ROW_FLOATS * (beyond >> 3)
+            normal = times(at(table, other + NORMAL_OFFSET), -side if (beyond & 1) == 1 else side)
+            corner = at(table, other + CORNER_OFFSET)
+            # What is beyond the edge rises if a corner of the own face lies above its plane.
+            center = plus(
+                at(table, row + CORNER_OFFSET), times(plus(at(table, row + EDGE1_OFFSET), at(table, row + EDGE2_OFFSET)), 1 / 3.0)
+            )
+            if dot(minus(center, corner), normal) <= 0:
+                continue
+        for end in range(2):
+            tip = plus(middle, times(heading, shape.half if end == 0 else -shape.half))
+            gap = dot(minus(plus(place, tip), corner), normal)
+            lift = max(lift, (shape.radius - gap) / max(dot(normal, up), 0.5))
+    return lift

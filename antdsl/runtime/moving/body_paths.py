@@ -1,0 +1,181 @@
+"""The path of a body over the triangles below it: how the ground turns along it, and its profile.
+
+A path is a straight line over the triangles, ahead of the feet and behind them. Each side of an edge that it crosses turns the
+ground by a rotation vector along the edge. The mean of these rotations over the path is how a body lies on it: it begins to turn
+a path's length before an edge, is half turned on the edge, and has turned as far beyond it."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from antdsl.ground.mesh.boxes import BoxTree, FaceList, first_hit
+from antdsl.ground.mesh.face_table import AXIS1_OFFSET, AXIS2_OFFSET, EDGES_OFFSET, NORMAL_OFFSET, RATE1_OFFSET, ROW_FLOATS
+from antdsl.ground.mesh.stretches import cross_edge
+from antdsl.ground.mesh.surroundings import position_on_face, turn_to_face
+from antdsl.ground.mesh.walkers import FaceWalker, SurfaceTables
+from antdsl.machine_code.kernels import BOOL, F64, I32, I64, Array1, called, inlined, load_consecutive, nearest_integer
+from antdsl.numerics.elementary_loops import atan2
+from antdsl.numerics.kernel_vectors import Vec3, at, clamp_weights, cross, dot, minus, plus, times
+
+_F = np.float32
+MAX_VALLEY_TURN = 2.0  # radians: a valley where the ground turns by more is a wall
+MAX_PATH_EDGES = 16  # edges that a path crosses on each side of the feet, at most
+POINT_FLOATS = 8  # of a point of a path: position, normal of the face that begins there, distance, whether that face rises
+NORMAL_AT, DISTANCE_AT, RISE_AT = 3, 6, 7
+PATH_FLOATS = POINT_FLOATS * (MAX_PATH_EDGES + 2)  # of the points of one side: the feet, the edges, and the end
+
+
+class GroundBend(NamedTuple):
+    """The mean turn of the ground along a path: a rotation vector (radians), `roll` the direction of the path and `pitch` it,
+    to the left. `count`: the number of points of the profile."""
+
+    roll: F64
+    pitch: F64
+    count: I64
+
+
+class BodyShape(NamedTuple):
+    """The capsule of a trunk (mm): `half` of its axis, its `radius`, the `height` of its middle above the feet, and how far it is
+    `ahead` of them."""
+
+    half: F64
+    radius: F64
+    height: F64
+    ahead: F64
+
+
+@inlined
+def put_point(points: Array1[F64], k: I64, place: Vec3, normal: Vec3, distance: F64, rise: F64) -> None:
+    """Write point `k` of a path."""
+    row = POINT_FLOATS * k
+    points[row], points[row + 1], points[row + 2] = place
+    points[row + 3], points[row + 4], points[row + 5] = normal
+    points[row + 6], points[row + 7] = distance, rise
+
+
+class FacesNearby(NamedTuple):
+    """The `count` faces of a list that are near a body."""
+
+    boxes: BoxTree
+    faces: FaceList
+    count: I64
+    pieces: Array1[I32]
+    cuts: Array1[I64]
+
+
+@inlined
+def is_crossing(nearby: FacesNearby, f: I64, other: I64) -> BOOL:
+    """Return whether a face belongs to another piece than face f, or both are cut by faces of their piece."""
+    pieces, cuts = nearby.pieces, nearby.cuts
+    return pieces[f] != pieces[other] or (cuts[f + 1] > cuts[f] and cuts[other + 1] > cuts[other] and f != other)
+
+
+@called
+def trace_bends(
+    surface: SurfaceTables, nearby: FacesNearby, start: FaceWalker, window: F64, eye: F64, points: Array1[F64]
+) -> GroundBend:
+    """Walk a path of length `window` (mm); return how the ground turns along it, as a mean over the path and its mirror image.
+
+    A face of `nearby` that crosses the path, seen from the height `eye` (mm), continues it.
+    `points`: receives the positions of the feet, of the edges and of the end of the path."""
+    table, link, forked, _ = surface
+    walker, left, roll, pitch, count, climb, walks = start, window, 0.0, 0.0, 0, 0.0, True
+    normal = times(at(table, ROW_FLOATS * start.face + NORMAL_OFFSET), start.side)
+    while walks:
+        f, (b1, b2), side, (c, s), heading = walker
+        row = ROW_FLOATS * f
+        place = position_on_face(table, row, (b1, b2), side)
+        put_point(points, count, place, normal, window - left, climb)
+        count += 1
+        _, along, slant, shear = load_consecutive(table, row + RATE1_OFFSET - 1, 4)
+        rate1, rate2 = c * along - s * shear, s * slant
+        rate0 = -(rate1 + rate2)
+        until, edge = np.inf, 0
+        if rate0 < 0:
+            until = max(1.0 - b1 - b2, 0.0) / -rate0
+        if rate1 < 0 and max(b1, 0.0) / -rate1 < until:
+            until, edge = max(b1, 0.0) / -rate1, 1
+        if rate2 < 0 and max(b2, 0.0) / -rate2 < until:
+            until, edge = max(b2, 0.0) / -rate2, 2
+        length = min(until, left)
+        cosine, sine, linked, _ = load_consecutive(table, row + EDGES_OFFSET + 4 * edge, 4)
+        beyond = link[1, 3 * f + edge] if forked and side < 0 else nearest_integer(linked)
+        walks = until < left and beyond >= 0 and count <= MAX_PATH_EDGES
+        other, turn, ahead, aside = normal, 0.0, 0.0, 0.0
+        axis1, axis2 = at(table, row + AXIS1_OFFSET), at(table, row + AXIS2_OFFSET)
+        travel = plus(times(axis1, c), times(axis2, s))
+        meets = False
+        if nearby.count > 0 and count <= MAX_PATH_EDGES:
+            hit = first_hit(
+                table, nearby.boxes, nearby.faces, nearby.count, plus(place, times(normal, eye)), times(travel, length), 0.0
+            )
+            if hit.face >= 0 and is_crossing(nearby, f, hit.face):
+                meets, walks = True, True
+                length = hit.part * length
+                other = at(table, ROW_FLOATS * hit.face + NORMAL_OFFSET)
+                other_side = -1.0 if dot(other, travel) > 0 else 1.0
+                other = times(other, other_side)
+                hinge = cross(normal, other)
+                sine = np.sqrt(dot(hinge, hinge))
+                turn = np.float64(atan2(_F(sine), _F(dot(normal, other))))
+                hinge = times(hinge, 1 / max(sine, 1e-12))
+                ahead, aside = dot(hinge, travel), dot(hinge, cross(normal, travel))
+                direction, facing = turn_to_face(table, walker, hit.face, other_side)
+                walker = FaceWalker(hit.face, clamp_weights(hit.weights[0], hit.weights[1]), other_side, direction, facing)
+        left -= length
+        weights = clamp_weights(b1 + rate1 * length, b2 + rate2 * length)
+        if walks and not meets:
+            axis = plus(times(axis1, cosine), times(axis2, sine))
+            ahead, aside = cosine * c + sine * s, (sine * c - cosine * s) * side
+            walker = cross_edge(table, beyond, edge, (cosine, sine), weights, side, (c, s), heading)
+            other = times(at(table, ROW_FLOATS * walker.face + NORMAL_OFFSET), walker.side)
+            turn = np.float64(atan2(_F(dot(cross(normal, other), axis)), _F(dot(normal, other))))
+        is_wall = walks and turn * aside < 0 and abs(turn) > MAX_VALLEY_TURN
+        if is_wall or not walks:
+            end = position_on_face(table, row, weights, side)
+            put_point(points, count, end, normal, window - max(left, 0.0), -1.0 if is_wall else 0.0)
+            count += 1
+            walks = False
+        else:
+            roll += turn * ahead * left
+            pitch += turn * aside * left
+            climb = max(-turn * aside, 0.0)
+            normal = other
+    share = 0.5 / window
+    return GroundBend(roll * share, pitch * share, count)
+
+
+@called
+def profile_lift(points: Array1[F64], count: I64, shape: BodyShape, place: Vec3, up: Vec3, heading: Vec3, most: F64) -> F64:
+    """Return how far (mm) a body must rise along its up to clear the profile below it, at most `most`.
+
+    The body stands at `place`. The capsule clears each point of the profile, and its ends clear the lines between them."""
+    lift = 0.0
+    old_x, old_y = 0.0, 0.0
+    for k in range(count):
+        away = minus(at(points, POINT_FLOATS * k), place)
+        x, y = dot(away, heading) - shape.ahead, dot(away, up) - shape.height
+        off = max(abs(x) - shape.half, 0.0)
+        if off < shape.radius:
+            lift = max(lift, y + np.sqrt(shape.radius * shape.radius - off * off))
+        if k > 0:
+            dx, dy = x - old_x, y - old_y
+            size = np.sqrt(dx * dx + dy * dy)
+            if size > 1e-9:
+                dx, dy = dx / size, dy / size
+                # The normal of the line, on the side of the body: the profile runs away from the feet.
+                nx, ny = -dy, dx
+                if ny < 0:
+                    nx, ny = -nx, -ny
+                for end in range(2):
+                    center = shape.half if end == 0 else -shape.half
+                    ex, ey = center - old_x, -old_y
+                    if ny > 0.1:
+                        rise = (shape.radius - (ex * nx + ey * ny)) / ny
+                        foot = ex * dx + (ey + rise) * dy
+                        if foot >= 0 and foot <= size:
+                            lift = max(lift, rise)
+        old_x, old_y = x, y
+    return min(lift, most)

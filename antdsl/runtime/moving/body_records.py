@@ -1,0 +1,84 @@
+"""Records of bodies that stay outside their ground, as kernels read them."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+from antdsl.ground.mesh.boxes import BoxTree
+from antdsl.machine_code.kernels import inlined
+from antdsl.machine_code.kernels.types import BOOL, F32, F64, I32, I64, U8, Array1, Array2, Strided2
+from antdsl.numerics.kernel_vectors import VectorColumns
+from antdsl.runtime.moving.body_paths import BodyShape
+
+SHARP = 2  # level of ground with sharp edges, other pieces or cuts, see `MeshGround.mark_bends`
+MAX_LIFT_PER_BODY = 0.6  # of a body: how far it shifts at most
+
+
+class BodyPoses(NamedTuple):
+    """Up and heading of bodies."""
+
+    up: VectorColumns
+    heading: VectorColumns
+
+
+class BodyLimits(NamedTuple):
+    """Limits of bodies: the largest tilt `most` (radians), `max_turn` (rad/s), `dt` (s), `size` (mm), the `shape` of a body of
+    1 mm, and how far it should shift (`ease`) and may shift (`jump`) in the step (body lengths)."""
+
+    most: Array1[F32]
+    max_turn: Array1[F32]
+    dt: F32
+    size: Array1[F32]
+    shape: BodyShape
+    ease: F64
+    jump: F64
+
+
+class BodyRegisters(NamedTuple):
+    """What a body retains of a step: its shift `lift` (mm), how much its feet `wait` for it (0 to 1), its `depth` inside a
+    surface (body lengths), and the direction `out` of what it has met."""
+
+    lift: VectorColumns
+    wait: Array1[F32]
+    depth: Array1[F32]
+    out: VectorColumns
+
+
+class BodyRows(NamedTuple):
+    """Rows of agents, and how the ground bends around each, see `MeshGround.mark_bends`."""
+
+    rows: Array1[I64]
+    levels: Array1[U8]
+
+
+class BodyStances(NamedTuple):
+    """Where all bodies stand: positions (n, 3) mm, normals (n, 3) of the ground, and poses."""
+
+    place: Strided2[F64]
+    normals: Array2[F32]
+    pose: BodyPoses
+
+
+class FaceBuffers(NamedTuple):
+    """`several` buffers for face numbers, for parts of `count` rows."""
+
+    numbers: Array1[I64]
+    several: I64
+    count: I64
+
+
+class FaceSearch(NamedTuple):
+    """The tables for a search of faces: `piece` and the cuts of the topology, a tree of boxes, and buffers. `several_pieces`:
+    whether a path may meet another piece, or a face that cuts its piece."""
+
+    several_pieces: BOOL
+    pieces: Array1[I32]
+    cuts: Array1[I64]
+    boxes: BoxTree
+    buffers: FaceBuffers
+
+
+@inlined
+def scale_shape(shape: BodyShape, size: F64) -> BodyShape:
+    """Return the shape of a body of `size` mm."""
+    return BodyShape(shape.half * size, shape.radius * size, shape.height * size, shape.ahead * size)

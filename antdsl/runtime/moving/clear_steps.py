@@ -1,0 +1,306 @@
+"""A substep of bodies that stay outside their ground. Before the walk their feet are slowed, after it they turn, lift and shift.
+
+A step that would bring a body deeper into a surface is taken back. The body then turns where it stands. If it cannot even do
+that, it keeps its pose. A body that is deep inside a surface, as after a birth in a gap, moves freely until it is outside."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from functools import partial
+from operator import itemgetter
+
+import numpy as np
+from numpy.typing import NDArray
+
+from antdsl.ground.mesh.surface import MeshGround
+from antdsl.ground.mesh.walk_events import CrowdWalk
+from antdsl.ground.mesh.walkers import FootingArrays, SurfaceTables
+from antdsl.ground.protocol import Footing
+from antdsl.numerics import parallel
+from antdsl.numerics import vectors as vec
+from antdsl.numerics.vectors import VectorArrays
+from antdsl.runtime.moving.body_contacts import SHIFT_TURNS
+from antdsl.runtime.moving.body_lifts import lift_bodies, select_rows
+from antdsl.runtime.moving.body_paths import BodyShape
+from antdsl.runtime.moving.body_records import (
+    SHARP,
+    BodyLimits,
+    BodyPoses,
+    BodyRegisters,
+    BodyRows,
+    BodyStances,
+    FaceBuffers,
+    FaceSearch,
+)
+from antdsl.runtime.moving.capsules import capsule_of
+from antdsl.runtime.moving.clearance import aim_bodies, limit_steps, shift_bodies
+from antdsl.runtime.world import AXES, Population, World
+
+_F = np.float32
+_FACE_COLUMNS = itemgetter("mesh", "face", "b1", "b2", "over")
+_MAX_DEPTH = _F(0.008)  # of a body: how deep it may be inside a surface without an effect
+_YIELD_DEPTH = _F(0.003)  # of a body: how much deeper a body may be after each step in which it could neither walk nor turn
+_STRANDED_DEPTH = _F(0.08)  # of a body: one that is so deep inside moves freely
+_MIN_LEAN_COSINE = _F(0.5)  # of the angle between body and ground, beyond which no contact brings a body
+_MARGIN_PER_BODY = 0.04  # of a body: how much longer its capsule is at both ends
+_ROWS_PER_THREAD = 32  # for which a thread pays
+_POSE_REGISTERS = tuple(f"{name}.{axis}" for name in ("up", "heading", "~lift") for axis in AXES)
+_SHIFT_SPEED, _JUMP_SPEED = 3.6, 8.4  # body lengths per second that a body shifts by choice, and at most
+_QUARTER_TURNS = 3  # tried at birth by a body that does not fit
+
+Rows = NDArray[np.int64]
+
+
+def has_clearance(world: World, population: Population) -> bool:
+    """Return whether the bodies of a species stay outside their ground. The ground must consist of meshes, and the bodies must
+    follow it: those with a posture or a slope limit of their own do not."""
+    plan = population.plan
+    return plan.clears_body and not plan.settings & {"upright", "max_slope"} and isinstance(world.ground, MeshGround)
+
+
+@dataclass(slots=True)
+class ClearStep:
+    """The substep of the bodies of a species. `walk`: the tables of the ground. `rows`: agents on ground with bends, and those
+    that do not stand as their feet do. `levels`: how their ground bends, see `MeshGround.mark_bends`."""
+
+    population: Population
+    walk: CrowdWalk
+    limits: BodyLimits
+    threads: int
+    rows: Rows
+    levels: NDArray[np.uint8]
+    all_levels: NDArray[np.uint8] = field(init=False)
+    has_bend: NDArray[np.bool_] = field(init=False)
+    state: NDArray[np.int32] = field(init=False)
+    previous: BodyPoses = field(init=False)
+    headings: tuple[NDArray[np.float32], ...] = field(init=False)
+    lifts: VectorArrays = field(init=False)
+    recorded: tuple[tuple[Footing, NDArray[np.float64], NDArray[np.float32]], list[NDArray[np.float32]]] = field(init=False)
+
+    @staticmethod
+    def of(
+        world: World,
+        population: Population,
+        walk: CrowdWalk,
+        stance: tuple[NDArray[np.int32], VectorArrays],
+        limits: tuple[NDArray[np.float32], NDArray[np.float32], np.float32],
+    ) -> ClearStep:
+        """List the rows with bodies that need more than their feet.
+
+        `stance`: the states of bodies, and the headings along the ground of those that lean. `limits`: tilt and turn limits, and
+        the duration (s)."""
+        now, n, threads = population.now, len(population), world.options.threads
+        assert isinstance(world.ground, MeshGround)
+        (levels,), (row_levels,) = (population.get_buffers(name, 1, (n,), np.uint8) for name in ("bends", "bends of rows"))
+        size = np.where(now["size"] > 0, now["size"], 0).astype(np.float64)
+        has_bend = world.ground.mark_bends(population.footing, population.position, size, levels, threads)
+        (rows,), heading = population.get_buffers("uneven", 1, (n,), np.int64), vec.vector_registers(now, "heading")
+        work = partial(select_rows, levels, heading, *stance, _retained_registers(population), rows, row_levels)
+        rows, row_levels = parallel.join_parts(parallel.in_parts(work, n, threads), rows, row_levels)
+        dt = float(limits[2])
+        bounds = BodyLimits(*limits, now["size"], body_shape(world, population), _SHIFT_SPEED * dt, _JUMP_SPEED * dt)
+        step = ClearStep(population, walk, bounds, threads, rows, row_levels)
+        step.all_levels, step.has_bend, step.state = levels, has_bend, stance[0]
+        return step
+
+    def limit(self, step: VectorArrays, velocity: VectorArrays) -> None:
+        """Shorten the steps (mm) and velocities of agents so that their bodies can follow."""
+        if len(self.rows):
+            p = self.population
+            up = vec.vector_registers(p.now, "up")
+            at = FootingArrays._make(_FACE_COLUMNS(p.footing.columns))
+            inputs = (at, BodyRows(self.rows, self.levels), up, p.normal, step, velocity, self.limits, _retained_registers(p))
+            self._run(partial(limit_steps, self._surface, self._search(len(self.rows)), *inputs), len(self.rows))
+
+    def follow(self, previous: BodyPoses, outset: tuple[Footing, NDArray[np.float64], NDArray[np.float32]]) -> None:
+        """Turn and shift bodies after the walk. `previous`: earlier poses. `outset`: earlier footings, positions, normals."""
+        p, now, n = self.population, self.population.now, len(self.population)
+        self.previous = previous
+        (rows,), (levels,) = p.get_buffers("uneven", 1, (n,), np.int64), p.get_buffers("bends of rows", 1, (n,), np.uint8)
+        feet = FootingArrays._make(_FACE_COLUMNS(p.footing.columns))
+        poses = BodyPoses(vec.vector_registers(now, "up"), vec.vector_registers(now, "heading"))
+        inputs = (feet, self.has_bend, self.state, self.all_levels, poses, self.limits, _retained_registers(p), rows, levels)
+        parts = parallel.in_parts(partial(lift_bodies, self._surface, *inputs), n, self.threads)
+        self.rows, self.levels = rows, levels = parallel.join_parts(parts, rows, levels)
+        if not len(rows):
+            return
+        self.lifts = _read_lift(p, rows)
+        held, depths = (*vec.take(previous.up, rows), *vec.take(previous.heading, rows), *self.lifts), now["~depth"].take(rows)
+        self.headings = tuple(now[f"heading.{axis}"].take(rows) for axis in AXES)
+        self._aim(rows, self.levels, previous)
+        uneven = np.flatnonzero(self.levels == SHARP)
+        depth, out = self._shift(rows[uneven], vec.take(self.lifts, uneven))
+        old = depths[uneven]
+        deeper = np.flatnonzero((depth > np.maximum(old, _MAX_DEPTH)) & (old < _STRANDED_DEPTH))
+        if deeper.size:
+            at = uneven[deeper]
+            back = rows[at]
+            footing, position, normal = outset
+            self._put(back, (footing.take(back), position[back], normal[back]))
+            for k, axis in enumerate(AXES):
+                now[f"~out.{axis}"][back] = out[k, deeper]
+            self._stand_up(at)
+            self._aim(back, self.levels[at], previous)
+            turned, _ = self._shift(back, vec.take(self.lifts, at))
+            worse = np.flatnonzero(turned > np.maximum(old[deeper], _MAX_DEPTH))
+            for name, values in zip(_POSE_REGISTERS, held, strict=True):
+                now[name][back[worse]] = values[at[worse]]
+            now["~wait"][back[worse]] = 0
+            turned[worse] = np.maximum(old[deeper[worse]], _MAX_DEPTH) + _YIELD_DEPTH
+            depth[deeper] = turned
+        now["~depth"][rows[uneven]] = depth
+
+    def record(self) -> None:
+        """Record positions and poses before contacts move agents."""
+        p, rows = self.population, self.rows
+        columns = [p.now[name].take(rows) for name in (*_POSE_REGISTERS, "~wait", "~depth")]
+        self.recorded = (p.footing.take(rows), p.position[rows], p.normal[rows]), columns
+
+    def correct(self) -> None:
+        """Turn and shift the bodies that contacts have moved.
+
+        A move that would bring one deeper into a surface, or farther off its ground than it may lean, is taken back."""
+        p, now, rows = self.population, self.population.now, self.rows
+        (footing, position, normal), columns = self.recorded
+        at = np.flatnonzero((p.position[rows] != position).any(axis=1))
+        if not at.size:
+            return
+        moved, levels = rows[at], self.levels[at]
+        self._stand_up(at)
+        self._aim(moved, levels, self.previous)
+        sharp, depth = np.flatnonzero(levels == SHARP), np.zeros(len(at), np.float32)
+        depth[sharp], _ = self._shift(moved[sharp], vec.take(self.lifts, at[sharp]))
+        cosine, old_cosine = (
+            (c[0] * n[:, 0] + c[1] * n[:, 1]) + c[2] * n[:, 2]
+            for c, n in (
+                ([now[f"up.{axis}"].take(moved) for axis in AXES], p.normal[moved]),
+                ([c[at] for c in columns[:3]], normal[at]),
+            )
+        )
+        old = columns[-1][at]
+        bad = (depth > np.maximum(old, _MAX_DEPTH)) | (cosine < np.minimum(old_cosine, _MIN_LEAN_COSINE))
+        now["~depth"][moved] = depth
+        back, at = moved[bad], at[bad]
+        self._put(back, (footing.take(at), position[at], normal[at]))
+        for name, values in zip((*_POSE_REGISTERS, "~wait", "~depth"), columns, strict=True):
+            now[name][back] = values[at]
+
+    def _stand_up(self, at: Rows) -> None:
+        """Set the poses of some of `rows` to those of the feet, so that bodies can be turned after them again."""
+        p, rows = self.population, self.rows[at]
+        for k, axis in enumerate(AXES):
+            p.now[f"up.{axis}"][rows] = p.normal[rows, k]
+            p.now[f"heading.{axis}"][rows] = self.headings[k][at]
+            p.now[f"~lift.{axis}"][rows] = self.lifts[k][at]
+
+    def _put(self, rows: Rows, stands: tuple[Footing, NDArray[np.float64], NDArray[np.float32]]) -> None:
+        """Put agents back to footings, positions and normals."""
+        p, (footing, position, normal) = self.population, stands
+        p.footing.put(rows, footing)
+        p.position[rows], p.normal[rows] = position, normal
+        for k, axis in enumerate(AXES):
+            p.now[f"position.{axis}"][rows] = position[:, k]
+
+    def settle(self) -> None:
+        """Turn and shift new bodies at once. One that does not fit turns by quarters, and stands where it is least deep."""
+        p, now, rows = self.population, self.population.now, self.rows
+        heading = [now[f"heading.{axis}"].take(rows) for axis in AXES]
+        best, pose = np.full(len(rows), np.inf, np.float32), [now[name].take(rows) for name in _POSE_REGISTERS]
+        normal = p.normal.take(rows, axis=0).T
+        for turn in range(1 + _QUARTER_TURNS):
+            for k, axis in enumerate(AXES):
+                now[f"up.{axis}"][rows], now[f"heading.{axis}"][rows] = normal[k], heading[k]
+            previous = BodyPoses(vec.copy(vec.vector_registers(now, "up")), vec.copy(vec.vector_registers(now, "heading")))
+            self._aim(rows, self.levels, previous)
+            depth, _ = self._shift(rows, _read_lift(p, rows))
+            better = np.flatnonzero(depth < best if turn == 0 else (depth < best) & (best > _MAX_DEPTH))
+            best[better] = depth[better]
+            for name, values in zip(_POSE_REGISTERS, pose, strict=True):
+                values[better] = now[name][rows[better]]
+            heading = list(vec.cross(tuple(normal), tuple(heading)))  # type: ignore[arg-type]
+        for name, values in zip(_POSE_REGISTERS, pose, strict=True):
+            now[name][rows] = values
+        now["~depth"][rows], now["~wait"][rows] = best, 0
+
+    @property
+    def _surface(self) -> SurfaceTables:
+        return self.walk.tables()[0]
+
+    def _search(self, count: int) -> FaceSearch:
+        return face_search(self.walk, count, self.threads)
+
+    def _aim(self, rows: Rows, levels: NDArray[np.uint8], previous: BodyPoses) -> None:
+        p, now = self.population, self.population.now
+        at = FootingArrays._make(_FACE_COLUMNS(p.footing.columns))
+        poses = BodyPoses(vec.vector_registers(now, "up"), vec.vector_registers(now, "heading"))
+        inputs = (at, BodyRows(rows, levels), previous, poses, self.limits, _retained_registers(p))
+        self._run(partial(aim_bodies, self._surface, self._search(len(rows)), *inputs), len(rows))
+
+    def _shift(self, rows: Rows, old: VectorArrays) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        """Shift bodies outside the faces around them; return their depths and the directions out (3, k)."""
+        p, now = self.population, self.population.now
+        depths, outs = np.zeros(len(rows), np.float32), np.zeros((3, len(rows)), np.float32)
+        poses = BodyPoses(vec.vector_registers(now, "up"), vec.vector_registers(now, "heading"))
+        inputs = (
+            rows,
+            BodyStances(p.position, p.normal, poses),
+            self.limits,
+            vec.vector_registers(now, "~lift"),
+            old,
+            depths,
+            outs,
+            SHIFT_TURNS,
+        )
+        self._run(partial(shift_bodies, self._surface.table, self._search(len(rows)), *inputs), len(rows))
+        return depths, outs
+
+    def _run(self, work: partial[object], count: int) -> None:
+        if count:
+            parallel.in_parts(work, count, self.threads, _ROWS_PER_THREAD)
+
+
+def settle_clear(world: World, population: Population, rows: Rows) -> bool:
+    """Turn and shift new bodies at once so that they are outside their ground.
+
+    Returns False if the bodies of the species do not stay outside, or the ground does not consist of triangles."""
+    if not has_clearance(world, population):
+        return False
+    assert isinstance(world.ground, MeshGround)
+    now, n = population.now, len(population)
+    walk = world.ground.crowd_walk(0.0, float(np.fmax.reduce(now["size"], initial=0.0)))
+    if walk is None:
+        return False
+    free = np.full(n, np.inf, np.float32)
+    limits = BodyLimits(np.full(n, np.pi, np.float32), free, _F(1), now["size"], body_shape(world, population), np.inf, np.inf)
+    ClearStep(
+        population, walk, limits, world.options.threads, np.asarray(rows, np.int64), np.full(len(rows), SHARP, np.uint8)
+    ).settle()
+    for name in ("up", "heading"):
+        for axis in AXES:
+            population.start[f"{name}.{axis}"][rows] = now[f"{name}.{axis}"][rows]
+    return True
+
+
+def face_search(walk: CrowdWalk, count: int, threads: int) -> FaceSearch:
+    """Return the tables for a search of faces for `count` rows."""
+    several = parallel.parts(count, threads, _ROWS_PER_THREAD)
+    table, boxes = walk.walk.table, walk.boxes
+    buffers = FaceBuffers(np.empty(several * boxes.order.size, np.int64), several, count)
+    return FaceSearch(table.pieces > 1 or bool(table.cuts.first[-1]), table.piece, table.cuts.first, boxes.tree(), buffers)
+
+
+def body_shape(world: World, population: Population, margin: float = _MARGIN_PER_BODY) -> BodyShape:
+    """Return the capsule of a species' body, for a body of 1 mm, longer by a `margin` at both ends."""
+    capsule = capsule_of(world, population.name)
+    half = max(capsule.length - capsule.width, 0.0) / 2 + margin
+    return BodyShape(half, capsule.width / 2, capsule.height, capsule.ahead)
+
+
+def _read_lift(population: Population, rows: Rows) -> VectorArrays:
+    return vec.take(vec.vector_registers(population.now, "~lift"), rows)
+
+
+def _retained_registers(population: Population) -> BodyRegisters:
+    now = population.now
+    lift, out = vec.vector_registers(now, "~lift"), vec.vector_registers(now, "~out")
+    return BodyRegisters(lift, now["~wait"], now["~depth"], out)

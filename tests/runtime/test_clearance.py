@@ -1,0 +1,233 @@
+"""Bodies that stay outside their ground: paths, lifts and shifts against closed forms and all faces, and crowds on stairs."""
+
+from __future__ import annotations
+
+from fractions import Fraction
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from meaning import crowd
+from numpy.typing import NDArray
+from plan_text import plan_of
+
+from antdsl.casting.faces import nearest_on_triangle
+from antdsl.ground.mesh.boxes import FaceList
+from antdsl.ground.mesh.surface import MeshGround
+from antdsl.ground.mesh.walkers import FaceWalker, SurfaceTables
+from antdsl.machine_code.kernels import kernel
+from antdsl.machine_code.kernels.types import F64, I64, Array1
+from antdsl.outputs.cache.agent_arrays import AgentArrays
+from antdsl.passes import optimise
+from antdsl.runtime import MeshData, Options, World, WorldSetting, bind, state_hash, step
+from antdsl.runtime.moving import clearance
+from antdsl.runtime.moving.body_paths import PATH_FLOATS, BodyShape, FacesNearby, profile_lift, trace_bends
+from antdsl.runtime.moving.body_records import BodyLimits, BodyPoses, BodyStances
+from antdsl.runtime.moving.clear_steps import body_shape, face_search
+
+Floats = NDArray[np.float64]
+STEP_DEPTH, STEP_HEIGHT, STEPS, WIDTH = 7.0, 3.0, 6, 40.0
+WALKER = """ant 2
+use steering
+world { surface ground }
+species a {
+  size 4 mm
+  max_speed 30 mm/s
+  max_turn 360 deg/s
+  SWITCH
+  start go
+  state go { steer wander() }
+  layers { state }
+}"""
+
+
+def extruded(profile: list[tuple[float, float]]) -> MeshData:
+    """An open sheet over a profile of points (x, y), as wide as `WIDTH`; its normals point up where x increases."""
+    points = np.array([(x, y, z) for z in (-WIDTH / 2, WIDTH / 2) for x, y in profile])
+    n = len(profile)
+    faces = [face for k in range(n - 1) for face in ((k, n + k, k + 1), (k + 1, n + k, n + k + 1))]
+    return MeshData(points, np.array(faces, np.int32))
+
+
+def stairs() -> MeshData:
+    profile = [(-20.0, 0.0)]
+    for k in range(STEPS):
+        profile += [(k * STEP_DEPTH, k * STEP_HEIGHT), (k * STEP_DEPTH, (k + 1) * STEP_HEIGHT)]
+    return extruded([*profile, (STEPS * STEP_DEPTH + 20.0, STEPS * STEP_HEIGHT)])
+
+
+def walking(mesh: MeshData, count: int, clears: bool = True, options: Options | None = None) -> World:
+    """A crowd of walkers on a mesh; their bodies stay outside it or not."""
+    text = WALKER.replace("SWITCH", "" if clears else "body_clearance false")
+    setting = WorldSetting(fps=Fraction(24), crowds=(crowd(count, radius=25),), surfaces={"ground": mesh}, seed=4)
+    return bind(optimise(plan_of(text, "")), setting, options or Options(backend="numpy"))
+
+
+@kernel
+def trace_paths(
+    surface: SurfaceTables, face: I64, side: F64, window: F64, points: Array1[F64], bends: Array1[F64], nearby: FacesNearby
+) -> None:
+    start = FaceWalker(face, (0.25, 0.25), side, (bends[0], bends[1]), (1.0, 0.0))
+    bend = trace_bends(surface, nearby, start, window, 0.1, points)
+    bends[0], bends[1], bends[2] = bend.roll, bend.pitch, float(bend.count)
+
+
+@kernel
+def lift_over(points: Array1[F64], count: I64, shape: BodyShape, lifts: Array1[F64]) -> None:
+    lifts[0] = profile_lift(points, count, shape, (0.0, 0.0, 0.0), (0.0, 1.0, 0.0), (1.0, 0.0, 0.0), 100.0)
+
+
+@pytest.mark.parametrize("turn", [-100.0, -40.0, 20.0, 70.0, 150.0])
+def test_a_path_turns_as_far_as_it_reaches_over_an_edge(turn: float) -> None:
+    angle = np.radians(turn)
+    mesh = extruded([(-30.0, 0.0), (0.0, 0.0), (30 * np.cos(angle), -30 * np.sin(angle))])
+    ground = MeshGround({"ground": (mesh.vertices, mesh.faces)})
+    walk, table = ground.crowd_walk(1.0, 4.0), ground.triangles[3]
+    assert walk is not None
+    surface, points = walk.tables()[0], np.empty(PATH_FLOATS)
+    tree = walk.boxes.tree()
+    nearby = FacesNearby(tree, FaceList(np.empty(9, np.int64), 0), 0, table.piece, table.cuts.first)
+    start = table.corner[:, 0] + 0.25 * table.edge1[:, 0] + 0.25 * table.edge2[:, 0]
+    for window in (20.0, 40.0):
+        travel = np.array([1.0, 0.0, 0.0])
+        bends = np.array([table.axis1[:, 0] @ travel, table.axis2[:, 0] @ travel, 0.0])
+        trace_paths(surface, 0, 1.0, window, points, bends, nearby)
+        beyond = max(window + start[0], 0.0)
+        assert bends[0] == pytest.approx(0.0, abs=1e-6)
+        assert bends[1] == pytest.approx(0.0 if turn < -114 else angle * beyond / (2 * window), abs=2e-6)
+
+
+def test_a_lift_clears_any_profile_and_is_no_higher_than_it_must() -> None:
+    rng, shape = np.random.default_rng(3), BodyShape(1.5, 0.5, 0.7, -0.1)
+    along = np.linspace(-shape.half, shape.half, 400)
+    for _ in range(40):
+        slopes = np.radians(rng.uniform(-50, 60, 5))
+        parts = np.stack([np.cos(slopes), np.sin(slopes)], axis=1) * rng.uniform(0.3, 1.5, 5)[:, None]
+        corners = np.concatenate([[[0.0, 0.0]], np.cumsum(parts, axis=0)])
+        points = np.zeros((len(corners), PATH_FLOATS // 18))
+        points[:, :2] = corners
+        lifts = np.empty(1)
+        lift_over(points.ravel(), len(corners), shape, lifts)
+        line = np.concatenate([a + (b - a) * np.linspace(0, 1, 300)[:, None] for a, b in pairwise(corners)])
+        axis = np.stack([along + shape.ahead, np.full(len(along), shape.height)], axis=1)
+        gaps = [np.sqrt(((axis[:, None] + [0, lift] - line) ** 2).sum(axis=2)).min() for lift in (lifts[0], lifts[0] - 0.02)]
+        assert gaps[0] > shape.radius - 0.01
+        assert lifts[0] == 0.0 or gaps[1] < shape.radius
+
+
+@pytest.mark.parametrize("turns", [0, 4])
+def test_depths_are_those_to_all_faces(turns: int) -> None:
+    world = walking(stairs(), 60)
+    for _ in range(8):
+        step(world)
+    population, meshes = world.populations["a"], world.ground.meshes
+    assert meshes is not None
+    walk, n = meshes.crowd_walk(1.0, 4.0), len(population)
+    rng, shape = np.random.default_rng(6), body_shape(world, population)
+    now = {name: array.copy() for name, array in population.now.items()}
+    up = population.vector("up") + rng.normal(0, 0.3, (n, 3))
+    up /= np.linalg.norm(up, axis=1)[:, None]
+    heading = np.cross(up, rng.normal(size=(n, 3)))
+    heading /= np.linalg.norm(heading, axis=1)[:, None]
+    columns = [tuple(np.ascontiguousarray(v, np.float32) for v in vectors.T) for vectors in (up, heading, np.zeros((n, 3)))]
+    zero, rows = np.zeros(n, np.float32), np.arange(n)
+    limits = BodyLimits(zero, zero, np.float32(1), now["size"], shape, np.inf, np.inf)
+    old, depths, outs = tuple(v.copy() for v in columns[2]), zero.copy(), np.zeros((3, n), np.float32)
+    inputs = (
+        rows,
+        BodyStances(population.position, population.normal, BodyPoses(*columns[:2])),
+        limits,
+        columns[2],
+        old,
+        depths,
+        outs,
+    )
+    clearance.shift_bodies(walk.tables()[0].table, face_search(walk, n, 1), *inputs, turns, 0, n)
+    vertices, faces, _, _ = meshes.triangles
+    corners, size = vertices[faces], now["size"].astype(np.float64)[:, None]
+    up, heading, lift = (np.stack(v, axis=1).astype(np.float64) for v in columns)
+    middle = population.position + lift + size * (up * shape.height + heading * shape.ahead)
+    nearest = np.full(n, np.inf)
+    for part in np.linspace(-1, 1, 9):
+        center = middle + heading * size * shape.half * part
+        for i in range(n):
+            at = np.broadcast_to(center[i], (len(corners), 3))
+            nearest[i] = min(nearest[i], np.sqrt(((nearest_on_triangle(at, corners) - at) ** 2).sum(axis=1)).min() / size[i, 0])
+    expected = np.maximum(shape.radius - nearest, 0.0)
+    assert (expected > 0.02).any() or turns
+    assert (depths >= expected - 1e-6).all()
+    # A face between two points of the axis is met by the axis alone.
+    assert (depths - expected < 1e-6).mean() > 0.65
+    assert (depths - expected)[depths < shape.radius].max() < 0.03
+    if turns:
+        assert (depths < 0.02).mean() > 0.8, "most bodies are brought outside"
+
+
+def test_bodies_stay_outside_stairs_near_their_ground_and_as_fast() -> None:
+    frames, speeds = 72, []
+    for clears in (False, True):
+        world = walking(stairs(), 60, clears)
+        population, distance, leaning, turns = world.populations["a"], 0.0, 0, 0.0
+        for _ in range(frames):
+            previous, pose = population.position.copy(), (population.vector("up"), population.vector("heading"))
+            step(world)
+            distance += float(np.linalg.norm(population.position - previous, axis=1).mean())
+            leaning += int(np.count_nonzero((population.vector("up") * population.normal).sum(axis=1) < 0.5))  # by 60 degrees
+            axes = [np.stack([u, h, np.cross(u, h)]) for u, h in (pose, (population.vector("up"), population.vector("heading")))]
+            trace = (axes[0] * axes[1]).sum(axis=(0, 2))
+            turns = max(turns, float(np.degrees(np.arccos(((trace - 1) / 2).clip(-1, 1))).max()))
+        speeds.append(distance)
+        summary = world.motion.summary()
+        if clears:
+            assert summary["body_inside"] == 0.0 and summary["heads_inside"] == 0.0
+            assert leaning < 0.005 * 60 * frames and turns < 15.1 and summary["step_max"] <= 1.005
+        else:
+            assert summary["body_inside"] > 0.05 and leaning > 0.02 * 60 * frames, "without it, bodies are inside or lag"
+    assert speeds[1] > 0.95 * speeds[0]
+
+
+def test_results_do_not_depend_on_threads_rows_or_backends() -> None:
+    hashes = set()
+    for options in (
+        Options(backend="numpy"), Options(backend="numpy", threads=2), Options(backend="native", wait_for_code=True),
+        Options(backend="numpy", shuffle_rows=7), Options(backend="reference"),
+    ):  # fmt: skip
+        world = walking(stairs(), 80, options=options)
+        for _ in range(10):
+            step(world)
+        hashes.add(state_hash(world))
+    assert len(hashes) == 1
+
+
+def test_frames_have_the_shifted_positions() -> None:
+    world = walking(stairs(), 60)
+    for _ in range(20):
+        step(world)
+    population = world.populations["a"]
+    shift = population.vector("~lift")
+    assert (np.abs(shift).max(axis=1) > 0.1).any()
+    drawn = AgentArrays(1.0, {}, {"a": ()}).arrays(world, ("P",))["P"]
+    order = population.in_id_order()
+    assert np.allclose(drawn, (population.position + shift)[order], atol=1e-4)
+
+
+def test_flat_ground_and_no_agents_change_nothing() -> None:
+    flat = extruded([(-60.0, 0.0), (60.0, 0.0)])
+    hashes = []
+    for clears in (False, True):
+        world = walking(flat, 30, clears)
+        for _ in range(12):
+            step(world)
+        population = world.populations["a"]
+        hashes.append((population.position.tobytes(), *(population.now[f"heading.{axis}"].tobytes() for axis in "xyz")))
+    assert hashes[0] == hashes[1]
+    assert not np.any(population.vector("~lift"))
+    empty = walking(flat, 0)
+    step(empty)
+    assert len(empty.populations["a"]) == 0
+
+
+def test_the_first_edition_has_no_registers_for_bodies() -> None:
+    text = WALKER.replace("ant 2", "ant 1").replace("SWITCH", "")
+    assert not any(name.startswith("~lift") for name in plan_of(text, "").species["a"].registers)
+    assert any(name.startswith("~lift") for name in plan_of(WALKER.replace("SWITCH", ""), "").species["a"].registers)
