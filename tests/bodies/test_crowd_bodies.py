@@ -55,7 +55,7 @@ def written(folder: Path, program: str = PROGRAM, crowd: str = CROWD) -> Path:
 def opened(scene: Path) -> Shot:
     shot, report = open_scene(scene)
     assert shot is not None, str(report)
-    assert not report.sorted(), str(report)
+    assert not [each for each in report.sorted() if each.code != "odd-size"], str(report)
     return shot
 
 
